@@ -1,0 +1,40 @@
+"""Write beside, then rename: a reader sees the whole output or none of it."""
+
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from features.errors import InputError
+
+
+@contextmanager
+def staged(out: Path) -> Iterator[Path]:
+    """A temporary folder beside `out` that becomes `out` when the block ends well, and vanishes when not.
+
+    An `out` that exists already is replaced, so that a command can be run again.
+
+    Raises:
+        InputError: `out` is a file, or its parent cannot be written.
+    """
+    if out.exists() and not out.is_dir():
+        raise InputError(f"{out}: a file of this name is in the way; name a folder")
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        scratch = Path(tempfile.mkdtemp(prefix=f".{out.name}.", dir=out.parent))
+    except OSError as error:
+        raise InputError(f"{out}: cannot be written ({error.strerror}); name another folder") from None
+    scratch.chmod(0o755)
+    try:
+        yield scratch
+        if out.exists():
+            retired = Path(tempfile.mkdtemp(prefix=f".{out.name}.old.", dir=out.parent))
+            os.replace(out, retired / out.name)
+            os.replace(scratch, out)
+            shutil.rmtree(retired)
+        else:
+            os.replace(scratch, out)
+    finally:
+        shutil.rmtree(scratch, ignore_errors=True)
