@@ -34,9 +34,10 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _check(arguments: argparse.Namespace) -> int:
-    from pipeline.recordings import read_folder
+    from pipeline.recordings import check_folder, read_folder
 
     recordings = read_folder(arguments.folder)
+    check_folder(recordings)
     print(f"{arguments.folder}: {len(recordings)} recordings are well")
     return 0
 

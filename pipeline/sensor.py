@@ -1,7 +1,7 @@
 """A sensor as `sensor.toml` describes it: its geometry, its accelerometers, its electronics."""
 
 import tomllib
-from dataclasses import dataclass, fields
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -79,6 +79,15 @@ def read_sensor(path: Path) -> Sensor:
         _from_table(Accelerometer, row, f"{path}: [[accelerometer]] {n}") for n, row in enumerate(rows, 1)
     )
     return _from_table(Sensor, {**table, "accelerometers": parts}, str(path))
+
+
+def write_sensor(path: Path, sensor: Sensor) -> None:
+    """Writes a `sensor.toml` that `read_sensor` reads back as the same sensor."""
+    import tomli_w
+
+    table = asdict(sensor)
+    table["accelerometer"] = table.pop("accelerometers")
+    path.write_text(tomli_w.dumps(table), encoding="utf-8")
 
 
 def _from_table(kind: type, table: dict[str, Any], place: str) -> Any:

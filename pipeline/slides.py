@@ -1,0 +1,119 @@
+"""One slide's file: time and volts, in Parquet or CSV, with nothing missing and an even clock."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from features.errors import InputError
+
+# A crystal keeps time to 0.01 %; a clock off by 0.2 % would already shift every speed by as much.
+RATE_TOLERANCE = 0.002
+
+
+def read_slide(path: Path, channels: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
+    """Reads time_s (n,) s and volts (n, channels) V as float64; further columns are left alone.
+
+    Raises:
+        InputError: no such file, unreadable, empty, a column missing, a cell that is no finite number.
+    """
+    columns = ["time_s", *channels]
+    table = _read_csv(path, columns) if path.suffix.lower() == ".csv" else _read_parquet(path, columns)
+    if len(table) < 2:
+        raise InputError(f"{path}: {len(table)} samples, at least two are needed; record it again or drop it")
+    values = np.empty((len(table), len(columns)))
+    for n, column in enumerate(columns):
+        numbers = pd.to_numeric(table[column], errors="coerce").to_numpy(dtype=float, na_value=np.nan)
+        if (bad := ~np.isfinite(numbers)).any():
+            row = int(bad.argmax())
+            raise InputError(
+                f"{path}: row {row + 1}, column {column} is {table[column].iloc[row]}, not a finite number; "
+                "record it again or drop the recording"
+            )
+        values[:, n] = numbers
+    return values[:, 0].copy(), values[:, 1:].copy()
+
+
+def check_clock(path: Path, time_s: np.ndarray, rate_hz: float) -> None:
+    """Sees that time increases evenly at the sensor's rate.
+
+    Raises:
+        InputError: time stands or runs back, a gap, another rate than `rate_hz`.
+    """
+    steps = np.diff(time_s) * rate_hz
+    if (bad := steps <= 0).any():
+        row = int(bad.argmax())
+        raise InputError(
+            f"{path}: row {row + 2}, column time_s does not increase ({time_s[row]:.6f} then "
+            f"{time_s[row + 1]:.6f} s); sort the samples and drop repeated ones"
+        )
+    typical = float(np.median(steps))
+    if abs(typical - 1) < 0.25 and (bad := abs(steps - 1) > 0.5).any():
+        row = int(bad.argmax())
+        kind = "a gap" if steps[row] > 1 else "an uneven step"
+        raise InputError(
+            f"{path}: row {row + 2}, column time_s: {kind} of {time_s[row + 1] - time_s[row]:.6f} s where "
+            f"samples are {1 / rate_hz:.6f} s apart; resample it with 'softslide import' or drop it"
+        )
+    rate = (len(time_s) - 1) / (time_s[-1] - time_s[0])
+    # Half a sample of jitter at either end is no rate.
+    if abs(rate / rate_hz - 1) > RATE_TOLERANCE + 1 / len(steps):
+        raise InputError(
+            f"{path}: column time_s runs at {rate:.6g} Hz, sensor.toml says sample_rate_hz = {rate_hz:.6g}; "
+            "correct the one that is wrong"
+        )
+
+
+def write_slide(path: Path, time_s: np.ndarray, volts: np.ndarray, channels: Sequence[str]) -> None:
+    """Writes Parquet: time in float64, volts in float32 where that loses nothing, else in float64."""
+    columns: dict[str, np.ndarray] = {"time_s": np.asarray(time_s, dtype=float)}
+    for n, channel in enumerate(channels):
+        values = np.asarray(volts[:, n], dtype=float)
+        narrow = values.astype(np.float32)
+        columns[channel] = narrow if np.array_equal(narrow, values) else values
+    pq.write_table(
+        pa.table(columns),
+        path,
+        compression="zstd",
+        compression_level=9,
+        use_dictionary=list(channels),
+        column_encoding={"time_s": "BYTE_STREAM_SPLIT"},
+    )
+
+
+def _read_parquet(path: Path, columns: list[str]) -> pd.DataFrame:
+    try:
+        with pq.ParquetFile(path) as file:
+            _require(path, columns, file.schema_arrow.names)
+            return file.read(columns=columns).to_pandas()
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file; put it there or take its row out of the manifest") from None
+    except (pa.ArrowException, OSError) as error:
+        reason = " ".join(str(error).split())[:120]
+        empty = path.is_file() and path.stat().st_size == 0
+        what = "the file is empty" if empty else f"not a Parquet file ({reason})"
+        raise InputError(f"{path}: {what}; copy or record it again") from None
+
+
+def _read_csv(path: Path, columns: list[str]) -> pd.DataFrame:
+    try:
+        table = pd.read_csv(path, low_memory=False, encoding="utf-8-sig")
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file; put it there or take its row out of the manifest") from None
+    except pd.errors.EmptyDataError:
+        raise InputError(f"{path}: the file is empty; copy or record it again") from None
+    except (pd.errors.ParserError, UnicodeDecodeError) as error:
+        reason = " ".join(str(error).split())[:120]
+        raise InputError(f"{path}: not a comma-separated table ({reason}); mend it") from None
+    _require(path, columns, list(table.columns))
+    return table
+
+
+def _require(path: Path, columns: list[str], present: list[str]) -> None:
+    for column in columns:
+        if column not in present:
+            has = ", ".join(present)
+            raise InputError(f"{path}: column '{column}' is missing (it has {has}); add or rename it")

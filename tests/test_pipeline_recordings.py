@@ -1,0 +1,317 @@
+"""A folder of recordings comes back as written, and a broken one is refused in one line."""
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pyarrow.parquet as pq
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+import softslide
+from features.errors import InputError
+from pipeline.recordings import LABELS, Recording, check_folder, read_folder, write_folder
+from pipeline.sensor import Accelerometer, Sensor
+from pipeline.slides import check_clock, read_slide, write_slide
+
+RATE_HZ = 100.0
+
+
+def a_sensor(accelerometers: int = 1) -> Sensor:
+    return Sensor(
+        name="trial",
+        sample_rate_hz=RATE_HZ,
+        chamber_mm=(50.0, 50.0),
+        skin_thickness_mm=4.0,
+        indenter_diameter_mm=6.0,
+        pressure_mpa=0.035,
+        reference_mm=(5.0, 0.0),
+        adc_step_v=5e-4,
+        accelerometers=tuple(Accelerometer(f"a{n}", 5.0 * n, 0.0) for n in range(accelerometers)),
+    )
+
+
+def a_recording(name: str, channels: int = 3, samples: int = 400) -> Recording:
+    noise = np.random.default_rng(len(name)).normal(1.65, 0.005, (samples, channels))
+    return Recording(name, np.arange(samples) / RATE_HZ, noise)
+
+
+def a_manifest(names: list[str]) -> pd.DataFrame:
+    row = {
+        "split": "calibration",
+        "direction_deg": 180.0,
+        "speed_mm_s": 20.0,
+        "offset_mm": -7.5,
+        "start_x_mm": 29.0,
+        "start_y_mm": 7.5,
+        "travel_mm": 58.0,
+        "depth_mm": 0.5,
+        "pressure_mpa": 0.035,
+        "motion_start_s": 0.5,
+        "motion_end_s": 3.4,
+    }
+    return pd.DataFrame([{"recording": name, **row} for name in names])
+
+
+@pytest.fixture
+def root(tmp_path: Path) -> Path:
+    names = ["one", "two", "three"]
+    write_folder(tmp_path / "lab", a_sensor(), a_manifest(names), map(a_recording, names))
+    return tmp_path / "lab"
+
+
+def refused(root: Path, capsys: pytest.CaptureFixture[str]) -> str:
+    """The front door's one line on a folder that it refuses."""
+    assert softslide.main(["check", str(root)]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.count("\n") == 1
+    return err
+
+
+@pytest.mark.parametrize("accelerometers", [1, 2, 5])
+def test_a_folder_comes_back_as_written(tmp_path: Path, accelerometers: int) -> None:
+    sensor = a_sensor(accelerometers)
+    names = ["one", "three"]
+    recordings = [a_recording(name, len(sensor.channels)) for name in names]
+    write_folder(tmp_path / "lab", sensor, a_manifest(names), recordings)
+    folder = read_folder(tmp_path / "lab")
+    check_folder(folder)
+    assert folder.sensor == sensor
+    assert list(folder.manifest.index) == names
+    for written in recordings:
+        read = folder.load(written.name)
+        np.testing.assert_array_equal(read.time_s, written.time_s)
+        np.testing.assert_array_equal(read.volts, written.volts)
+        assert read.volts.dtype == read.time_s.dtype == np.float64
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    volts=hnp.arrays(np.float64, (7, 3), elements=st.floats(-10, 10, allow_subnormal=False)),
+    narrow=st.booleans(),
+)
+def test_volts_survive_to_the_last_bit(tmp_path_factory, volts: np.ndarray, narrow: bool) -> None:
+    path = tmp_path_factory.mktemp("slide") / "s.parquet"
+    channels = ("a0_vx", "a0_vy", "a0_vz")
+    volts = volts.astype(np.float32).astype(float) if narrow else volts
+    write_slide(path, np.arange(7.0), volts, channels)
+    np.testing.assert_array_equal(read_slide(path, channels)[1], volts)
+
+
+def test_csv_slides_are_read_to_the_last_bit(root: Path) -> None:
+    volts = read_folder(root).load("two").volts
+    pq.read_table(root / "slides/two.parquet").to_pandas().to_csv(root / "slides/two.csv", index=False)
+    edit_manifest(root, "file", 1, "slides/two.csv")
+    np.testing.assert_array_equal(read_folder(root).load("two").volts, volts)
+
+
+def test_writing_twice_gives_the_same_bytes(tmp_path: Path) -> None:
+    for out in ("first", "second"):
+        write_folder(tmp_path / out, a_sensor(), a_manifest(["one"]), [a_recording("one")])
+    for file in ("sensor.toml", "manifest.csv", "slides/one.parquet"):
+        assert (tmp_path / "first" / file).read_bytes() == (tmp_path / "second" / file).read_bytes()
+
+
+def test_labels_may_be_absent(tmp_path: Path) -> None:
+    manifest = a_manifest(["one", "two"])[["recording", "split", "speed_mm_s"]]
+    manifest.loc[0, "speed_mm_s"] = np.nan
+    write_folder(tmp_path / "lab", a_sensor(), manifest, map(a_recording, ["one", "two"]))
+    folder = read_folder(tmp_path / "lab")
+    check_folder(folder)
+    assert set(LABELS) <= set(folder.manifest.columns)
+    assert folder.manifest["direction_deg"].isna().all()
+    assert len(folder.labelled()) == 0
+
+
+def test_select_takes_splits_by_their_beginning(root: Path) -> None:
+    edit_manifest(root, "split", 0, "test-fast")
+    edit_manifest(root, "split", 1, "test")
+    folder = read_folder(root)
+    assert list(folder.select("test").manifest.index) == ["one", "two"]
+    assert list(folder.select("calibration", "train").manifest.index) == ["three"]
+    assert len(folder.select("no-such")) == 0
+
+
+def edit_manifest(root: Path, column: str, row: int, value: str) -> None:
+    table = pd.read_csv(root / "manifest.csv", dtype=str)
+    table.loc[row, column] = value
+    table.to_csv(root / "manifest.csv", index=False)
+
+
+@pytest.mark.parametrize(
+    ("column", "value", "says"),
+    [
+        ("direction_deg", "360", "[0, 360)"),
+        ("direction_deg", "-90", "[0, 360)"),
+        ("direction_deg", "forward", "not a number"),
+        ("direction_deg", "inf", "[0, 360)"),
+        ("speed_mm_s", "0", "positive"),
+        ("speed_mm_s", "-2", "positive"),
+        ("speed_mm_s", "inf", "positive"),
+        ("offset_mm", "120", "crosses the chamber"),
+        ("depth_mm", "-0.5", "negative"),
+        ("pressure_mpa", "-1", "negative"),
+        ("travel_mm", "0", "positive"),
+        ("start_x_mm", "inf", "finite"),
+        ("motion_end_s", "0.5", "motion_start_s"),
+        ("motion_end_s", "30", "outside the recording"),
+        ("motion_start_s", "-4", "outside the recording"),
+        ("recording", "one", "differ"),
+        ("recording", "", "given"),
+        ("recording", "../two", "slash"),
+        ("file", "", "no file"),
+        ("file", "slides/none.parquet", "no such file"),
+    ],
+)
+def test_a_bad_cell_is_named(root: Path, capsys, column: str, value: str, says: str) -> None:
+    edit_manifest(root, column, 1, value)
+    message = refused(root, capsys)
+    assert "manifest.csv" in message
+    assert column in message
+    assert says in message
+    assert "row 2" in message or "two" in message
+
+
+@pytest.mark.parametrize("column", ["recording", "file", "split"])
+def test_a_missing_manifest_column_is_named(root: Path, capsys, column: str) -> None:
+    pd.read_csv(root / "manifest.csv").drop(columns=column).to_csv(root / "manifest.csv", index=False)
+    assert f"'{column}' is missing" in refused(root, capsys)
+
+
+def test_a_misspelt_label_is_no_absent_label(root: Path, capsys) -> None:
+    table = pd.read_csv(root / "manifest.csv").rename(columns={"speed_mm_s": "speed_mms"})
+    table.to_csv(root / "manifest.csv", index=False)
+    assert "is it speed_mm_s?" in refused(root, capsys)
+
+
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [
+        ("", "empty"),
+        ("recording,file,split\n", "no recordings"),
+        ("recording,file,split\na,b,c,d,e\n", "not a comma-separated table"),
+        (b"\xff\xfe\x00recording", "not a comma-separated table"),
+    ],
+)
+def test_a_broken_manifest_is_refused(root: Path, capsys, content: str | bytes, says: str) -> None:
+    (root / "manifest.csv").write_bytes(content if isinstance(content, bytes) else content.encode())
+    assert says in refused(root, capsys)
+
+
+def edit_slide(root: Path, change) -> None:
+    path = root / "slides/two.parquet"
+    change(pq.read_table(path).to_pandas()).to_parquet(path, index=False)
+
+
+def with_cell(column: str, row: int, value: float):
+    def change(slide: pd.DataFrame) -> pd.DataFrame:
+        slide.loc[row, column] = value
+        return slide
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (lambda s: s.drop(columns="a0_vy"), "'a0_vy' is missing"),
+        (lambda s: s.drop(columns="time_s"), "'time_s' is missing"),
+        (with_cell("a0_vz", 9, np.nan), "row 10, column a0_vz"),
+        (with_cell("a0_vx", 0, np.inf), "row 1, column a0_vx"),
+        (with_cell("time_s", 3, np.nan), "row 4, column time_s"),
+        (lambda s: s.assign(a0_vx=["?" if n == 2 else "1.6" for n in range(len(s))]), "row 3, column a0_vx"),
+        (lambda s: s.drop(index=range(50, 90)), "row 51, column time_s: a gap of 0.41"),
+        (lambda s: s.drop(index=50), "a gap of 0.02"),
+        (with_cell("time_s", 7, 0.06), "row 8, column time_s does not increase"),
+        (lambda s: s[::-1], "does not increase"),
+        (lambda s: s.assign(time_s=s.time_s * 2), "runs at 50 Hz, sensor.toml says sample_rate_hz = 100"),
+        (lambda s: s.assign(time_s=s.time_s * 1.01), "runs at 99.0099 Hz"),
+        (lambda s: s[:0], "0 samples"),
+    ],
+)
+def test_a_bad_sample_is_named(root: Path, capsys, change, says: str) -> None:
+    edit_slide(root, change)
+    message = refused(root, capsys)
+    assert "two.parquet" in message
+    assert says in message
+
+
+@pytest.mark.parametrize("kept", [0, 1, 100, -1])
+def test_a_truncated_slide_is_refused(root: Path, capsys, kept: int) -> None:
+    path = root / "slides/two.parquet"
+    path.write_bytes(path.read_bytes()[:kept])
+    assert "two.parquet" in refused(root, capsys)
+
+
+@settings(max_examples=60, deadline=None)
+@given(at=st.integers(0, 10_000), value=st.integers(0, 255))
+def test_a_flipped_byte_is_refused_or_harmless(tmp_path_factory, at: int, value: int) -> None:
+    path = tmp_path_factory.mktemp("slide") / "s.parquet"
+    recording = a_recording("one")
+    write_slide(path, recording.time_s, recording.volts, a_sensor().channels)
+    content = bytearray(path.read_bytes())
+    content[at % len(content)] = value
+    path.write_bytes(bytes(content))
+    try:
+        time_s, volts = read_slide(path, a_sensor().channels)
+    except InputError:
+        return
+    assert np.isfinite(time_s).all()
+    assert np.isfinite(volts).all()
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    samples=st.integers(50, 300),
+    rate_hz=st.floats(10, 1e4),
+    jitter=st.floats(0, 0.2),
+    seed=st.integers(0, 2**32 - 1),
+)
+def test_a_clock_may_jitter_but_not_lose_samples(
+    samples: int, rate_hz: float, jitter: float, seed: int
+) -> None:
+    random = np.random.default_rng(seed)
+    time_s = (np.arange(samples) + random.uniform(-jitter, jitter, samples)) / rate_hz
+    check_clock(Path("s"), time_s, rate_hz)
+    for wrong in (np.delete(time_s, random.integers(1, samples - 1)), time_s * 1.5, time_s[::-1]):
+        with pytest.raises(InputError):
+            check_clock(Path("s"), wrong, rate_hz)
+
+
+def test_a_bad_sensor_is_refused(root: Path, capsys) -> None:
+    text = (root / "sensor.toml").read_text()
+    for wrong, says in (
+        (f"colour = 'red'\n{text}", "unknown key 'colour'"),
+        (f"{text}gain = 2.0\n", "unknown key 'gain'"),
+        (text.replace("sample_rate_hz = 100.0", ""), "sample_rate_hz missing"),
+        (text.replace("100.0", "-1.0"), "must be positive"),
+        (text[:30], "not a TOML file"),
+    ):
+        (root / "sensor.toml").write_text(wrong)
+        message = refused(root, capsys)
+        assert "sensor.toml" in message
+        assert says in message
+
+
+def test_an_absent_folder_is_refused(tmp_path: Path, root: Path, capsys) -> None:
+    assert "no such folder" in refused(tmp_path / "none", capsys)
+    for file in ("manifest.csv", "sensor.toml"):
+        copy = shutil.copytree(root, tmp_path / f"without-{file}")
+        (copy / file).unlink()
+        assert "no such file" in refused(copy, capsys)
+
+
+def test_nothing_half_written_is_left(tmp_path: Path) -> None:
+    def broken():
+        yield a_recording("one")
+        raise InputError("the source ends")
+
+    manifest = a_manifest(["one", "two"])
+    for recordings in (broken(), [a_recording("one")], [a_recording("one"), a_recording("three")]):
+        with pytest.raises(InputError):
+            write_folder(tmp_path / "lab", a_sensor(), manifest, recordings)
+        assert list(tmp_path.iterdir()) == []
