@@ -18,6 +18,9 @@ from pipeline.sensor import Sensor, read_sensor, write_sensor
 from pipeline.slides import check_clock, read_slide, write_slide
 from pipeline.staging import staged
 
+# 60 emulated bench recordings that ship with the project; see the README beside them.
+SAMPLE = Path(__file__).parent / "sample"
+
 REQUIRED = ("recording", "file", "split")
 LABELS = (
     "direction_deg",

@@ -13,7 +13,7 @@ from hypothesis.extra import numpy as hnp
 
 import softslide
 from features.errors import InputError
-from pipeline.recordings import LABELS, Recording, check_folder, read_folder, write_folder
+from pipeline.recordings import LABELS, SAMPLE, Recording, check_folder, read_folder, write_folder
 from pipeline.sensor import Accelerometer, Sensor
 from pipeline.slides import check_clock, read_slide, write_slide
 
@@ -315,3 +315,16 @@ def test_nothing_half_written_is_left(tmp_path: Path) -> None:
         with pytest.raises(InputError):
             write_folder(tmp_path / "lab", a_sensor(), manifest, recordings)
         assert list(tmp_path.iterdir()) == []
+
+
+def test_the_sample_is_well_and_covers_what_a_demo_needs() -> None:
+    folder = read_folder(SAMPLE)
+    check_folder(folder)
+    assert len(folder.labelled()) == len(folder) == 60
+    calibration = folder.select("calibration").manifest
+    for direction in (0, 90, 180, 270):
+        lines = calibration[calibration.direction_deg == direction]
+        assert lines.speed_mm_s.nunique() == 4
+        assert lines.offset_mm.nunique() >= 7
+    assert set(folder.select("test").manifest.split) == {"test", "test-depth", "test-diagonal", "test-fast"}
+    assert sum(file.stat().st_size for file in SAMPLE.rglob("*.*")) < 12e6
