@@ -1,4 +1,8 @@
-"""A sensor as `sensor.toml` describes it: its geometry, its accelerometers, its electronics."""
+"""A sensor as `sensor.toml` describes it: its geometry, its accelerometers, its electronics, its mechanics.
+
+The mechanics (`[skin]`, `[board]`, `[mesh]`) are optional: their defaults are the article's sensor, so that a
+folder of recordings can be simulated from the `sensor.toml` that it has.
+"""
 
 import tomllib
 from dataclasses import asdict, dataclass, fields
@@ -6,6 +10,10 @@ from pathlib import Path
 from typing import Any
 
 from features.errors import InputError
+
+# Skin left between a board and the clamped rim, and between two boards: less would be a sliver of an element.
+_RIM_MM = 0.5
+_BOARD_GAP_MM = 0.5
 
 
 @dataclass(frozen=True)
@@ -25,6 +33,70 @@ class Accelerometer:
 
 
 @dataclass(frozen=True)
+class Skin:
+    """`[skin]`: Ecoflex 00-10 as the article has it. Moduli and pressures in MPa, lengths in mm.
+
+    The skin is nearly incompressible, so its shear modulus is a third of Young's; the bulk modulus is high enough
+    to keep the volume within a percent and low enough to solve well. The atlas is solved at each of
+    `height_mm` (the inflated skin's highest point over its flat state); `effective_pressure_mpa` states the
+    pressures themselves instead. Neither is the regulator's figure `pressure_mpa`: a neo-Hookean skin of the
+    article's modulus would balloon long before 35 kPa, so the height is what ties the model to a real skin.
+    """
+
+    youngs_modulus_mpa: float = 0.07
+    bulk_modulus_mpa: float = 2.0
+    friction: float = 0.2
+    height_mm: tuple[float, ...] = (5.0, 7.0, 9.6)
+    effective_pressure_mpa: tuple[float, ...] = ()
+
+    def __post_init__(self) -> None:
+        for name in ("youngs_modulus_mpa", "bulk_modulus_mpa"):
+            if not getattr(self, name) > 0:
+                raise ValueError(f"{name} is {getattr(self, name)}; it must be positive")
+        if not 0 <= self.friction <= 1:
+            raise ValueError(f"friction is {self.friction}; it must lie in 0..1")
+        for name in ("height_mm", "effective_pressure_mpa"):
+            levels = getattr(self, name)
+            if any(v <= 0 for v in levels) or any(b <= a for a, b in zip(levels, levels[1:], strict=False)):
+                raise ValueError(f"{name} is {list(levels)}; it must be positive and rise")
+        if not self.height_mm and not self.effective_pressure_mpa:
+            raise ValueError("neither height_mm nor effective_pressure_mpa has a value; give one level at least")
+
+    @property
+    def shear_modulus_mpa(self) -> float:
+        """G = E / 3, of an incompressible solid."""
+        return self.youngs_modulus_mpa / 3.0
+
+
+@dataclass(frozen=True)
+class Board:
+    """`[board]`: the accelerometers' printed boards, all alike, cast into the skin's middle. Lengths in mm."""
+
+    size_mm: tuple[float, float] = (10.0, 10.0)
+    thickness_mm: float = 1.7
+
+    def __post_init__(self) -> None:
+        if len(self.size_mm) != 2 or not min(self.size_mm) > 0:
+            raise ValueError(f"size_mm is {list(self.size_mm)}; it must be two positive lengths")
+        if not self.thickness_mm > 0:
+            raise ValueError(f"thickness_mm is {self.thickness_mm}; it must be positive")
+
+
+@dataclass(frozen=True)
+class MeshSize:
+    """`[mesh]`: elements of about `size_mm` in the plane, `layers` each below, in and above the boards."""
+
+    size_mm: float = 2.5
+    layers: int = 1
+
+    def __post_init__(self) -> None:
+        if not 0.5 <= self.size_mm <= 5.0:
+            raise ValueError(f"size_mm is {self.size_mm}; it must lie in 0.5..5")
+        if not 1 <= self.layers <= 4:
+            raise ValueError(f"layers is {self.layers}; it must lie in 1..4")
+
+
+@dataclass(frozen=True)
 class Sensor:
     """The contract's `sensor.toml`. Lengths in mm, pressure in MPa, rate in Hz, ADC step in V."""
 
@@ -37,6 +109,9 @@ class Sensor:
     reference_mm: tuple[float, float]
     adc_step_v: float
     accelerometers: tuple[Accelerometer, ...]
+    skin: Skin = Skin()
+    board: Board = Board()
+    mesh: MeshSize = MeshSize()
 
     def __post_init__(self) -> None:
         for name in ("sample_rate_hz", "skin_thickness_mm", "indenter_diameter_mm", "pressure_mpa"):
@@ -78,7 +153,44 @@ def read_sensor(path: Path) -> Sensor:
     parts = tuple(
         _from_table(Accelerometer, row, f"{path}: [[accelerometer]] {n}") for n, row in enumerate(rows, 1)
     )
+    for name, kind in (("skin", Skin), ("board", Board), ("mesh", MeshSize)):
+        if name in table:
+            if not isinstance(table[name], dict):
+                raise InputError(f"{path}: {name} is {table[name]!r}; write a table [{name}]")
+            table[name] = _from_table(kind, table[name], f"{path}: [{name}]")
     return _from_table(Sensor, {**table, "accelerometers": parts}, str(path))
+
+
+def check_design(sensor: Sensor, source: str = "sensor") -> None:
+    """What recordings can do without and mechanics cannot: every board in the chamber's skin, none in another.
+
+    Raises:
+        InputError: a board is thicker than the skin leaves room for, reaches over the chamber, or overlaps.
+    """
+    width, length = sensor.board.size_mm
+    if sensor.board.thickness_mm > 0.8 * sensor.skin_thickness_mm:
+        raise InputError(
+            f"{source}: [board] thickness_mm is {sensor.board.thickness_mm:g} in a skin of "
+            f"{sensor.skin_thickness_mm:g}; at most four fifths of the skin can be board"
+        )
+    for n, a in enumerate(sensor.accelerometers):
+        if (
+            abs(a.x_mm) + width / 2 > sensor.chamber_mm[0] / 2 - _RIM_MM
+            or abs(a.y_mm) + length / 2 > sensor.chamber_mm[1] / 2 - _RIM_MM
+        ):
+            raise InputError(
+                f"{source}: [[accelerometer]] {n + 1}: the board of '{a.name}' at ({a.x_mm:g}, {a.y_mm:g}) "
+                f"is not within the chamber by {_RIM_MM:g} mm; move it or shrink [board] size_mm"
+            )
+        for b in sensor.accelerometers[:n]:
+            if (
+                abs(a.x_mm - b.x_mm) < width + _BOARD_GAP_MM
+                and abs(a.y_mm - b.y_mm) < length + _BOARD_GAP_MM
+            ):
+                raise InputError(
+                    f"{source}: [[accelerometer]] {n + 1}: the boards of '{b.name}' and '{a.name}' overlap or lie "
+                    f"closer than {_BOARD_GAP_MM:g} mm; move one"
+                )
 
 
 def write_sensor(path: Path, sensor: Sensor) -> None:
@@ -102,9 +214,11 @@ def _from_table(kind: type, table: dict[str, Any], place: str) -> Any:
             if isinstance(value, bool) or not isinstance(value, int | float):
                 raise InputError(f"{place}: {name} is {value!r}; write a number")
             value = float(value)
+        elif expected is int and (isinstance(value, bool) or not isinstance(value, int)):
+            raise InputError(f"{place}: {name} is {value!r}; write a whole number")
         elif expected is str and not isinstance(value, str):
             raise InputError(f"{place}: {name} is {value!r}; write a text in quotes")
-        elif expected == tuple[float, float]:
+        elif expected in (tuple[float, float], tuple[float, ...]):
             if not isinstance(value, list) or not all(
                 isinstance(v, int | float) and not isinstance(v, bool) for v in value
             ):

@@ -1,0 +1,1 @@
+"""The skin's mechanics: inflated, with boards cast in, under a sliding indenter."""

@@ -1,0 +1,116 @@
+"""Symmetric indefinite sparse systems: analysed once, refactored as the values change.
+
+MKL's PARDISO where it is (x86-64), else SciPy's SuperLU in its symmetric mode. The tangent of a pressed skin can be
+indefinite, so Cholesky would not do.
+"""
+
+import ctypes
+import warnings
+from typing import Protocol
+
+import numpy as np
+import scipy.sparse as sparse
+from scipy.sparse.linalg import splu
+
+
+class LinearSolver(Protocol):
+    """Factors of the matrix whose upper triangle is handed over."""
+
+    def factor(self, upper: sparse.csr_matrix) -> None: ...
+
+    def solve(self, right: np.ndarray) -> np.ndarray: ...
+
+    @property
+    def negative(self) -> int:
+        """How many pivots are negative: none where the posture is stable."""
+        ...
+
+
+def linear_solver(name: str = "auto") -> LinearSolver:
+    """'pardiso', 'superlu', or the first of them that is installed ('auto')."""
+    if name in ("auto", "pardiso"):
+        try:
+            return Pardiso()
+        except ImportError:
+            if name == "pardiso":
+                raise
+    return SuperLU()
+
+
+class Pardiso:
+    """LDL^T by MKL, through the library that pypardiso finds; on the calling thread alone."""
+
+    def __init__(self) -> None:
+        from pypardiso import PyPardisoSolver
+
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            self._mkl = PyPardisoSolver(mtype=-2)
+        self._mkl.libmkl.MKL_Set_Num_Threads(1)
+        for place, value in {1: 1, 2: 2, 8: 0, 10: 8, 11: 0, 13: 0, 21: 1, 24: 0, 35: 1}.items():
+            self._mkl.iparm[place - 1] = value
+        self._upper: sparse.csr_matrix | None = None
+        self._room = np.zeros(0)
+
+    def factor(self, upper: sparse.csr_matrix) -> None:
+        if self._upper is None:
+            self._call(11, upper, np.zeros(upper.shape[0]))
+        self._upper = upper
+        self._call(22, upper, np.zeros(upper.shape[0]))
+
+    def solve(self, right: np.ndarray) -> np.ndarray:
+        assert self._upper is not None, "factor first"
+        return self._call(33, self._upper, np.ascontiguousarray(right))
+
+    @property
+    def negative(self) -> int:
+        return int(self._mkl.iparm[22])
+
+    def _call(self, phase: int, upper: sparse.csr_matrix, right: np.ndarray) -> np.ndarray:
+        mkl = self._mkl
+        result = np.zeros_like(right)
+        error = ctypes.c_int32(0)
+        pointer = lambda v, kind: v.ctypes.data_as(ctypes.POINTER(kind))  # noqa: E731
+        integer = lambda v: ctypes.byref(ctypes.c_int32(v))  # noqa: E731
+        mkl._mkl_pardiso(
+            pointer(mkl.pt, mkl._pt_type[0]),
+            integer(1),
+            integer(1),
+            integer(-2),
+            integer(phase),
+            integer(upper.shape[0]),
+            upper.data.ctypes.data_as(ctypes.c_void_p),
+            pointer(upper.indptr, ctypes.c_int32),
+            pointer(upper.indices, ctypes.c_int32),
+            pointer(mkl.perm, ctypes.c_int32),
+            integer(1),
+            pointer(mkl.iparm, ctypes.c_int32),
+            integer(0),
+            right.ctypes.data_as(ctypes.c_void_p),
+            result.ctypes.data_as(ctypes.c_void_p),
+            ctypes.byref(error),
+        )
+        if error.value:
+            raise FloatingPointError(f"PARDISO stopped with error {error.value} in phase {phase}")
+        return result
+
+    def __del__(self) -> None:
+        if self._upper is not None:
+            self._call(-1, self._upper, np.zeros(self._upper.shape[0]))
+
+
+class SuperLU:
+    """LU by SciPy with the pattern's symmetry used in the ordering."""
+
+    def factor(self, upper: sparse.csr_matrix) -> None:
+        full = upper + sparse.triu(upper, 1).T
+        self._factors = splu(
+            full.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.01, options={"SymmetricMode": True}
+        )
+
+    def solve(self, right: np.ndarray) -> np.ndarray:
+        return self._factors.solve(right)
+
+    @property
+    def negative(self) -> int:
+        return int((self._factors.U.diagonal() < 0).sum())

@@ -1,0 +1,270 @@
+"""Equilibrium by a held factor with Anderson acceleration, and continuation along the indenter's line.
+
+A factorisation costs as much as a dozen residuals, so a factor is held, over positions too, for as long as
+Anderson's mixing (depth 6) converges with it faster than a new one is expected to. Each line starts from the
+inflated, untouched skin and goes on in short steps: a jump would let the rod pierce the skin into an equilibrium
+that is false and looks converged.
+
+A highly inflated skin snaps as the rod passes the dome's middle: the branch it was on ends (a pivot turns negative)
+and Newton's method circles there. The skin then creeps down its energy, as if in syrup, to the branch that it
+would snap to: steps of (K + eta M) with eta large enough for every pivot to be positive. What fails even so is
+halved.
+"""
+
+import math
+import time
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from pipeline.skin.linear import LinearSolver, linear_solver
+from pipeline.skin.mesh import Mesh
+from pipeline.skin.system import Load, Material, State, System
+
+TOLERANCE_N = 3e-4
+CAP_MM = 0.7  # no unknown moves further in one iteration
+DEPTH = 6
+NEW_FACTOR_COST = 12  # held-factor iterations that assembling and factoring cost
+MOST_FACTORS = 12
+CREEP_STEPS = 80
+CREEP_START_N_MM = 1e-3  # eta: per node, about a hundredth of the skin's own stiffness
+PIERCED = 0.6  # of the indenter's radius: deeper than any posture that holds, half way to coming out beyond
+SMALLEST_PART = 1 / 16  # of a step, before a position is given up
+FIRST_AIR_MPA = 2e-4
+
+
+class NoEquilibrium(Exception):
+    """No equilibrium was found from where the search began."""
+
+
+@dataclass
+class Statistics:
+    """What the solves of a line cost."""
+
+    positions: int = 0
+    iterations: int = 0
+    factors: int = 0
+    creeps: int = 0
+    halvings: int = 0
+    deepest_mm: float = 0.0
+    seconds: float = 0.0
+
+
+@dataclass
+class Skin:
+    """A skin with its linear solver and the factor it holds. Not shared between threads."""
+
+    mesh: Mesh
+    material: Material
+    solver: str = "auto"
+    tolerance_n: float = TOLERANCE_N
+    statistics: Statistics = field(default_factory=Statistics)
+
+    def __post_init__(self) -> None:
+        self.system = System(self.mesh, self.material)
+        self.linear: LinearSolver = linear_solver(self.solver)
+        self._has_factor = False
+
+    def forget(self) -> None:
+        """Drops the held factor, so that what follows does not depend on what was solved before."""
+        self._has_factor = False
+
+    def equilibrium(self, start: State, load: Load) -> tuple[State, np.ndarray]:
+        """The posture in balance near `start`, and the force on the indenter (3,) N
+        with the depth that it sinks into the skin, mm, as fourth.
+
+        Raises:
+            NoEquilibrium: the search did not end within `MOST_FACTORS` factorisations.
+        """
+        state = start.copy()
+        residual, force = self.system.residual(state, load)
+        if residual is None:
+            raise NoEquilibrium("an element is inside out at the start")
+        norm = float(np.linalg.norm(residual))
+        factors = 0
+        fresh = not self._has_factor
+        history: list[tuple[np.ndarray, np.ndarray]] = []  # (unknowns, correction)
+        norms: list[float] = []
+        while norm > self.tolerance_n:
+            if fresh:
+                if factors == MOST_FACTORS:
+                    raise NoEquilibrium(f"{norm:.2g} N out of balance after {factors} factorisations")
+                residual, force = self.system.tangent(state, load)
+                self.linear.factor(self.system.pattern)
+                self._has_factor = True
+                factors += 1
+                self.statistics.factors += 1
+                history, norms, fresh = [], [], False
+            self.statistics.iterations += 1
+            correction = -self.linear.solve(residual)
+            history = [*history[-DEPTH:], (state.unknowns.copy(), correction)]
+            step = _mixed(history)
+            step *= min(1.0, CAP_MM / max(float(np.abs(step).max()), 1e-30))
+            norms.append(norm)
+            accepted = self._advance(state, step, load, norm)
+            if accepted is None:
+                if len(norms) == 1 and factors:
+                    raise NoEquilibrium(f"{norm:.2g} N out of balance, and no step lowers it")
+                fresh = True
+                continue
+            state, residual, force, norm = accepted
+            fresh = _is_slow([*norms, norm], self.tolerance_n)
+        return self.system.accept(state), force
+
+    def creep(self, start: State, load: Load) -> tuple[State, np.ndarray]:
+        """As `equilibrium`, down the energy from a posture that has lost its balance; the end is stable.
+
+        Raises:
+            NoEquilibrium: not within `CREEP_STEPS`.
+        """
+        self.statistics.creeps += 1
+        self._has_factor = False
+        state, eta = start.copy(), CREEP_START_N_MM
+        pattern = self.system.pattern
+        diagonal = pattern.indptr[:-1]
+        # A board resists like the nodes it replaces, by about a hundred square millimetres where it turns.
+        weight = np.ones(self.system.size)
+        for n in range(len(self.mesh.centres)):
+            weight[self.system.board_slice(n)] = [25.0] * 3 + [400.0] * 3
+        for _ in range(CREEP_STEPS):
+            residual, force = self.system.tangent(state, load)
+            if residual is None:
+                break
+            undamped = pattern.data[diagonal].copy()
+            while True:
+                pattern.data[diagonal] = undamped + eta * weight
+                self.linear.factor(pattern)
+                self.statistics.factors += 1
+                if not self.linear.negative:
+                    break
+                eta = max(4 * eta, CREEP_START_N_MM)
+            if np.linalg.norm(residual) <= self.tolerance_n and eta == 0.0:
+                return self.system.accept(state), force
+            step = -self.linear.solve(residual)
+            step *= min(1.0, CAP_MM / max(float(np.abs(step).max()), 1e-30))
+            while self.system.residual(State(state.unknowns + step, state.rotations), load)[0] is None:
+                step /= 2
+                if np.abs(step).max() < 1e-3:
+                    raise NoEquilibrium("an element turns inside out")
+            state.unknowns += step
+            eta = eta / 4 if eta > CREEP_START_N_MM / 16 else 0.0
+        raise NoEquilibrium(f"still creeping after {CREEP_STEPS} steps")
+
+    def _advance(
+        self, state: State, step: np.ndarray, load: Load, norm: float
+    ) -> tuple[State, np.ndarray, np.ndarray, float] | None:
+        """The step, shortened until it does not raise the imbalance much; None if no part of it will do."""
+        for part in (1.0, 0.5, 0.25, 0.1):
+            trial = State(state.unknowns + part * step, state.rotations)
+            residual, force = self.system.residual(trial, load)
+            if residual is not None:
+                new = float(np.linalg.norm(residual))
+                if new < 1.5 * norm:
+                    return trial, residual, force, new
+        return None
+
+    def inflate(self, pressure_mpa: float) -> State:
+        """The untouched skin under air, by rising steps of pressure.
+
+        Raises:
+            NoEquilibrium: the pressure lies beyond the skin's limit.
+        """
+        self.forget()
+        state, at, step = self.system.rest(), 0.0, min(FIRST_AIR_MPA, pressure_mpa)
+        while at < pressure_mpa:
+            to = min(at + step, pressure_mpa)
+            try:
+                state, _ = self.equilibrium(state, Load(to))
+            except NoEquilibrium:
+                self.forget()
+                step /= 2
+                if step < FIRST_AIR_MPA / 64:
+                    raise NoEquilibrium(f"the skin balloons beyond {at:.3g} MPa") from None
+                continue
+            at = to
+        return state
+
+    def height(self, state: State) -> float:
+        """How far the upper face's highest node stands over the flat skin, mm."""
+        return float(self.system.places(state)[:, 2].max() - self.mesh.nodes[:, 2].max())
+
+    def slide(
+        self, inflated: State, pressure_mpa: float, centres: np.ndarray
+    ) -> tuple[list[State | None], np.ndarray]:
+        """The postures along a line of indenter centres (n, 3) mm, which begins clear of the skin.
+
+        Returns:
+            postures, None from where no equilibrium was found to the end of the line; forces (n, 3) N on the
+            indenter, nan there.
+        """
+        self.forget()
+        started = time.perf_counter()
+        postures: list[State | None] = []
+        forces = np.full((len(centres), 3), np.nan)
+        state, before = inflated, centres[0]
+        for n, centre in enumerate(centres):
+            try:
+                state, forces[n] = self._go(state, pressure_mpa, before, centre)
+            except NoEquilibrium:
+                postures.extend([None] * (len(centres) - n))
+                break
+            postures.append(state)
+            before = centre
+        self.statistics.positions += len(centres)
+        self.statistics.seconds += time.perf_counter() - started
+        return postures, forces
+
+    def _go(
+        self, state: State, pressure_mpa: float, before: np.ndarray, centre: np.ndarray
+    ) -> tuple[State, np.ndarray]:
+        """From one indenter centre to the next, in halves of halves where need be."""
+        done, part = 0.0, 1.0
+        force = np.zeros(3)
+        while done < 1.0:
+            old, new = before + done * (centre - before), before + (done + part) * (centre - before)
+            load = Load(pressure_mpa, new, old, self.system.places(state))
+            try:
+                state, force = self._settle(state, load)
+            except NoEquilibrium:
+                self.statistics.halvings += 1
+                part /= 2
+                if part < SMALLEST_PART:
+                    raise
+                continue
+            done += part
+        return state, force
+
+
+    def _settle(self, state: State, load: Load) -> tuple[State, np.ndarray]:
+        """The balance near `state`, or the one that the skin snaps to; never one that the rod pierces."""
+        try:
+            state, touch = self.equilibrium(state, load)
+        except NoEquilibrium:
+            state, touch = self.creep(state, load)
+        if touch[3] > PIERCED * self.material.radius_mm:
+            raise NoEquilibrium("the rod pierces the skin")
+        self.statistics.deepest_mm = max(self.statistics.deepest_mm, float(touch[3]))
+        return state, touch[:3]
+
+
+def _mixed(history: list[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
+    """Anderson's step from the last (unknowns, correction) pairs: the combination of least correction."""
+    unknowns, correction = history[-1]
+    if len(history) == 1:
+        return correction.copy()
+    moves = np.array([b[0] - a[0] for a, b in zip(history[:-1], history[1:], strict=True)])
+    changes = np.array([b[1] - a[1] for a, b in zip(history[:-1], history[1:], strict=True)])
+    normal = changes @ changes.T
+    normal[np.diag_indices_from(normal)] *= 1 + 1e-10
+    weights = np.linalg.lstsq(normal, changes @ correction, rcond=1e-12)[0]
+    return correction - weights @ (moves + changes)
+
+
+def _is_slow(norms: list[float], tolerance: float) -> bool:
+    """Whether a new factor is expected to be cheaper than going on at the rate of the last iterations."""
+    if len(norms) < 5 or norms[-1] <= tolerance:
+        return False
+    rate = (norms[-1] / norms[-5]) ** 0.25
+    if rate > 0.95:
+        return True
+    return math.log(tolerance / norms[-1]) / math.log(rate) > NEW_FACTOR_COST + 6

@@ -1,0 +1,350 @@
+"""The skin's equations: nodes and rigid boards as one vector of unknowns, residual and tangent.
+
+A board is six unknowns: a displacement d of its centre and a rotation w since the last accepted position,
+so that a node of it with the arm r0 (rotated by what was accepted) lies at X_c + d + exp(w) r0. Virtual motion of
+that node: delta d + (T(w) delta w) x r, hence B = [I, -[r]x T]. Elements are summed into the upper triangle of one
+sparse matrix whose pattern never changes, with B^T K B wherever a node belongs to a board.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import scipy.sparse as sparse
+from numba import njit
+
+from pipeline.skin import loads, material
+from pipeline.skin.mesh import Mesh
+
+
+@dataclass(frozen=True)
+class Material:
+    """Moduli in MPa, friction without unit, the indenter's radius in mm."""
+
+    shear_mpa: float
+    bulk_mpa: float
+    friction: float
+    radius_mm: float
+    penalty_mpa_mm2: float = loads.STIFFNESS
+    clinging: float = loads.SLIP
+
+
+@dataclass
+class State:
+    """A posture of the skin: the unknowns since the boards' last accepted rotations."""
+
+    unknowns: np.ndarray  # (n,) mm, and rad for the boards' rotations
+    rotations: np.ndarray  # (boards, 3, 3): each board's accepted rotation
+
+    def copy(self) -> "State":
+        return State(self.unknowns.copy(), self.rotations.copy())
+
+
+@dataclass(frozen=True)
+class Load:
+    """Air in MPa and the indenter's way from `before` to `centre` (3,) mm; no indenter if None."""
+
+    pressure_mpa: float
+    centre: np.ndarray | None = None
+    before: np.ndarray | None = None
+    old_places: np.ndarray | None = None  # (nodes, 3) mm at `before`
+
+
+@dataclass
+class System:
+    """Pattern, constants and work space of one mesh. Not shared between threads."""
+
+    mesh: Mesh
+    material: Material
+    first: np.ndarray = field(init=False)  # (nodes,) first unknown, -1 where clamped
+    count: np.ndarray = field(init=False)  # (nodes,) 0, 3 or 6 unknowns
+    size: int = field(init=False)
+    pattern: sparse.csr_matrix = field(init=False)  # upper triangle; its data is overwritten
+
+    def __post_init__(self) -> None:
+        mesh = self.mesh
+        boards = len(mesh.centres)
+        free = ~mesh.clamped & (mesh.board_of < 0)
+        self.first = np.full(len(mesh.nodes), -1, np.int32)
+        self.first[free] = 3 * np.arange(free.sum())
+        on_board = mesh.board_of >= 0
+        self.first[on_board] = 3 * free.sum() + 6 * mesh.board_of[on_board]
+        self.count = np.where(on_board, 6, np.where(free, 3, 0)).astype(np.int32)
+        self.size = int(3 * free.sum() + 6 * boards)
+        self._gradients, self._volumes = mesh.gradients
+        self._gradients = np.ascontiguousarray(self._gradients.transpose(0, 1, 3, 2))
+        self._areas = _face_areas(mesh) / loads.POINTS**2
+        self._face_shapes = loads.face_shapes()
+        self._pressed_shapes = loads.pressed_shapes()
+        self._make_pattern()
+
+    def rest(self) -> State:
+        """The flat skin as cast."""
+        return State(np.zeros(self.size), np.tile(np.eye(3), (len(self.mesh.centres), 1, 1)))
+
+    def places(self, state: State) -> np.ndarray:
+        """(nodes, 3) mm: where the nodes are."""
+        return self._places(state)[0]
+
+    def _places(self, state: State) -> tuple[np.ndarray, np.ndarray]:
+        """Places (nodes, 3) mm and the boards' B (nodes, 3, 6), zero elsewhere."""
+        mesh = self.mesh
+        places = mesh.nodes.copy()
+        free = self.count == 3
+        places[free] += state.unknowns[: 3 * free.sum()].reshape(-1, 3)
+        motion = np.zeros((len(mesh.nodes), 3, 6))
+        for n, centre in enumerate(mesh.centres):
+            own = mesh.board_of == n
+            d, w = state.unknowns[self.board_slice(n)].reshape(2, 3)
+            arms = (mesh.nodes[own] - centre) @ (rotation(w) @ state.rotations[n]).T
+            places[own] = centre + d + arms
+            motion[own, :, :3] = np.eye(3)
+            motion[own, :, 3:] = -skew(arms) @ spin(w)
+        return places, motion
+
+    def board_slice(self, n: int) -> slice:
+        """The six unknowns of board n."""
+        start = self.size - 6 * (len(self.mesh.centres) - n)
+        return slice(start, start + 6)
+
+    def accept(self, state: State) -> State:
+        """The same posture with each board's rotation moved out of the unknowns."""
+        state = state.copy()
+        for n in range(len(self.mesh.centres)):
+            own = state.unknowns[self.board_slice(n)]
+            state.rotations[n] = rotation(own[3:]) @ state.rotations[n]
+            own[3:] = 0.0
+        return state
+
+    def residual(self, state: State, load: Load) -> tuple[np.ndarray | None, np.ndarray]:
+        """Out-of-balance force (n,) N (None if an element is inside out), and of the indenter (4,) the
+        force on it in N and how deep it sinks into the skin in mm."""
+        return self._assemble(state, load, False)
+
+    def tangent(self, state: State, load: Load) -> tuple[np.ndarray | None, np.ndarray]:
+        """As `residual`; the tangent's upper triangle is then in `pattern`."""
+        return self._assemble(state, load, True)
+
+    def _assemble(self, state: State, load: Load, wants_tangent: bool) -> tuple[np.ndarray | None, np.ndarray]:
+        mesh, stuff = self.mesh, self.material
+        places, motion = self._places(state)
+        touched = load.centre is not None
+        centre = load.centre if load.centre is not None else np.zeros(3)
+        before = load.before if load.before is not None else centre
+        forces = np.zeros_like(places)
+        total = np.zeros(4)
+        if wants_tangent:
+            self.pattern.data[:] = 0.0
+        good = _sum_elements(
+            mesh.elements,
+            places,
+            load.old_places if load.old_places is not None else places,
+            self._gradients,
+            self._volumes,
+            stuff.shear_mpa,
+            stuff.bulk_mpa,
+            mesh.is_bottom,
+            load.pressure_mpa,
+            self._pressed_shapes,
+            mesh.is_top & touched,
+            self._areas,
+            centre,
+            centre - before,
+            np.array([stuff.radius_mm, stuff.friction, stuff.penalty_mpa_mm2, stuff.clinging]),
+            self._face_shapes,
+            wants_tangent,
+            self.first,
+            self.count,
+            motion,
+            self._positions,
+            forces,
+            self.pattern.data,
+            total,
+        )
+        if not good:
+            return None, total
+        residual = np.empty(self.size)
+        free = self.count == 3
+        residual[: 3 * free.sum()] = forces[free].ravel()
+        for n, middle in enumerate(mesh.centres):
+            own = mesh.board_of == n
+            residual[self.board_slice(n)] = np.einsum("nij,ni->j", motion[own], forces[own])
+            if wants_tangent:
+                d = state.unknowns[self.board_slice(n)][:3]
+                self._add_turning(n, forces[own], places[own] - middle - d)
+        return residual, total
+
+    def _add_turning(self, n: int, forces: np.ndarray, arms: np.ndarray) -> None:
+        """Second derivative of exp(w) r against the forces: (f r^T + r f^T)/2 - (f.r) I, at w = 0."""
+        moment = forces.T @ arms
+        block = (moment + moment.T) / 2 - np.trace(moment) * np.eye(3)
+        start = self.board_slice(n).start + 3
+        for i in range(3):
+            row = self.pattern.indptr[start + i]
+            self.pattern.data[row : row + 3 - i] += block[i, i:]
+
+    def _make_pattern(self) -> None:
+        """The upper triangle's pattern and where each element's blocks begin in it."""
+        elements = self.mesh.elements
+        first, count = self.first[elements], self.count[elements]  # (e, 8)
+        rows, columns = [], []
+        for a in range(8):
+            for b in range(8):
+                for i in range(6):
+                    for j in range(6):
+                        row, column = first[:, a] + i, first[:, b] + j
+                        use = (i < count[:, a]) & (j < count[:, b]) & (column >= row)
+                        rows.append(row[use])
+                        columns.append(column[use])
+        keys = np.unique(
+            np.concatenate(rows).astype(np.int64) * self.size + np.concatenate(columns).astype(np.int64)
+        )
+        row, column = np.divmod(keys, self.size)
+        start = np.searchsorted(row, np.arange(self.size + 1)).astype(np.int32)
+        self.pattern = sparse.csr_matrix(
+            (np.zeros(len(keys)), column.astype(np.int32), start), shape=(self.size, self.size)
+        )
+        # A block's row begins at its first column, or at the diagonal in a block on the diagonal.
+        self._positions = np.full((len(elements), 8, 8, 6), -1, np.int32)
+        for a in range(8):
+            for b in range(8):
+                for i in range(6):
+                    use = (i < count[:, a]) & (count[:, b] > 0) & (first[:, b] >= first[:, a])
+                    at = np.where(first[:, b] == first[:, a], first[:, b] + i, first[:, b])
+                    key = (first[use, a] + i).astype(np.int64) * self.size + at[use]
+                    self._positions[use, a, b, i] = np.searchsorted(keys, key)
+
+
+def rotation(w: np.ndarray) -> np.ndarray:
+    """exp of the skew matrix of w (3,) rad, by Rodrigues' formula."""
+    angle2 = float(w @ w)
+    angle = np.sqrt(angle2)
+    sine = np.sinc(angle / np.pi)
+    half = np.sinc(angle / (2 * np.pi))
+    k = skew(w)
+    return np.eye(3) + sine * k + half * half / 2 * k @ k
+
+
+def spin(w: np.ndarray) -> np.ndarray:
+    """T(w) (3, 3): the spin of exp(w) when w changes, I + (1-cos)/a^2 [w] + (a-sin)/a^3 [w]^2."""
+    angle2 = float(w @ w)
+    angle = np.sqrt(angle2)
+    half = np.sinc(angle / (2 * np.pi))
+    cubic = (1 - np.sinc(angle / np.pi)) / angle2 if angle2 > 1e-8 else 1 / 6 - angle2 / 120
+    k = skew(w)
+    return np.eye(3) + half * half / 2 * k + cubic * k @ k
+
+
+def skew(v: np.ndarray) -> np.ndarray:
+    """(..., 3, 3) with skew(v) u = v x u."""
+    result = np.zeros((*v.shape, 3))
+    result[..., 0, 1], result[..., 0, 2], result[..., 1, 2] = -v[..., 2], v[..., 1], -v[..., 0]
+    return result - np.swapaxes(result, -1, -2)
+
+
+def _face_areas(mesh: Mesh) -> np.ndarray:
+    """(e,) mm^2: the upper faces' areas as cast."""
+    corners = mesh.nodes[mesh.elements[:, 4:]]
+    diagonals = np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1])
+    return np.linalg.norm(diagonals, axis=1) / 2
+
+
+@njit(cache=True, fastmath=material.FAST, error_model="numpy")
+def _sum_elements(
+    elements,
+    places,
+    old_places,
+    gradients,
+    volumes,
+    shear,
+    bulk,
+    is_bottom,
+    pressure,
+    pressed_shapes,
+    is_top,
+    areas,
+    centre,
+    moved,
+    law,
+    face_shapes,
+    wants_tangent,
+    first,
+    count,
+    motion,
+    positions,
+    forces,
+    data,
+    total,
+):
+    """Sums forces (nodes, 3), the tangent's data and the indenter's (4,). False if an element is inside out."""
+    x = np.empty((3, 8))
+    before = np.empty((3, 8))
+    room = np.empty((8, 3, 8))
+    force = np.empty((3, 8))
+    stiffness = np.empty((8, 3, 3, 8))
+    carried = np.empty((3, 6))
+    travel = np.sqrt(moved[0] * moved[0] + moved[1] * moved[1] + moved[2] * moved[2])
+    for e in range(elements.shape[0]):
+        for a in range(8):
+            for i in range(3):
+                x[i, a] = places[elements[e, a], i]
+        if not material.element(
+            x, gradients[e], volumes[e], shear, bulk, wants_tangent, room, force, stiffness
+        ):
+            return False
+        if is_bottom[e] and pressure != 0.0:
+            loads.air(x, pressure, pressed_shapes, wants_tangent, force, stiffness)
+        if is_top[e]:
+            for a in range(8):
+                for i in range(3):
+                    before[i, a] = old_places[elements[e, a], i]
+            loads.touch(
+                x,
+                before,
+                areas[e],
+                centre,
+                moved,
+                travel,
+                law,
+                face_shapes,
+                wants_tangent,
+                force,
+                stiffness,
+                total,
+            )
+        for a in range(8):
+            for i in range(3):
+                forces[elements[e, a], i] += force[i, a]
+        if not wants_tangent:
+            continue
+        for a in range(8):
+            na = elements[e, a]
+            if count[na] == 0:
+                continue
+            for b in range(8):
+                nb = elements[e, b]
+                if count[nb] == 0 or first[nb] < first[na]:
+                    continue
+                same = first[na] == first[nb]
+                # K_ab B_b, then B_a^T of it
+                if count[nb] == 3:
+                    for i in range(3):
+                        for j in range(3):
+                            carried[i, j] = stiffness[a, i, j, b]
+                else:
+                    for i in range(3):
+                        for j in range(6):
+                            carried[i, j] = 0.0
+                            for k in range(3):
+                                carried[i, j] += stiffness[a, i, k, b] * motion[nb, k, j]
+                for i in range(count[na]):
+                    at = positions[e, a, b, i]
+                    begin = i if same else 0
+                    for j in range(begin, count[nb]):
+                        if count[na] == 3:
+                            value = carried[i, j]
+                        else:
+                            value = 0.0
+                            for k in range(3):
+                                value += motion[na, k, i] * carried[k, j]
+                        data[at + j - begin] += value
+    return True
