@@ -13,9 +13,10 @@ import numpy as np
 import pandas as pd
 import pandera.pandas as pa
 
+from features.clock import check_clock
 from features.errors import InputError
 from pipeline.sensor import Sensor, read_sensor, write_sensor
-from pipeline.slides import check_clock, read_slide, write_slide
+from pipeline.slides import read_slide, write_slide
 from pipeline.staging import staged
 
 # 60 emulated bench recordings that ship with the project; see the README beside them.

@@ -12,10 +12,11 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 import softslide
+from features.clock import check_clock
 from features.errors import InputError
 from pipeline.recordings import LABELS, SAMPLE, Recording, check_folder, read_folder, write_folder
 from pipeline.sensor import Accelerometer, Sensor
-from pipeline.slides import check_clock, read_slide, write_slide
+from pipeline.slides import read_slide, write_slide
 
 RATE_HZ = 100.0
 

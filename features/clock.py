@@ -1,0 +1,40 @@
+"""A recording's clock must be even and at the sensor's rate, since every speed is read off it."""
+
+from pathlib import Path
+
+import numpy as np
+
+from features.errors import InputError
+
+# A crystal keeps time to 0.01 %; a clock off by 0.2 % would already shift every speed by as much.
+RATE_TOLERANCE = 0.002
+
+
+def check_clock(path: Path, time_s: np.ndarray, rate_hz: float) -> None:
+    """Sees that time increases evenly at the sensor's rate.
+
+    Raises:
+        InputError: time stands or runs back, a gap, another rate than `rate_hz`.
+    """
+    steps = np.diff(time_s) * rate_hz
+    if (bad := steps <= 0).any():
+        row = int(bad.argmax())
+        raise InputError(
+            f"{path}: row {row + 2}, column time_s does not increase ({time_s[row]:.6f} then "
+            f"{time_s[row + 1]:.6f} s); sort the samples and drop repeated ones"
+        )
+    typical = float(np.median(steps))
+    if abs(typical - 1) < 0.25 and (bad := abs(steps - 1) > 0.5).any():
+        row = int(bad.argmax())
+        kind = "a gap" if steps[row] > 1 else "an uneven step"
+        raise InputError(
+            f"{path}: row {row + 2}, column time_s: {kind} of {time_s[row + 1] - time_s[row]:.6f} s where "
+            f"samples are {1 / rate_hz:.6f} s apart; resample it with 'softslide import' or drop it"
+        )
+    rate = (len(time_s) - 1) / (time_s[-1] - time_s[0])
+    # Half a sample of jitter at either end is no rate.
+    if abs(rate / rate_hz - 1) > RATE_TOLERANCE + 1 / len(steps):
+        raise InputError(
+            f"{path}: column time_s runs at {rate:.6g} Hz, sensor.toml says sample_rate_hz = {rate_hz:.6g}; "
+            "correct the one that is wrong"
+        )
