@@ -1,0 +1,133 @@
+"""The model card, model.json: all that a device must know to run model.onnx."""
+
+import json
+import math
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Any
+
+from features.conditioning import Conditioning
+from features.errors import InputError
+
+FORMAT = "softslide-model"
+VERSION = 1
+INPUTS = ("window", "features")
+UNITS = {
+    "direction_cos": "1",
+    "direction_sin": "1",
+    "log_speed": "log(mm/s)",
+    "log_speed_width": "log(mm)",
+    "offset_mm": "mm",
+    "along_mm": "mm",
+    "depth_mm": "mm",
+    "direction_sd_deg": "deg",
+    "log_speed_sd": "1",
+    "offset_sd_mm": "mm",
+    "misfit": "1",
+}
+
+
+@dataclass(frozen=True)
+class Interval:
+    """A 90 % interval's half-width: scale * sqrt(sd^2 + floor^2), sd the graph's own (0 where it tells none)."""
+
+    scale: float
+    floor: float
+
+    def half_width(self, sd: float) -> float:
+        """In the unit of `floor` and `sd`."""
+        return self.scale * math.hypot(sd, self.floor)
+
+
+@dataclass(frozen=True)
+class Validity:
+    """Where the model may be believed; outside, the estimate says so (`valid` is false).
+
+    speed_mm_s, depth_mm: ranges. offset_mm: largest distance. misfit: largest reduced chi-square.
+    direction_sd_deg, log_speed_sd: largest standard deviations. peak_v: least output of the slide.
+    """
+
+    speed_mm_s: tuple[float, float] = (0.3, 60.0)
+    offset_mm: float = 25.0
+    peak_v: float = 0.008
+    misfit: float = math.inf
+    direction_sd_deg: float = math.inf
+    log_speed_sd: float = math.inf
+
+
+@dataclass(frozen=True)
+class Card:
+    """What model.json holds. `golden` is one worked example: inputs by name, and the graph's row for them."""
+
+    model: str
+    input: str
+    outputs: tuple[str, ...]
+    sensor: dict[str, Any]
+    channels: tuple[str, ...]
+    sample_rate_hz: float
+    reference_mm: tuple[float, float]
+    conditioning: Conditioning
+    intervals: dict[str, Interval]
+    validity: Validity
+    provenance: dict[str, Any]
+    golden: dict[str, Any]
+    graph_sha256: str
+
+    def __post_init__(self) -> None:
+        if self.input not in INPUTS:
+            raise ValueError(f"input is '{self.input}'; known are {', '.join(INPUTS)}")
+        if unknown := [name for name in self.outputs if name not in UNITS]:
+            raise ValueError(f"output '{unknown[0]}' is unknown; known are {', '.join(UNITS)}")
+        if not self.channels or len(self.channels) % 3:
+            raise ValueError(f"{len(self.channels)} channels; each accelerometer has three")
+
+    @property
+    def samples_per_block(self) -> int:
+        """Samples that one block averages."""
+        return round(self.conditioning.block_s * self.sample_rate_hz)
+
+
+def write_card(card: Card, path: Path) -> None:
+    """Writes model.json. Infinite limits are written as null: JSON has no infinity."""
+    table = {"format": FORMAT, "version": VERSION, **asdict(card)}
+    table["units"] = {name: UNITS[name] for name in card.outputs}
+    table["validity"] = {k: None if v == math.inf else v for k, v in table["validity"].items()}
+    path.write_text(json.dumps(table, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def read_card(path: Path) -> Card:
+    """Reads and validates model.json.
+
+    Raises:
+        InputError: missing, no JSON, of another format or version, an unknown or missing key, a bad value.
+    """
+    try:
+        table = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file; a bundle holds model.onnx and model.json") from None
+    except (ValueError, OSError) as error:
+        raise InputError(f"{path}: not a model card ({error}); export the bundle again") from None
+    if not isinstance(table, dict) or table.pop("format", None) != FORMAT:
+        raise InputError(f"{path}: not a softslide model card; name a bundle that 'softslide train' made")
+    if (version := table.pop("version", None)) != VERSION:
+        raise InputError(f"{path}: card version {version}, this release reads {VERSION}; export the bundle again")
+    table.pop("units", None)
+    if odd := sorted(set(table) ^ {f.name for f in fields(Card)}):
+        raise InputError(f"{path}: key '{odd[0]}' is missing or unknown; export the bundle again")
+    try:
+        limits = {k: math.inf if v is None else v for k, v in table["validity"].items()}
+        limits["speed_mm_s"] = tuple(limits["speed_mm_s"])
+        return Card(
+            **{
+                **table,
+                "outputs": tuple(table["outputs"]),
+                "channels": tuple(table["channels"]),
+                "reference_mm": tuple(float(v) for v in table["reference_mm"]),
+                "sample_rate_hz": float(table["sample_rate_hz"]),
+                "conditioning": Conditioning(**table["conditioning"]),
+                "intervals": {k: Interval(**v) for k, v in table["intervals"].items()},
+                "validity": Validity(**limits),
+            }
+        )
+    except (TypeError, ValueError, AttributeError, KeyError) as error:
+        raise InputError(f"{path}: a value does not fit ({error}); export the bundle again") from None

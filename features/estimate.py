@@ -1,0 +1,84 @@
+"""The estimate record, and how a graph's row of numbers becomes one."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from features.card import Card, Interval
+from features.track import State
+from features.window import Window
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """What is known at one moment. NaN: not estimated. lo and hi bound a 90 % interval.
+
+    time_s: of the samples seen so far. direction_deg in [0, 360); its lo and hi may pass that seam. offset_mm and
+    the signs of x and y are the contract's. valid: false where the model abstains.
+    """
+
+    time_s: float
+    state: State
+    direction_deg: float = math.nan
+    direction_lo_deg: float = math.nan
+    direction_hi_deg: float = math.nan
+    speed_mm_s: float = math.nan
+    speed_lo_mm_s: float = math.nan
+    speed_hi_mm_s: float = math.nan
+    offset_mm: float = math.nan
+    offset_lo_mm: float = math.nan
+    offset_hi_mm: float = math.nan
+    depth_mm: float = math.nan
+    x_mm: float = math.nan
+    y_mm: float = math.nan
+    valid: bool = False
+
+
+_NO_INTERVAL = Interval(math.nan, math.nan)
+
+
+def decode(row: np.ndarray, card: Card, window: Window, state: State, time_s: float, width_s: float) -> Estimate:
+    """A graph's row (K,), in the card's order of outputs, as an estimate.
+
+    width_s: the window's energy width, which turns `log_speed_width` into a speed: v = exp(.) / width.
+    """
+    value = dict(zip(card.outputs, row.tolist(), strict=True))
+    direction = math.atan2(value["direction_sin"], value["direction_cos"])
+    log_speed = value["log_speed"] if "log_speed" in value else value["log_speed_width"] - math.log(width_s)
+    offset, along = value["offset_mm"], value.get("along_mm", math.nan)
+    turn_sd, speed_sd = value.get("direction_sd_deg", 0.0), value.get("log_speed_sd", 0.0)
+    turn = card.intervals.get("direction_deg", _NO_INTERVAL).half_width(turn_sd)
+    factor = math.exp(min(card.intervals.get("log_speed", _NO_INTERVAL).half_width(speed_sd), 50.0))
+    shift = card.intervals.get("offset_mm", _NO_INTERVAL).half_width(value.get("offset_sd_mm", 0.0))
+    degrees = math.degrees(direction) % 360.0
+    speed = math.exp(min(max(log_speed, -50.0), 50.0))
+    cos, sin = math.cos(direction), math.sin(direction)
+    limits = card.validity
+    numbers = (direction, log_speed, offset)
+    valid = (
+        all(math.isfinite(number) for number in numbers)
+        and limits.speed_mm_s[0] <= speed <= limits.speed_mm_s[1]
+        and abs(offset) <= limits.offset_mm
+        and turn_sd <= limits.direction_sd_deg
+        and speed_sd <= limits.log_speed_sd
+        and value.get("misfit", 0.0) <= limits.misfit
+        and float(np.abs(window.volts).max()) >= limits.peak_v
+    )
+    return Estimate(
+        time_s=time_s,
+        state=state,
+        direction_deg=0.0 if degrees == 360.0 else degrees,
+        direction_lo_deg=degrees - turn,
+        direction_hi_deg=degrees + turn,
+        speed_mm_s=speed,
+        speed_lo_mm_s=speed / factor,
+        speed_hi_mm_s=speed * factor,
+        offset_mm=offset,
+        offset_lo_mm=offset - shift,
+        offset_hi_mm=offset + shift,
+        depth_mm=value.get("depth_mm", math.nan),
+        x_mm=card.reference_mm[0] - offset * sin + along * cos,
+        y_mm=card.reference_mm[1] + offset * cos + along * sin,
+        valid=valid,
+    )

@@ -1,0 +1,248 @@
+"""The localizing network: a small temporal CNN, and Gauss-Newton against the response map, in one graph.
+
+The CNN reads the slide so far in 64 equal bins of time and proposes a line (direction, offset), a speed and the
+contact's place on the line, each with its standard deviation. The response map predicts what the accelerometers
+would have shown; a few Gauss-Newton steps move the proposal to where prediction and signal agree best, with the
+proposal as a weak prior, and leave a covariance. Time enters only relative to the window's length, so every speed
+looks alike.
+"""
+
+import math
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from features.window import WINDOW_BINS
+from models.response_map import SPACING_MM, ResponseMap
+
+OUTPUTS = (
+    "direction_cos",
+    "direction_sin",
+    "log_speed",
+    "offset_mm",
+    "along_mm",
+    "depth_mm",
+    "direction_sd_deg",
+    "log_speed_sd",
+    "offset_sd_mm",
+    "misfit",
+)
+LENGTH_MM = 10.0  # scale of offsets and places inside the network
+
+
+@dataclass(frozen=True)
+class NetworkConfig:
+    """Sizes of the CNN, and the refinement.
+
+    filters: of the three strided convolutions; hidden: of the two dense layers.
+    steps: Gauss-Newton steps. trust: the proposal's standard deviations times this are the refinement's prior.
+    depth_sd_mm: prior on the contact depth about the calibration's.
+    """
+
+    filters: tuple[int, int, int] = (24, 32, 40)
+    hidden: tuple[int, int] = (96, 48)
+    steps: int = 3
+    trust: float = 3.0
+    depth_sd_mm: float = 0.02
+
+
+class Proposal(nn.Module):
+    """The temporal CNN: (B, C, 64) V, (B,) s, (B, C) weights -> proposal (B, 5) and log standard deviations (B, 4).
+
+    Proposal: direction cos, sin, log speed, offset mm, along mm; deviations: direction rad, log speed, offset mm,
+    along mm.
+    """
+
+    def __init__(self, channels: int, config: NetworkConfig) -> None:
+        super().__init__()
+        f, h = config.filters, config.hidden
+        self.conv1 = nn.Conv1d(channels, f[0], 5, stride=2, padding=2)
+        self.conv2 = nn.Conv1d(f[0], f[1], 5, stride=2, padding=2)
+        self.conv3 = nn.Conv1d(f[1], f[2], 3, stride=2, padding=1)
+        self.dense1 = nn.Linear(WINDOW_BINS // 8 * f[2] + 3 + channels, h[0])
+        self.dense2 = nn.Linear(h[0], h[1])
+        self.head = nn.Linear(h[1], 9)
+        self.register_buffer("bins", (torch.arange(WINDOW_BINS) + 0.5) / WINDOW_BINS)
+
+    def forward(self, volts: Tensor, elapsed_s: Tensor, weight: Tensor) -> tuple[Tensor, Tensor]:
+        energy = (volts * volts).sum(1)
+        peak = (energy.amax(1, keepdim=True) + 1e-9).sqrt()
+        share = energy / (energy.sum(1, keepdim=True) + 1e-9)
+        centre = (share * self.bins).sum(1, keepdim=True)
+        width = ((share * (self.bins - centre) ** 2).sum(1) + 1e-4).sqrt()
+        h = F.silu(self.conv1(volts / peak[:, :, None]))
+        h = F.silu(self.conv2(h))
+        h = F.silu(self.conv3(h)).flatten(1)
+        scales = torch.stack([peak[:, 0].log() + 3, 0.3 * elapsed_s.log(), width.log() + 1.5], 1)
+        h = F.silu(self.dense1(torch.cat([h, scales, weight], 1)))
+        h = F.silu(self.dense2(h))
+        raw = self.head(h)
+        # The signal's own time scale carries the speed: what is left to learn is a length.
+        log_speed = raw[:, 2] + 2.5 - (width * elapsed_s).log()
+        proposal = torch.stack(
+            [raw[:, 0], raw[:, 1], log_speed, LENGTH_MM * raw[:, 3], LENGTH_MM * raw[:, 4]], 1
+        )
+        scale = torch.tensor([0.0, 0.0, math.log(LENGTH_MM), math.log(LENGTH_MM)])
+        return proposal, (raw[:, 5:] - 2).clamp(-6.5, 2.0) + scale
+
+
+class Refinement(nn.Module):
+    """Gauss-Newton on (direction, offset, log speed, along, gain, depth) against the response map.
+
+    Residuals are whitened: by noise that falls with the number of blocks a bin holds, by a floor for what the map
+    leaves over, and by the slow wander of each channel's zero (a rank-one part of each channel's covariance).
+    """
+
+    def __init__(self, response: ResponseMap, block_s: float, config: NetworkConfig) -> None:
+        super().__init__()
+        assert response.noise_v is not None and response.drift_v is not None
+        k = response.coefficients.shape[1]
+        # (K, parts K C) so that one product with the x-splines serves every part.
+        stacked = torch.tensor(response.coefficients, dtype=torch.float32)
+        depth = torch.tensor(response.depth_slope, dtype=torch.float32)
+        self.register_buffer("coefficients", torch.cat([stacked, depth[None]]))
+        self.register_buffer("centres", -response.half_mm + SPACING_MM * (torch.arange(k) - 1.0))
+        self.register_buffer("noise", torch.tensor(response.noise_v, dtype=torch.float32))
+        self.register_buffer("drift", torch.tensor(response.drift_v, dtype=torch.float32))
+        self.register_buffer("bins", (torch.arange(WINDOW_BINS) + 0.5) / WINDOW_BINS)
+        self.reference = response.reference_mm
+        self.block_s, self.lag_s, self.floor_v = block_s, response.lag_s, response.floor_v
+        self.gain_sd, self.depth_mm, self.depth_sd = response.gain_sd, response.depth_mm, config.depth_sd_mm
+        self.steps, self.trust = config.steps, config.trust
+
+    def forward(
+        self, volts: Tensor, elapsed_s: Tensor, weight: Tensor, proposal: Tensor, log_sd: Tensor
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """-> state (B, 6: offset mm, log speed, along mm, log gain, depth mm off, -), direction (B, 2), ..."""
+        norm = (proposal[:, :2] ** 2).sum(1, keepdim=True).sqrt().clamp(min=1e-6)
+        heading = proposal[:, :2] / norm
+        state = F.pad(proposal[:, 2:5][:, [1, 0, 2]], (0, 2))
+        start, sd = state, log_sd[:, [0, 2, 1, 3]].exp() * self.trust
+        prior_sd = torch.cat([sd, sd.new_tensor([[self.gain_sd, self.depth_sd]]).expand(sd.shape[0], 2)], 1)
+        precision = prior_sd ** -2
+        turned = torch.zeros_like(state[:, :1])
+        blocks = (elapsed_s / (self.block_s * WINDOW_BINS)).clamp(min=0.3)
+        peak = volts.abs().amax((1, 2))
+        floor = (self.floor_v * 0.4) ** 2 + (0.003 * peak) ** 2
+        sigma = (self.noise**2 / blocks[:, None] + floor[:, None]).sqrt()
+        scale = weight / sigma
+        wander = (self.drift / sigma) ** 2 * WINDOW_BINS
+        shrink = 1 - (1 + wander).rsqrt()
+        for step in range(self.steps + 1):
+            value, rows = self._predict(heading, state, elapsed_s)
+            gap = (volts - value) * scale[:, :, None]
+            gap = gap - shrink[:, :, None] * gap.mean(2, keepdim=True)
+            if step == self.steps:
+                break
+            rows = rows * scale[:, None, :, None]
+            rows = (rows - shrink[:, None, :, None] * rows.mean(3, keepdim=True)).flatten(2)
+            away = torch.cat([turned, state - start], 1)
+            normal = rows @ rows.transpose(1, 2) + torch.diag_embed(precision * 1.0)
+            right = (rows @ gap.flatten(1)[:, :, None])[:, :, 0] - precision * away
+            move, covariance = solve(normal, right)
+            limit = prior_sd
+            move = torch.maximum(torch.minimum(move, limit), -limit)
+            turned = turned + move[:, :1]
+            cos, sin = move[:, :1].cos(), move[:, :1].sin()
+            heading = torch.cat([heading[:, :1] * cos - heading[:, 1:] * sin, heading[:, :1] * sin + heading[:, 1:] * cos], 1)
+            state = state + move[:, 1:]
+        used = weight.sum(1) * WINDOW_BINS
+        misfit = (gap * gap).sum((1, 2)) / used.clamp(min=1.0)
+        return heading, state, covariance, misfit
+
+    def _predict(self, heading: Tensor, state: Tensor, elapsed_s: Tensor) -> tuple[Tensor, Tensor]:
+        """Predicted bins (B, C, 64) V and their derivatives (B, 6, C, 64) for the state."""
+        cos, sin = heading[:, :1], heading[:, 1:]
+        offset, speed, along = state[:, :1], state[:, 1:2].exp(), state[:, 2:3]
+        behind = speed * (elapsed_s[:, None] * (1 - self.bins) + self.lag_s)
+        s = along - behind
+        x = self.reference[0] - offset * sin + s * cos
+        y = self.reference[1] + offset * cos + s * sin
+        basis, slope = splines((torch.stack([x, y], 1)[..., None] - self.centres) / SPACING_MM)
+        turn = torch.cat([torch.ones_like(cos), cos, sin], 1)
+        surface = torch.einsum("bp,pijc->bijc", turn, self.coefficients[:3])
+        b, k, channels = s.shape[0], surface.shape[1], surface.shape[3]
+        flat = surface.reshape(b, k, k * channels)
+        across = torch.stack([basis[:, 0], slope[:, 0]], 1) @ flat[:, None]
+        across = across.reshape(b, 2, WINDOW_BINS, k, channels)
+        by, dy = basis[:, 1, :, :, None], slope[:, 1, :, :, None]
+        volts = (across[:, 0] * by).sum(2).transpose(1, 2)
+        along_x = (across[:, 1] * by).sum(2).transpose(1, 2) / SPACING_MM
+        along_y = (across[:, 0] * dy).sum(2).transpose(1, 2) / SPACING_MM
+        deep = (basis[:, 0] @ self.coefficients[3].reshape(k, k * channels)).reshape(b, WINDOW_BINS, k, channels)
+        deep = (deep * by).sum(2).transpose(1, 2)
+        gain = state[:, 3:4, None].exp()
+        value = volts + state[:, 4:5, None] * deep
+        forward = gain * (cos[:, :, None] * along_x + sin[:, :, None] * along_y)
+        left = gain * (cos[:, :, None] * along_y - sin[:, :, None] * along_x)
+        rows = torch.stack(
+            [
+                s[:, None] * left - offset[:, :, None] * forward,
+                left,
+                -behind[:, None] * forward,
+                forward,
+                gain * value,
+                gain * deep,
+            ],
+            1,
+        )
+        return gain * value, rows
+
+
+def splines(z: Tensor) -> tuple[Tensor, Tensor]:
+    """Uniform cubic B-spline and its derivative at signed distances z from the centres, in spacings."""
+    size = z.abs()
+    outer, inner = (2 - size).relu(), (1 - size).relu()
+    outer2, inner2 = outer * outer, inner * inner
+    value = (outer2 * outer - 4 * inner2 * inner) / 6
+    return value, z.sign() * (2 * inner2 - 0.5 * outer2)
+
+
+def solve(normal: Tensor, right: Tensor) -> tuple[Tensor, Tensor]:
+    """x = A^-1 b and A^-1 for symmetric positive definite A (B, n, n), by Gauss-Jordan on the scaled matrix.
+
+    Written out because ONNX has no solver; with A scaled to a unit diagonal no pivoting is needed.
+    """
+    n = normal.shape[-1]
+    scale = normal.diagonal(dim1=1, dim2=2).rsqrt()
+    scaled = normal * scale[:, :, None] * scale[:, None, :]
+    eye = torch.eye(n)
+    work = torch.cat([scaled, eye.expand(normal.shape[0], n, n)], 2)
+    for k in range(n):
+        row = work[:, k : k + 1] / work[:, k : k + 1, k : k + 1]
+        work = work - (work[:, :, k : k + 1] - eye[:, k : k + 1]) @ row
+    inverse = work[:, :, n:] * scale[:, :, None] * scale[:, None, :]
+    return (inverse @ right[:, :, None])[:, :, 0], inverse
+
+
+class SlideNetwork(nn.Module):
+    """The exported graph: window, duration and weights in; the row of `OUTPUTS` out."""
+
+    def __init__(self, proposal: Proposal, refinement: Refinement) -> None:
+        super().__init__()
+        self.proposal, self.refinement = proposal, refinement
+
+    def forward(self, volts: Tensor, elapsed_s: Tensor, weight: Tensor) -> Tensor:
+        """volts (B, 3 A, 64) V, elapsed_s (B,) s, weight (B, A) -> (B, 10)."""
+        b, accelerometers = weight.shape
+        weight = weight.repeat_interleave(2, 1)
+        tilt = volts.reshape(b, accelerometers, 3, WINDOW_BINS)[:, :, :2].flatten(1, 2) * weight[:, :, None]
+        proposal, log_sd = self.proposal(tilt, elapsed_s, weight)
+        heading, state, covariance, misfit = self.refinement(tilt, elapsed_s, weight, proposal, log_sd)
+        sd = covariance.diagonal(dim1=1, dim2=2).clamp(min=0).sqrt()
+        return torch.cat(
+            [
+                heading,
+                state[:, 1:2],
+                state[:, :1],
+                state[:, 2:3],
+                state[:, 4:5] + self.refinement.depth_mm,
+                sd[:, :1] * (180 / math.pi),
+                sd[:, 2:3],
+                sd[:, 1:2],
+                misfit[:, None],
+            ],
+            1,
+        )

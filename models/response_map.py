@@ -1,0 +1,97 @@
+"""The response map: what the accelerometers show for a contact at x, y, moving in a direction, at a depth.
+
+V(x, y, a, d) = g [M(x, y) + cos(a) Fx(x, y) + sin(a) Fy(x, y) + (d - d0) D(x, y)], g = 1 + slide-to-slide error
+
+M is the skin's answer without friction, Fx and Fy what friction adds along each axis (first order in the friction
+coefficient), D the change with contact depth; each a tensor product of uniform cubic B-splines. The signal follows
+the contact with a lag. Only V_x and V_y are mapped: gravity has a fixed length, so V_z adds nothing to them.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+SPACING_MM = 2.5
+MARGIN_MM = 5.0
+PARTS = 3  # mean, along x, along y
+
+
+@dataclass(frozen=True)
+class ResponseMap:
+    """A sensor's response, calibrated or not.
+
+    coefficients: (3, K, K, C) V, spline coefficients of M, Fx, Fy; C tilt channels a0_vx, a0_vy, a1_vx, ...
+    depth_slope: (K, K, C) V/mm, spline coefficients of D; zero where no atlas told it.
+    chamber_mm: sizes of the chamber along x and y; over its rim the skin lies on the base and answers nothing.
+    reference_mm: the point that offsets are measured from.
+    depth_mm: d0, the depth of the recordings that M was fitted to.
+    lag_s: the skin's lag behind the contact.
+    noise_v: (C,) V, standard deviation of one block's mean at rest.
+    drift_v: (C,) V, standard deviation of the static output between a slide's start and end.
+    floor_v: V, standard deviation of what the map leaves over.
+    gain_sd: standard deviation of the slide-to-slide gain.
+    """
+
+    coefficients: np.ndarray
+    depth_slope: np.ndarray
+    chamber_mm: tuple[float, float]
+    reference_mm: tuple[float, float]
+    depth_mm: float = 0.5
+    lag_s: float = 0.0
+    noise_v: np.ndarray | None = None
+    drift_v: np.ndarray | None = None
+    floor_v: float = 1e-3
+    gain_sd: float = 0.02
+
+    @property
+    def half_mm(self) -> float:
+        """The splines cover [-half_mm, half_mm] in x and y: the chamber and a margin of its rim."""
+        return max(self.chamber_mm) / 2 + MARGIN_MM
+
+    @property
+    def channels(self) -> int:
+        """Number C of tilt channels."""
+        return int(self.coefficients.shape[-1])
+
+    def response(
+        self,
+        x_mm: np.ndarray,
+        y_mm: np.ndarray,
+        direction_rad: float | np.ndarray,
+        depth_mm: float | None = None,
+    ) -> np.ndarray:
+        """Subtracted output (n, C) V for contacts at (n,) positions moving in one direction or in (n,)."""
+        bx, by = spline_basis(x_mm, self.half_mm), spline_basis(y_mm, self.half_mm)
+        parts = np.einsum("ni,pijc,nj->pnc", bx, self.coefficients, by, optimize=True)
+        a = np.broadcast_to(np.asarray(direction_rad, dtype=float), np.shape(x_mm))[:, None]
+        volts = parts[0] + np.cos(a) * parts[1] + np.sin(a) * parts[2]
+        if depth_mm is not None and depth_mm != self.depth_mm:
+            slope = np.einsum("ni,ijc,nj->nc", bx, self.depth_slope, by, optimize=True)
+            volts += (depth_mm - self.depth_mm) * slope
+        return volts
+
+    def scaled(self, gain: float) -> "ResponseMap":
+        """The same map with every response times `gain`."""
+        return replace(self, coefficients=self.coefficients * gain, depth_slope=self.depth_slope * gain)
+
+
+def knots(half_mm: float) -> int:
+    """Number K of B-splines that cover [-half_mm, half_mm]."""
+    return round(2 * half_mm / SPACING_MM) + 3
+
+
+def spline_basis(position_mm: np.ndarray, half_mm: float) -> np.ndarray:
+    """Uniform cubic B-splines at (n,) positions -> (n, K); zero beyond the outermost ones.
+
+    B(z) = (2 - |z|)+^3 / 6 - 4 (1 - |z|)+^3 / 6, z the distance to a spline's centre over the spacing.
+    """
+    centres = -half_mm + SPACING_MM * (np.arange(knots(half_mm)) - 1)
+    z = np.abs((np.asarray(position_mm, dtype=float)[:, None] - centres) / SPACING_MM)
+    return (np.maximum(2 - z, 0) ** 3 - 4 * np.maximum(1 - z, 0) ** 3) / 6
+
+
+def spline_coefficients(values: np.ndarray, grid_mm: np.ndarray, half_mm: float) -> np.ndarray:
+    """Least-squares coefficients (K, K, C) of (n, n, C) values on a square grid that covers the splines' range."""
+    basis = spline_basis(grid_mm, half_mm)
+    inverse = np.linalg.pinv(basis, rcond=1e-6)
+    return np.einsum("in,nmc,jm->ijc", inverse, values, inverse, optimize=True)

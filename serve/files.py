@@ -1,0 +1,99 @@
+"""Recordings in files, read without pandas: CSV with the base install, Parquet where pyarrow is installed."""
+
+import csv
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from features.clock import check_clock
+from features.errors import InputError
+
+
+def read_recording(path: Path, channels: Sequence[str], rate_hz: float) -> np.ndarray:
+    """The volts (n, C) of one recording in float64, in the order of `channels`; its clock is checked.
+
+    The file's columns are `time_s` in s and one in V for each of `channels`; further ones are left alone.
+
+    Raises:
+        InputError: no such file, another kind, a column missing, a cell that is no finite number, too few
+            samples, a gap in time, another rate than `rate_hz`.
+    """
+    kind = path.suffix.lower()
+    if kind not in (".csv", ".parquet"):
+        raise InputError(f"{path}: neither .csv nor .parquet; turn it into one with 'softslide import'")
+    if not path.is_file():
+        raise InputError(f"{path}: no such file; name a recording")
+    columns = ("time_s", *channels)
+    values = _read_csv(path, columns) if kind == ".csv" else _read_parquet(path, columns)
+    if len(values) < 2:
+        raise InputError(f"{path}: {len(values)} samples, at least two are needed; record it again")
+    if (bad := ~np.isfinite(values)).any():
+        row, column = (int(n) for n in np.argwhere(bad)[0])
+        raise InputError(
+            f"{path}: row {row + 1}, column {columns[column]} is {values[row, column]}, not a finite number; "
+            "record it again"
+        )
+    check_clock(path, values[:, 0], rate_hz)
+    return np.ascontiguousarray(values[:, 1:])
+
+
+def _read_csv(path: Path, columns: Sequence[str]) -> np.ndarray:
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            header = [name.strip() for name in next(csv.reader(file), [])]
+            if not header:
+                raise InputError(f"{path}: the file is empty; copy or record it again")
+            places = _places(path, header, columns)
+            lines = file.readlines()
+    except UnicodeDecodeError:
+        raise InputError(f"{path}: not a text in UTF-8; write it as comma-separated values") from None
+    if not lines:
+        return np.empty((0, len(columns)))
+    try:
+        return np.loadtxt(lines, delimiter=",", usecols=places, ndmin=2, comments=None, quotechar='"')
+    except ValueError:
+        raise _broken_cell(path, lines, columns, places) from None
+
+
+def _broken_cell(
+    path: Path, lines: Sequence[str], columns: Sequence[str], places: Sequence[int]
+) -> InputError:
+    """Finds the first cell that is no number; looked for only once a file is known to hold one."""
+    for row, cells in enumerate(csv.reader(lines), 1):
+        for column, place in zip(columns, places, strict=True):
+            text = cells[place].strip() if place < len(cells) else ""
+            try:
+                float(text)
+            except ValueError:
+                shown = f"'{text}'" if text else "empty"
+                return InputError(f"{path}: row {row}, column {column} is {shown}, not a number; correct it")
+    return InputError(f"{path}: not a comma-separated table; write it again")
+
+
+def _read_parquet(path: Path, columns: Sequence[str]) -> np.ndarray:
+    try:
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+    except ImportError:
+        raise InputError(
+            f"{path}: reading Parquet needs the io extra; pip install 'softslide[io]', or write it as CSV"
+        ) from None
+    try:
+        with pq.ParquetFile(path) as file:
+            _places(path, file.schema_arrow.names, columns)
+            table = file.read(columns=list(columns))
+            return np.column_stack([np.asarray(table[name], dtype=float) for name in columns])
+    except (pa.ArrowException, OSError, ValueError) as error:
+        if isinstance(error, InputError):
+            raise
+        reason = " ".join(str(error).split())[:120]
+        raise InputError(f"{path}: not a Parquet file of numbers ({reason}); copy it again") from None
+
+
+def _places(path: Path, present: Sequence[str], columns: Sequence[str]) -> list[int]:
+    for column in columns:
+        if column not in present:
+            has = ", ".join(present)
+            raise InputError(f"{path}: column '{column}' is missing (it has {has}); add or rename it")
+    return [present.index(column) for column in columns]

@@ -1,0 +1,34 @@
+"""One estimate for each recording in a file: what `softslide predict` prints."""
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from serve.files import read_recording
+from serve.localizer import Localizer
+
+
+def predict(bundle: Path, paths: Sequence[Path]) -> Iterator[dict[str, Any]]:
+    """Each recording's estimate as it stands at its end, ready for JSON: None where not estimated.
+
+    Raises:
+        InputError: the bundle or a file is not what the contract says.
+    """
+    localizer = Localizer.load(bundle)
+    card = localizer.card
+    for path in paths:
+        volts = read_recording(path, card.channels, card.sample_rate_hz)
+        localizer.reset()
+        localizer.feed(volts)
+        estimate = asdict(localizer.read())
+        yield {"recording": path.stem, "file": str(path), **{k: _json(v) for k, v in estimate.items()}}
+
+
+def _json(value: Any) -> Any:
+    """JSON knows no NaN, and numpy's numbers are not its own."""
+    if isinstance(value, str | bool):
+        return value
+    number = float(value)
+    return number if math.isfinite(number) else None
