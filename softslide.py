@@ -30,6 +30,19 @@ def _parser() -> argparse.ArgumentParser:
     check.add_argument("folder", type=Path, metavar="DIR", help="sensor.toml, manifest.csv, slides/*.parquet")
     check.set_defaults(run=_check)
 
+    load = commands.add_parser("import", help="turn a lab's files into a folder of recordings")
+    load.add_argument("sources", nargs="*", type=Path, metavar="SOURCE", help="files, or folders to search")
+    load.add_argument(
+        "--map", type=Path, metavar="MAP.toml", help="what the files mean: columns, units, labels"
+    )
+    load.add_argument("--out", type=Path, metavar="DIR", help="the folder of recordings to write")
+    load.add_argument(
+        "--map-template",
+        metavar="KIND",
+        help="print a commented map to start from: csv, parquet, hdf5, tdms, mat (both kinds), ros (1, 2, MCAP)",
+    )
+    load.set_defaults(run=_import)
+
     return parser
 
 
@@ -39,6 +52,26 @@ def _check(arguments: argparse.Namespace) -> int:
     recordings = read_folder(arguments.folder)
     check_folder(recordings)
     print(f"{arguments.folder}: {len(recordings)} recordings are well")
+    return 0
+
+
+def _import(arguments: argparse.Namespace) -> int:
+    from pipeline.importers.mapping import KINDS, read_map, template
+
+    if arguments.map_template:
+        if arguments.map_template not in KINDS:
+            raise InputError(f"--map-template {arguments.map_template}: name one of {', '.join(KINDS)}")
+        print(template(arguments.map_template), end="")
+        return 0
+    if not (arguments.sources and arguments.map and arguments.out):
+        raise InputError("give SOURCE..., --map MAP.toml and --out DIR, or --map-template KIND")
+    from pipeline.importers.run import import_recordings
+
+    done = import_recordings(arguments.sources, read_map(arguments.map), arguments.out)
+    for note in done.notes:
+        print(note, file=sys.stderr)
+    resumed = f", {done.resumed} of them finished before" if done.resumed else ""
+    print(f"{done.out}: {done.recordings} recordings imported{resumed}")
     return 0
 
 

@@ -1,7 +1,8 @@
 """One slide's file: time and volts, in Parquet or CSV, with nothing missing and an even clock."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -9,9 +10,6 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from features.errors import InputError
-
-# A crystal keeps time to 0.01 %; a clock off by 0.2 % would already shift every speed by as much.
-RATE_TOLERANCE = 0.002
 
 
 def read_slide(path: Path, channels: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
@@ -37,36 +35,6 @@ def read_slide(path: Path, channels: Sequence[str]) -> tuple[np.ndarray, np.ndar
     return values[:, 0].copy(), values[:, 1:].copy()
 
 
-def check_clock(path: Path, time_s: np.ndarray, rate_hz: float) -> None:
-    """Sees that time increases evenly at the sensor's rate.
-
-    Raises:
-        InputError: time stands or runs back, a gap, another rate than `rate_hz`.
-    """
-    steps = np.diff(time_s) * rate_hz
-    if (bad := steps <= 0).any():
-        row = int(bad.argmax())
-        raise InputError(
-            f"{path}: row {row + 2}, column time_s does not increase ({time_s[row]:.6f} then "
-            f"{time_s[row + 1]:.6f} s); sort the samples and drop repeated ones"
-        )
-    typical = float(np.median(steps))
-    if abs(typical - 1) < 0.25 and (bad := abs(steps - 1) > 0.5).any():
-        row = int(bad.argmax())
-        kind = "a gap" if steps[row] > 1 else "an uneven step"
-        raise InputError(
-            f"{path}: row {row + 2}, column time_s: {kind} of {time_s[row + 1] - time_s[row]:.6f} s where "
-            f"samples are {1 / rate_hz:.6f} s apart; resample it with 'softslide import' or drop it"
-        )
-    rate = (len(time_s) - 1) / (time_s[-1] - time_s[0])
-    # Half a sample of jitter at either end is no rate.
-    if abs(rate / rate_hz - 1) > RATE_TOLERANCE + 1 / len(steps):
-        raise InputError(
-            f"{path}: column time_s runs at {rate:.6g} Hz, sensor.toml says sample_rate_hz = {rate_hz:.6g}; "
-            "correct the one that is wrong"
-        )
-
-
 def write_slide(path: Path, time_s: np.ndarray, volts: np.ndarray, channels: Sequence[str]) -> None:
     """Writes Parquet: time in float64, volts in float32 where that loses nothing, else in float64."""
     columns: dict[str, np.ndarray] = {"time_s": np.asarray(time_s, dtype=float)}
@@ -74,14 +42,36 @@ def write_slide(path: Path, time_s: np.ndarray, volts: np.ndarray, channels: Seq
         values = np.asarray(volts[:, n], dtype=float)
         narrow = values.astype(np.float32)
         columns[channel] = narrow if np.array_equal(narrow, values) else values
-    pq.write_table(
-        pa.table(columns),
-        path,
-        compression="zstd",
-        compression_level=9,
-        use_dictionary=list(channels),
-        column_encoding={"time_s": "BYTE_STREAM_SPLIT"},
-    )
+    pq.write_table(pa.table(columns), path, **_encoding(channels))
+
+
+def write_slide_in_blocks(
+    path: Path, blocks: Iterable[tuple[np.ndarray, np.ndarray]], channels: Sequence[str]
+) -> None:
+    """Writes Parquet in float64 as the blocks of (time_s, volts) come; a slide need not fit in memory."""
+    schema = pa.schema([(column, pa.float64()) for column in ("time_s", *channels)])
+    with pq.ParquetWriter(path, schema, **_encoding(channels)) as writer:
+        for time_s, volts in blocks:
+            writer.write_table(pa.table([time_s, *np.asarray(volts, dtype=float).T], schema=schema))
+
+
+def read_slide_in_blocks(path: Path, channels: Sequence[str]) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Blocks of (time_s, volts) of a slide that this module wrote."""
+    with pq.ParquetFile(path) as file:
+        for batch in file.iter_batches(200_000, columns=["time_s", *channels]):
+            yield (
+                batch.column("time_s").to_numpy(),
+                np.column_stack([batch.column(c).to_numpy() for c in channels]),
+            )
+
+
+def _encoding(channels: Sequence[str]) -> dict[str, Any]:
+    return {
+        "compression": "zstd",
+        "compression_level": 9,
+        "use_dictionary": list(channels),
+        "column_encoding": {"time_s": "BYTE_STREAM_SPLIT"},
+    }
 
 
 def _read_parquet(path: Path, columns: list[str]) -> pd.DataFrame:

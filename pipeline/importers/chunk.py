@@ -1,0 +1,59 @@
+"""What every reader yields: successive samples of the columns asked for, as the file holds them."""
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from features.errors import InputError
+
+# Samples a chunk holds: some tens of MB for a dozen columns, so that memory does not grow with the file.
+CHUNK = 200_000
+
+
+@dataclass(frozen=True)
+class Chunk:
+    """columns: name -> (n,), in the file's own type. done: the portion of the file read so far, 0 to 1."""
+
+    columns: dict[str, np.ndarray]
+    done: float
+
+    def __len__(self) -> int:
+        return len(next(iter(self.columns.values())))
+
+
+def guarded(path: Path, kind: str, chunks: Iterator[Chunk]) -> Iterator[Chunk]:
+    """The chunks of a reader, with whatever a broken file makes its library raise turned into one line.
+
+    Libraries that parse bytes raise anything on bytes that are broken (struct.error, KeyError, OSError, ...),
+    so nothing narrower than Exception would hold.
+    """
+    try:
+        yield from chunks
+    except (InputError, GeneratorExit):
+        raise
+    except Exception as error:
+        if path.is_file() and path.stat().st_size == 0:
+            raise InputError(f"{path}: the file is empty; copy or record it again") from error
+        reason = " ".join(str(error).split())[:160] or type(error).__name__
+        raise InputError(f"{path}: not a readable {kind} file ({reason}); copy or record it again") from error
+
+
+def require(path: Path, columns: Sequence[str], present: Iterable[str], what: str = "column") -> None:
+    """Sees that the file has what the map names.
+
+    Raises:
+        InputError: one is missing.
+    """
+    present = list(present)
+    for column in columns:
+        if column not in present:
+            has = ", ".join(present[:12]) + (", ..." if len(present) > 12 else "")
+            raise InputError(f"{path}: no {what} '{column}' (it has {has}); correct its name in the map")
+
+
+def blocks(length: int) -> Iterator[tuple[int, int]]:
+    """Ranges [start, stop) of at most CHUNK samples that cover 0..length."""
+    for start in range(0, length, CHUNK):
+        yield start, min(start + CHUNK, length)

@@ -1,0 +1,328 @@
+"""A lab's files come in as they were written; broken ones leave nothing; an interrupted import goes on."""
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from lab_files import FORMATS, Format, slide, write_lab
+
+import softslide
+from pipeline.importers import run
+from pipeline.importers.mapping import KINDS, read_map, template
+from pipeline.importers.run import import_recordings
+from pipeline.recordings import SAMPLE, check_folder, read_folder
+
+HAPMAT = Path(__file__).parents[1].parent / "shared" / "recordings" / "hapmat"
+
+
+def imported(map_path: Path, out: Path, source: Path | None = None):
+    """The folder that an import makes, read back."""
+    import_recordings([source or map_path.parent / "lab"], read_map(map_path), out)
+    folder = read_folder(out)
+    check_folder(folder)
+    return folder
+
+
+def refused(map_path: Path, capsys: pytest.CaptureFixture[str]) -> str:
+    """The front door's one line; nothing is left beside the sources."""
+    before = sorted(map_path.parent.iterdir())
+    out = map_path.parent / "out"
+    assert (
+        softslide.main(["import", str(map_path.parent / "lab"), "--map", str(map_path), "--out", str(out)])
+        == 2
+    )
+    stdout, stderr = capsys.readouterr()
+    assert stdout == ""
+    assert stderr.count("\n") == 1
+    assert sorted(map_path.parent.iterdir()) == before
+    return stderr
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_a_format_comes_back_as_written(tmp_path: Path, name: str) -> None:
+    form = FORMATS[name]
+    folder = imported(write_lab(tmp_path, form), tmp_path / "out")
+    assert list(folder.manifest.index) == ["one", "two"]
+    for seed, recording in enumerate(("one", "two")):
+        time_s, volts = slide(seed)
+        read = folder.load(recording)
+        np.testing.assert_allclose(read.time_s, time_s, rtol=0, atol=1e-15 if name == "tdms waveform" else 0)
+        np.testing.assert_allclose(read.volts, volts, rtol=0, atol=form.tolerance_v)
+
+
+def victim(folder: Path, form: Format) -> Path:
+    """The first slide's file; in a ROS 2 bag's folder its storage."""
+    path = sorted((folder / "lab").iterdir())[0]
+    return next(p for p in path.iterdir() if p.suffix in (".db3", ".mcap")) if path.is_dir() else path
+
+
+@pytest.mark.parametrize("portion", [0.0, 0.03, 0.5, 0.9])
+@pytest.mark.parametrize("name", FORMATS)
+def test_a_truncated_file_is_refused(tmp_path: Path, capsys, name: str, portion: float) -> None:
+    map_path = write_lab(tmp_path, FORMATS[name])
+    path = victim(tmp_path, FORMATS[name])
+    content = path.read_bytes()
+    path.write_bytes(content[: int(portion * len(content))])
+    message = refused(map_path, capsys)
+    assert path.name in message or path.parent.name in message
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_a_file_of_noise_is_refused(tmp_path: Path, capsys, name: str) -> None:
+    map_path = write_lab(tmp_path, FORMATS[name])
+    path = victim(tmp_path, FORMATS[name])
+    path.write_bytes(np.random.default_rng(0).bytes(5000))
+    refused(map_path, capsys)
+
+
+@pytest.mark.parametrize("name", ["csv", "csv for each axis", "hdf5", "ros 1", "ros 2"])
+def test_two_imports_are_identical(tmp_path: Path, name: str) -> None:
+    map_path = write_lab(tmp_path, FORMATS[name])
+    for out in ("first", "second", "second"):
+        imported(map_path, tmp_path / out)
+    files = sorted(path.relative_to(tmp_path / "first") for path in (tmp_path / "first").rglob("*.*"))
+    assert len(files) == 5
+    for file in files:
+        assert (tmp_path / "first" / file).read_bytes() == (tmp_path / "second" / file).read_bytes()
+
+
+def test_an_interrupted_import_resumes(tmp_path: Path, monkeypatch) -> None:
+    map_path = write_lab(tmp_path, FORMATS["csv"], ("one", "two", "three"))
+    read, begun = run.write_even, []
+
+    def interrupted(source, *rest):
+        begun.append(source.name)
+        if len(begun) == 3:
+            raise KeyboardInterrupt
+        return read(source, *rest)
+
+    monkeypatch.setattr(run, "write_even", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        imported(map_path, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+    monkeypatch.setattr(
+        run, "write_even", lambda source, *rest: begun.append(source.name) or read(source, *rest)
+    )
+    begun.clear()
+    done = import_recordings([tmp_path / "lab"], read_map(map_path), tmp_path / "out")
+    assert done.resumed == 2
+    assert begun == ["two"]
+    imported(map_path, tmp_path / "afresh")
+    for file in (tmp_path / "out").rglob("*.*"):
+        assert file.read_bytes() == (tmp_path / "afresh" / file.relative_to(tmp_path / "out")).read_bytes()
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["afresh", "lab", "map.toml", "out", "sensor.toml"]
+
+
+@pytest.mark.parametrize("change", ["map", "source"])
+def test_what_was_finished_with_another_map_or_source_is_done_again(
+    tmp_path: Path, monkeypatch, change
+) -> None:
+    map_path = write_lab(tmp_path, FORMATS["csv"])
+
+    def interrupted(*rest):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(run, "_finish", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            imported(map_path, tmp_path / "out")
+    if change == "map":
+        map_path.write_text(map_path.read_text() + '[labels.split]\nvalue = "test"\n')
+    else:
+        FORMATS["csv"].write(tmp_path / "lab", "one", *slide(7, 300))
+    done = import_recordings([tmp_path / "lab"], read_map(map_path), tmp_path / "out")
+    assert done.resumed == (0 if change == "map" else 1)
+    folder = read_folder(tmp_path / "out")
+    assert len(folder.load("one").time_s) == (250 if change == "map" else 300)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_template_is_a_map(tmp_path: Path, capsys, kind: str) -> None:
+    assert softslide.main(["import", "--map-template", kind]) == 0
+    text = capsys.readouterr().out
+    assert text == template(kind)
+    write_lab(tmp_path, FORMATS["csv"])
+    (tmp_path / "map.toml").write_text(text)
+    assert read_map(tmp_path / "map.toml").kind == kind
+
+
+def test_labels_come_from_values_columns_names_and_a_sheet(tmp_path: Path) -> None:
+    map_path = write_lab(tmp_path, FORMATS["csv"], ("x-slide-XF", "x-slide-XB"))
+    for name in ("x-slide-XF", "x-slide-XB"):
+        path = tmp_path / "lab" / f"{name}.csv"
+        pd.read_csv(path).assign(depth=0.05).to_csv(path, index=False)
+    (tmp_path / "sheet.csv").write_text("id;v cm/s;y\nx-slide-XF;0,25;-7,5\nx-slide-XB;0,4;\n")
+    map_path.write_text(
+        map_path.read_text().replace("(?P<recording>[a-z]+)", "x-slide-(?P<way>X[FB])")
+        + '[sheet]\nfile = "sheet.csv"\nkey = "id"\ndelimiter = ";"\ndecimal = ","\n'
+        '[labels]\nsplit = {value = "train"}\ndepth_mm = {column = "depth", scale = 10}\n'
+        'direction_deg = {name = "way", values = {XF = 0, XB = 180}}\n'
+        'speed_mm_s = {sheet = "v cm/s", scale = 10}\noffset_mm = {sheet = "y"}\n'
+    )
+    manifest = imported(map_path, tmp_path / "out").manifest
+    assert list(manifest.index) == ["x-slide-XB", "x-slide-XF"]
+    assert list(manifest.split) == ["train", "train"]
+    assert list(manifest.depth_mm) == [0.5, 0.5]
+    assert list(manifest.direction_deg) == [180, 0]
+    assert list(manifest.speed_mm_s) == [4.0, 2.5]
+    assert np.isnan(manifest.offset_mm["x-slide-XB"])
+    assert manifest.offset_mm["x-slide-XF"] == -7.5
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ('kind = "csv"', 'kind = "xls"', "kind is 'xls'"),
+        ('kind = "csv"', 'kind = "csv"\ncolour = 1', "unknown key 'colour'"),
+        ('kind = "csv"', "kind = 3", "kind is 3"),
+        ('kind = "csv"', "", "kind is missing"),
+        ("sensor.toml", "none.toml", "no such file"),
+        ("[time]", "[times]", "unknown key 'times'"),
+        ('column = "t"', "", "either column or rate_hz"),
+        ('column = "t"', 'column = "clock"', "no column 'clock'"),
+        ('column = "t"', 'column = "t"\nunit = "h"', "unit is 'h'"),
+        ('column = "t"', 'column = "t"\nunit = "ms"', "100000 Hz"),
+        ('column = "t"', 'column = "x"', "time does not increase"),
+        ('column = "x"', 'column = "w"', "no column 'w'"),
+        ("[channels.a0_vx]", "[channels.a9_vx]", "channels.a0_vx"),
+        ("(?P<recording>[a-z]+)", "(?P<recording>[a-z+", "no regular expression"),
+        ("(?P<recording>[a-z]+)", "(?P<recording>[A-Z]+)", "fits the map"),
+        ("(?P<recording>[a-z]+)", "csv", "Hz"),
+        ('column = "y"', 'column = "y"\nunit = "g"', "mix volts and accelerations"),
+        ('column = "y"', 'column = "y"\nunit = "counts"', "volts_per_count"),
+        ('column = "z"\n', 'column = "z"\n[labels.speed_mm_s]\nvalue = -1\n', "positive"),
+        ('column = "z"\n', 'column = "z"\n[labels.speed_mm_s]\nvalue = "slow"\n', "no number"),
+        ('column = "z"\n', 'column = "z"\n[labels.speed_mm_s]\ncolumn = "x"\n', "label column 'x'"),
+        ('column = "z"\n', 'column = "z"\n[labels.speed_mm_s]\nname = "v"\n', "group 'v'"),
+        ('column = "z"\n', 'column = "z"\n[labels.speed_mm_s]\nsheet = "v"\n', "add [sheet]"),
+        ('column = "z"\n', 'column = "z"\n[labels.speed]\nvalue = 1\n', "labels.speed"),
+        ('column = "z"\n', 'column = "z"\n[sheet]\nfile = "no.csv"\n', "not a readable sheet"),
+        ('column = "z"\n', 'column = "z"\n[boards.a0]\ncalibration = "no.csv"\n', "no.csv"),
+        ('column = "z"\n', 'column = "z"\n[boards.a0]\nflip = ["w"]\n', "flip is 'w'"),
+    ],
+)
+def test_a_bad_map_is_refused(tmp_path: Path, capsys, old: str, new: str, says: str) -> None:
+    map_path = write_lab(tmp_path, FORMATS["csv"])
+    text = map_path.read_text()
+    assert old in text
+    map_path.write_text(text.replace(old, new))
+    if new == "csv":
+        map_path.write_text(text.replace(old, new))
+        (tmp_path / "lab" / "two.csv").unlink()
+        (tmp_path / "sensor.toml").write_text(
+            (tmp_path / "sensor.toml").read_text().replace("100.0", "1000.0")
+        )
+    assert says in refused(map_path, capsys)
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (lambda t: t.assign(y=t.y.astype(object).where(t.index != 3, "overload")), "row 4 has a cell"),
+        (lambda t: t.assign(y=t.y.where(t.index != 3)), "row 4 has a cell"),
+        (lambda t: t.drop(index=range(20, 60)), "row 21: a gap of 0.41 s"),
+        (lambda t: t[::-1], "time does not increase"),
+        (lambda t: t[:1], "1 samples"),
+        (lambda t: t[:0], "0 samples"),
+        (lambda t: t.drop(columns="z"), "no column 'z'"),
+    ],
+)
+def test_bad_cells_are_named(tmp_path: Path, capsys, change, says: str) -> None:
+    map_path = write_lab(tmp_path, FORMATS["csv"])
+    path = tmp_path / "lab" / "one.csv"
+    change(pd.read_csv(path)).to_csv(path, index=False)
+    message = refused(map_path, capsys)
+    assert "one.csv" in message
+    assert says in message
+
+
+def test_a_missing_axis_is_refused(tmp_path: Path, capsys) -> None:
+    map_path = write_lab(tmp_path, FORMATS["csv for each axis"])
+    (tmp_path / "lab" / "two_y.csv").unlink()
+    assert "no file of the part 'y'" in refused(map_path, capsys)
+
+
+def test_usage_is_said(tmp_path: Path, capsys) -> None:
+    for arguments in (["x"], ["x", "--out", "y"], ["--map-template", "xls"], []):
+        assert softslide.main(["import", *arguments]) == 2
+        assert capsys.readouterr().err.count("\n") == 1
+    assert softslide.main(["import", str(tmp_path / "x"), "--map", str(tmp_path / "m"), "--out", "o"]) == 2
+
+
+@pytest.mark.skipif(not HAPMAT.is_dir(), reason="the shared recordings are not beside this checkout")
+def test_a_real_accelerometer_comes_in(tmp_path: Path) -> None:
+    map_path = write_lab(tmp_path, FORMATS["csv"])
+    shutil.rmtree(tmp_path / "lab")
+    text = map_path.read_text().replace("(?P<recording>[a-z]+)", "").replace('"t"', '"time"')
+    for axis in "xyz":
+        text = text.replace(f'column = "{axis}"', f'column = "accel_{axis}"\nunit = "g"')
+    map_path.write_text(text)
+    folder = imported(map_path, tmp_path / "out", HAPMAT)
+    assert list(folder.manifest.index) == ["Paper 1", "Wood 1"]
+    source = pd.read_csv(HAPMAT / "Wood 1.csv")
+    recording = folder.load("Wood 1")
+    np.testing.assert_array_equal(recording.time_s, source["time"])
+    np.testing.assert_allclose(
+        (recording.volts - 1.65) / 0.8, source[["accel_x", "accel_y", "accel_z"]], atol=1e-12
+    )
+    assert json.loads((tmp_path / "out" / "import.json").read_text())["recordings"][0]["resampled"] is False
+
+
+@pytest.fixture(scope="module")
+def sample_as_csv(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Twelve slides of the sample as a lab would have them: delimited text and a sheet."""
+    folder = tmp_path_factory.mktemp("sample")
+    sample = read_folder(SAMPLE)
+    chosen = sample.manifest[sample.manifest.split.str.startswith("test")].sort_values("motion_end_s")[:12]
+    (folder / "lab").mkdir()
+    for name in chosen.index:
+        recording = sample.load(str(name))
+        table = pd.DataFrame({"t": recording.time_s} | dict(zip("xyz", recording.volts.T, strict=True)))
+        table.to_csv(folder / "lab" / f"{name}.csv", index=False)
+    chosen.drop(columns="file").to_csv(folder / "sheet.csv")
+    shutil.copyfile(SAMPLE / "sensor.toml", folder / "sensor.toml")
+    labels = [label for label in chosen.columns if label not in ("file", "pressure_mpa")]
+    text = FORMATS["csv"].map_text().replace("[a-z]+", "a[0-9]+")
+    text += '[sheet]\nfile = "sheet.csv"\n' + "".join(
+        f'[labels.{label}]\nsheet = "{label}"\n' for label in labels
+    )
+    (folder / "map.toml").write_text(text)
+    return folder
+
+
+def test_inverted_outputs_are_flipped_and_said(sample_as_csv: Path, tmp_path: Path) -> None:
+    text = (sample_as_csv / "map.toml").read_text()
+    straight = imported(sample_as_csv / "map.toml", tmp_path / "straight")
+    wrong = text + '[boards.a0]\nflip = ["y"]\n'
+    mended = tmp_path / "mended"
+    for signs in ("given", "zones"):
+        path = sample_as_csv / f"{signs}.toml"
+        path.write_text(wrong.replace("\n[time]", f'signs = "{signs}"\n[time]', 1))
+        done = import_recordings([sample_as_csv / "lab"], read_map(path), mended)
+        note = next(note for note in done.notes if "inverted" in note)
+        assert note.startswith("flipped a0_vy" if signs == "zones" else "not flipped a0_vy")
+        assert "12 of 12 labelled slides" in note or "11 of 11" in note
+    for name in straight.manifest.index:
+        np.testing.assert_allclose(
+            read_folder(mended).load(name).volts, straight.load(name).volts, atol=1e-12
+        )
+
+
+def test_a_stage_with_another_clock_is_aligned_on_the_onset(sample_as_csv: Path, tmp_path: Path) -> None:
+    sheet = pd.read_csv(sample_as_csv / "sheet.csv")
+    text = (sample_as_csv / "map.toml").read_text().replace('column = "t"', 'column = "t"\nalign = "onset"')
+    path = sample_as_csv / "late.toml"
+    path.write_text(text.replace("sheet.csv", "late.csv"))
+    # The stage's clock runs from 1.5 s behind to 1.5 s ahead over the session.
+    drift = np.linspace(-1.5, 1.5, len(sheet))
+    late = sheet.assign(motion_start_s=sheet.motion_start_s + drift, motion_end_s=sheet.motion_end_s + drift)
+    late.to_csv(sample_as_csv / "late.csv", index=False)
+    manifest = imported(path, tmp_path / "out").manifest
+    error_mm = (manifest.motion_start_s - sheet.set_index("recording").motion_start_s) * manifest.speed_mm_s
+    assert error_mm.abs().median() < 2.5
+    report = json.loads((tmp_path / "out" / "import.json").read_text())["recordings"]
+    shift = pd.Series({entry["recording"]: entry["shift_s"] for entry in report})
+    assert np.corrcoef(shift[sheet.recording], drift)[0, 1] < -0.7
