@@ -4,8 +4,11 @@ The mechanics (`[skin]`, `[board]`, `[mesh]`) are optional: their defaults are t
 folder of recordings can be simulated from the `sensor.toml` that it has.
 """
 
+import hashlib
+import json
 import tomllib
 from dataclasses import asdict, dataclass, fields
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -36,11 +39,12 @@ class Accelerometer:
 class Skin:
     """`[skin]`: Ecoflex 00-10 as the article has it. Moduli and pressures in MPa, lengths in mm.
 
-    The skin is nearly incompressible, so its shear modulus is a third of Young's; the bulk modulus is high enough
-    to keep the volume within a percent and low enough to solve well. The atlas is solved at each of
+    The skin is nearly incompressible, so its shear modulus is a third of Young's; the bulk modulus is high
+    enough to keep the volume within a percent and low enough to solve well. The atlas is solved at each of
     `height_mm` (the inflated skin's highest point over its flat state); `effective_pressure_mpa` states the
-    pressures themselves instead. Neither is the regulator's figure `pressure_mpa`: a neo-Hookean skin of the
-    article's modulus would balloon long before 35 kPa, so the height is what ties the model to a real skin.
+    pressures themselves instead. Neither is the regulator's figure `pressure_mpa`: a neo-Hookean skin of
+    the article's modulus would balloon long before 35 kPa, so the height is what ties the model to a real
+    skin.
     """
 
     youngs_modulus_mpa: float = 0.07
@@ -57,10 +61,12 @@ class Skin:
             raise ValueError(f"friction is {self.friction}; it must lie in 0..1")
         for name in ("height_mm", "effective_pressure_mpa"):
             levels = getattr(self, name)
-            if any(v <= 0 for v in levels) or any(b <= a for a, b in zip(levels, levels[1:], strict=False)):
+            if any(v <= 0 for v in levels) or any(b <= a for a, b in pairwise(levels)):
                 raise ValueError(f"{name} is {list(levels)}; it must be positive and rise")
         if not self.height_mm and not self.effective_pressure_mpa:
-            raise ValueError("neither height_mm nor effective_pressure_mpa has a value; give one level at least")
+            raise ValueError(
+                "neither height_mm nor effective_pressure_mpa has a value; give one level at least"
+            )
 
     @property
     def shear_modulus_mpa(self) -> float:
@@ -70,7 +76,7 @@ class Skin:
 
 @dataclass(frozen=True)
 class Board:
-    """`[board]`: the accelerometers' printed boards, all alike, cast into the skin's middle. Lengths in mm."""
+    """`[board]`: the accelerometers' boards, all alike, cast into the skin's middle. Lengths in mm."""
 
     size_mm: tuple[float, float] = (10.0, 10.0)
     thickness_mm: float = 1.7
@@ -162,7 +168,8 @@ def read_sensor(path: Path) -> Sensor:
 
 
 def check_design(sensor: Sensor, source: str = "sensor") -> None:
-    """What recordings can do without and mechanics cannot: every board in the chamber's skin, none in another.
+    """What recordings can do without and mechanics cannot: every board in the chamber's skin, none in
+    another.
 
     Raises:
         InputError: a board is thicker than the skin leaves room for, reaches over the chamber, or overlaps.
@@ -183,13 +190,10 @@ def check_design(sensor: Sensor, source: str = "sensor") -> None:
                 f"is not within the chamber by {_RIM_MM:g} mm; move it or shrink [board] size_mm"
             )
         for b in sensor.accelerometers[:n]:
-            if (
-                abs(a.x_mm - b.x_mm) < width + _BOARD_GAP_MM
-                and abs(a.y_mm - b.y_mm) < length + _BOARD_GAP_MM
-            ):
+            if abs(a.x_mm - b.x_mm) < width + _BOARD_GAP_MM and abs(a.y_mm - b.y_mm) < length + _BOARD_GAP_MM:
                 raise InputError(
-                    f"{source}: [[accelerometer]] {n + 1}: the boards of '{b.name}' and '{a.name}' overlap or lie "
-                    f"closer than {_BOARD_GAP_MM:g} mm; move one"
+                    f"{source}: [[accelerometer]] {n + 1}: the boards of '{b.name}' and '{a.name}' overlap "
+                    f"or lie closer than {_BOARD_GAP_MM:g} mm; move one"
                 )
 
 
@@ -200,6 +204,25 @@ def write_sensor(path: Path, sensor: Sensor) -> None:
     table = asdict(sensor)
     table["accelerometer"] = table.pop("accelerometers")
     path.write_text(tomli_w.dumps(table), encoding="utf-8")
+
+
+def design_of(sensor: Sensor) -> dict[str, Any]:
+    """What of a sensor decides its mechanics; names, electronics and the regulator's pressure do not."""
+    return {
+        "chamber_mm": list(sensor.chamber_mm),
+        "skin_thickness_mm": sensor.skin_thickness_mm,
+        "indenter_diameter_mm": sensor.indenter_diameter_mm,
+        "boards_mm": [[a.x_mm, a.y_mm] for a in sensor.accelerometers],
+        "skin": {
+            k: v for k, v in asdict(sensor.skin).items() if k not in ("height_mm", "effective_pressure_mpa")
+        },
+        "board": asdict(sensor.board),
+    }
+
+
+def design_hash(sensor: Sensor) -> str:
+    """Sixteen hex digits of SHA-256 over the design."""
+    return hashlib.sha256(json.dumps(design_of(sensor), sort_keys=True).encode()).hexdigest()[:16]
 
 
 def _from_table(kind: type, table: dict[str, Any], place: str) -> Any:

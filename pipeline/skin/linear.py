@@ -1,10 +1,11 @@
 """Symmetric indefinite sparse systems: analysed once, refactored as the values change.
 
-MKL's PARDISO where it is (x86-64), else SciPy's SuperLU in its symmetric mode. The tangent of a pressed skin can be
-indefinite, so Cholesky would not do.
+MKL's PARDISO where it is (x86-64), else SciPy's SuperLU in its symmetric mode. The tangent of a pressed
+skin can be indefinite, so Cholesky would not do.
 """
 
 import ctypes
+import sys
 import warnings
 from typing import Protocol
 
@@ -95,7 +96,7 @@ class Pardiso:
         return result
 
     def __del__(self) -> None:
-        if self._upper is not None:
+        if self._upper is not None and not sys.is_finalizing():
             self._call(-1, self._upper, np.zeros(self._upper.shape[0]))
 
 

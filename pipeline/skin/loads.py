@@ -3,16 +3,16 @@
 Air: p N n da on the lower faces, following them. Its tangent is unsymmetric face by face, but the whole has a
 potential (pressure times enclosed volume) because the skin's edge is clamped, so the symmetric half is exact.
 
-Indenter: a hemisphere with a rod on it, as a penalty at points of the upper faces and not at their nodes, which
-would slip between the skin's nodes and pierce it. The traction per reference area is k gap^2: points come into
-touch smoothly, and the steeper the deeper, which keeps the rod from sinking into a highly inflated skin (a law
-that grows linearly let it sink 2 mm at 2 kPa and then pierce). Friction opposes the slip per millimetre of
-the indenter's travel,
+Indenter: a hemisphere with a rod on it, as a penalty at points of the upper faces and not at their nodes,
+which would slip between the skin's nodes and pierce it. The traction per reference area is k gap^2: points
+come into touch smoothly, and the steeper the deeper, which keeps the rod from sinking into a highly
+inflated skin (a law that grows linearly let it sink 2 mm at 2 kPa and then pierce). Friction opposes the
+slip per millimetre of the indenter's travel,
 
     t = -mu p s / sqrt(s^2 + eps^2),     s = tangential part of (dx - dc) / travel
 
-which does not depend on how finely the path is divided. The part of its tangent that is unsymmetric (the normal
-force's change) is dropped: as many iterations, half the factorisation's cost.
+which does not depend on how finely the path is divided. The part of its tangent that is unsymmetric (the
+normal force's change) is dropped: as many iterations, half the factorisation's cost.
 """
 
 import math
@@ -38,7 +38,7 @@ def face_shapes() -> np.ndarray:
 
 
 def pressed_shapes() -> np.ndarray:
-    """(4 points, 3, 4 nodes): N, dN/dr and dN/ds of a lower face at its 2 x 2 Gauss points, exact for p N n da."""
+    """(4 points, 3, 4 nodes): N, dN/dr, dN/ds of a lower face at 2 x 2 Gauss points, exact for p N n da."""
     signs = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]], float)
     points = signs / math.sqrt(3.0)
     along, across = (1 + points[:, None, i] * signs[:, i] for i in range(2))
@@ -85,9 +85,10 @@ def touch(x, before, area, centre, moved, travel, law, shapes, wants_tangent, fo
 
     Args:
         x, before: (3, 8) the nodes' places now and at the last position, mm. area: of one point, mm^2.
-        centre: (3,) the hemisphere's. moved: (3,) since the last position. travel: its length, mm; 0 = no friction.
-        law: (4,) radius mm, friction, k MPa/mm^2, eps. shapes: `face_shapes`. total: (4,) the force on the indenter, N, added to, and the
-            deepest gap so far, mm.
+        centre: (3,) the hemisphere's. moved: (3,) since the last position. travel: its length, mm; 0 = no
+            friction.
+        law: (4,) radius mm, friction, k MPa/mm^2, eps. shapes: `face_shapes`.
+        total: (4,) the force on the indenter, N, added to, and the deepest gap so far, mm.
     """
     radius, friction, penalty, clinging = law
     near = 1e30

@@ -3,8 +3,8 @@
     W = G/2 (J^(-2/3) tr C - 3) + K/2 (theta - 1)^2,     theta = v / V of the element
 
 so that the pressure p = K (theta - 1) is constant in an element and does not lock (Simo, Taylor, Pister 1985,
-10.1016/0045-7825(85)90033-7). Stress and tangent are those of the spatial description (Bonet and Wood, Nonlinear
-Continuum Mechanics for Finite Element Analysis, sections 6.4 and 8.6).
+10.1016/0045-7825(85)90033-7). Stress and tangent are those of the spatial description (Bonet and Wood,
+Nonlinear Continuum Mechanics for Finite Element Analysis, sections 6.4 and 8.6).
 """
 
 import math
@@ -12,8 +12,8 @@ import math
 import numpy as np
 from numba import njit
 
-# Reassociation lets the compiler vectorise over an element's eight nodes, which is why they are the last axis of
-# every array here. NaN and infinity keep their meaning: an inverted element must be seen.
+# Reassociation lets the compiler vectorise over an element's eight nodes, which is why they are the last
+# axis of every array here. NaN and infinity keep their meaning: an inverted element must be seen.
 FAST = {"contract", "reassoc", "arcp", "nsz"}
 
 

@@ -1,18 +1,21 @@
 """The skin as hexahedra: a clamped plate over the chamber with rigid boards cast into its middle layer.
 
-Coordinates in mm: x and y from the chamber's centre, z from the skin's lower face. The plate ends at the chamber's
-edge, where it is clamped over its whole thickness: what lies on the base beyond does not move.
+Coordinates in mm: x and y from the chamber's centre, z from the skin's lower face. The plate ends at the
+chamber's edge, where it is clamped over its whole thickness: what lies on the base beyond does not move.
 """
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
 from pipeline.sensor import Sensor
 
-# Corners of the reference element in the order of the nodes: the lower face counter-clockwise, then the upper one.
+# Corners of the reference element in the order of the nodes: the lower face counter-clockwise, then the
+# upper one.
 CORNERS = np.array(
-    [[-1, -1, -1], [1, -1, -1], [1, 1, -1], [-1, 1, -1], [-1, -1, 1], [1, -1, 1], [1, 1, 1], [-1, 1, 1]], float
+    [[-1, -1, -1], [1, -1, -1], [1, 1, -1], [-1, 1, -1], [-1, -1, 1], [1, -1, 1], [1, 1, 1], [-1, 1, 1]],
+    float,
 )
 
 
@@ -51,7 +54,9 @@ def skin_mesh(sensor: Sensor) -> Mesh:
     boards = np.array([(a.x_mm, a.y_mm) for a in sensor.accelerometers])
     reach = np.array(sensor.board.size_mm) / 2
     x, y = (
-        _graded([-half[i], half[i], *(boards[:, i] - reach[i]), *(boards[:, i] + reach[i])], sensor.mesh.size_mm)
+        _graded(
+            [-half[i], half[i], *(boards[:, i] - reach[i]), *(boards[:, i] + reach[i])], sensor.mesh.size_mm
+        )
         for i in range(2)
     )
     below = (sensor.skin_thickness_mm - sensor.board.thickness_mm) / 2
@@ -116,8 +121,5 @@ def plate(
 def _graded(marks: list[float], size: float) -> np.ndarray:
     """Grid lines through all marks, and between two of them evenly, about `size` apart."""
     edges = np.unique(np.round(marks, 9))
-    lines = [
-        np.linspace(a, b, max(1, round((b - a) / size)) + 1)[:-1]
-        for a, b in zip(edges[:-1], edges[1:], strict=True)
-    ]
+    lines = [np.linspace(a, b, max(1, round((b - a) / size)) + 1)[:-1] for a, b in pairwise(edges)]
     return np.concatenate([*lines, edges[-1:]])

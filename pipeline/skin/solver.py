@@ -2,18 +2,19 @@
 
 A factorisation costs as much as a dozen residuals, so a factor is held, over positions too, for as long as
 Anderson's mixing (depth 6) converges with it faster than a new one is expected to. Each line starts from the
-inflated, untouched skin and goes on in short steps: a jump would let the rod pierce the skin into an equilibrium
-that is false and looks converged.
+inflated, untouched skin and goes on in short steps: a jump would let the rod pierce the skin into an
+equilibrium that is false and looks converged.
 
-A highly inflated skin snaps as the rod passes the dome's middle: the branch it was on ends (a pivot turns negative)
-and Newton's method circles there. The skin then creeps down its energy, as if in syrup, to the branch that it
-would snap to: steps of (K + eta M) with eta large enough for every pivot to be positive. What fails even so is
-halved.
+A highly inflated skin snaps as the rod passes the dome's middle: the branch it was on ends (a pivot turns
+negative) and Newton's method circles there. The skin then creeps down its energy, as if in syrup, to the
+branch that it would snap to: steps of (K + eta M) with eta large enough for every pivot to be positive.
+What fails even so is halved.
 """
 
 import math
 import time
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
 
@@ -29,8 +30,12 @@ MOST_FACTORS = 12
 CREEP_STEPS = 80
 CREEP_START_N_MM = 1e-3  # eta: per node, about a hundredth of the skin's own stiffness
 PIERCED = 0.6  # of the indenter's radius: deeper than any posture that holds, half way to coming out beyond
-SMALLEST_PART = 1 / 16  # of a step, before a position is given up
-FIRST_AIR_MPA = 2e-4
+LONGEST_STEP_MM = 1.25  # of the indenter; a longer one is a jump
+SHORTEST_STEP_MM = 0.05  # before a position is given up
+AIR_STEP_MPA = 2e-4
+BALLOON = 0.4  # of the chamber's width: a skin as high as this has passed its limit
+HEIGHT_TOLERANCE_MM = 1e-3
+STATIC_TOLERANCE_N = 1e-6  # everything is measured against the untouched skin
 
 
 class NoEquilibrium(Exception):
@@ -69,13 +74,16 @@ class Skin:
         """Drops the held factor, so that what follows does not depend on what was solved before."""
         self._has_factor = False
 
-    def equilibrium(self, start: State, load: Load) -> tuple[State, np.ndarray]:
+    def equilibrium(
+        self, start: State, load: Load, tolerance_n: float | None = None
+    ) -> tuple[State, np.ndarray]:
         """The posture in balance near `start`, and the force on the indenter (3,) N
         with the depth that it sinks into the skin, mm, as fourth.
 
         Raises:
             NoEquilibrium: the search did not end within `MOST_FACTORS` factorisations.
         """
+        tolerance = self.tolerance_n if tolerance_n is None else tolerance_n
         state = start.copy()
         residual, force = self.system.residual(state, load)
         if residual is None:
@@ -85,11 +93,11 @@ class Skin:
         fresh = not self._has_factor
         history: list[tuple[np.ndarray, np.ndarray]] = []  # (unknowns, correction)
         norms: list[float] = []
-        while norm > self.tolerance_n:
+        while norm > tolerance:
             if fresh:
                 if factors == MOST_FACTORS:
                     raise NoEquilibrium(f"{norm:.2g} N out of balance after {factors} factorisations")
-                residual, force = self.system.tangent(state, load)
+                self.system.tangent(state, load)
                 self.linear.factor(self.system.pattern)
                 self._has_factor = True
                 factors += 1
@@ -108,15 +116,16 @@ class Skin:
                 fresh = True
                 continue
             state, residual, force, norm = accepted
-            fresh = _is_slow([*norms, norm], self.tolerance_n)
+            fresh = _is_slow([*norms, norm], tolerance)
         return self.system.accept(state), force
 
-    def creep(self, start: State, load: Load) -> tuple[State, np.ndarray]:
+    def creep(self, start: State, load: Load, tolerance_n: float | None = None) -> tuple[State, np.ndarray]:
         """As `equilibrium`, down the energy from a posture that has lost its balance; the end is stable.
 
         Raises:
             NoEquilibrium: not within `CREEP_STEPS`.
         """
+        tolerance = self.tolerance_n if tolerance_n is None else tolerance_n
         self.statistics.creeps += 1
         self._has_factor = False
         state, eta = start.copy(), CREEP_START_N_MM
@@ -138,7 +147,7 @@ class Skin:
                 if not self.linear.negative:
                     break
                 eta = max(4 * eta, CREEP_START_N_MM)
-            if np.linalg.norm(residual) <= self.tolerance_n and eta == 0.0:
+            if np.linalg.norm(residual) <= tolerance and eta == 0.0:
                 return self.system.accept(state), force
             step = -self.linear.solve(residual)
             step *= min(1.0, CAP_MM / max(float(np.abs(step).max()), 1e-30))
@@ -163,26 +172,49 @@ class Skin:
                     return trial, residual, force, new
         return None
 
-    def inflate(self, pressure_mpa: float) -> State:
-        """The untouched skin under air, by rising steps of pressure.
+    def inflate(self, pressure_mpa: float, start: State | None = None, at_mpa: float = 0.0) -> State:
+        """The untouched skin under air, by steps of pressure from rest or from a posture at `at_mpa`.
 
         Raises:
             NoEquilibrium: the pressure lies beyond the skin's limit.
         """
         self.forget()
-        state, at, step = self.system.rest(), 0.0, min(FIRST_AIR_MPA, pressure_mpa)
-        while at < pressure_mpa:
-            to = min(at + step, pressure_mpa)
+        state = self.system.rest() if start is None else start
+        at, step = at_mpa, AIR_STEP_MPA
+        while at != pressure_mpa:
+            to = at + math.copysign(min(step, abs(pressure_mpa - at)), pressure_mpa - at)
             try:
-                state, _ = self.equilibrium(state, Load(to))
+                new = self._settle(state, Load(to), STATIC_TOLERANCE_N)[0]
+                if self.height(new) > BALLOON * np.ptp(self.mesh.nodes[:, :2], axis=0).min():
+                    raise NoEquilibrium("the skin balloons")
             except NoEquilibrium:
                 self.forget()
-                step /= 2
-                if step < FIRST_AIR_MPA / 64:
-                    raise NoEquilibrium(f"the skin balloons beyond {at:.3g} MPa") from None
+                step /= 4
+                if step < AIR_STEP_MPA / 64:
+                    raise NoEquilibrium(f"the skin balloons at {at:.3g} MPa") from None
                 continue
-            at = to
+            state, at = new, to
         return state
+
+    def inflate_to(self, height_mm: float) -> tuple[float, State]:
+        """The effective pressure, MPa, at which the skin stands so high, by the secant rule; and its posture.
+
+        Raises:
+            NoEquilibrium: the skin balloons before.
+        """
+        pressure, state, height = 0.0, self.system.rest(), 0.0
+        # A membrane rises as the pressure's cube root, so the first steps are short.
+        guess = AIR_STEP_MPA
+        for _ in range(40):
+            new = self.inflate(guess, state, pressure)
+            slope = (self.height(new) - height) / (guess - pressure)
+            pressure, state, height = guess, new, self.height(new)
+            if abs(height - height_mm) < HEIGHT_TOLERANCE_MM:
+                return pressure, state
+            if not slope > 0.0:
+                break
+            guess = pressure + min((height_mm - height) / slope, 2 * AIR_STEP_MPA)
+        raise NoEquilibrium(f"no pressure holds the skin at {height_mm:g} mm")
 
     def height(self, state: State) -> float:
         """How far the upper face's highest node stands over the flat skin, mm."""
@@ -217,30 +249,30 @@ class Skin:
     def _go(
         self, state: State, pressure_mpa: float, before: np.ndarray, centre: np.ndarray
     ) -> tuple[State, np.ndarray]:
-        """From one indenter centre to the next, in halves of halves where need be."""
-        done, part = 0.0, 1.0
+        """From one indenter centre to the next, never in a jump, in halves of halves where need be."""
+        way = float(np.linalg.norm(centre - before))
+        done, part = 0.0, 1.0 / max(1, math.ceil(way / LONGEST_STEP_MM - 1e-9))
         force = np.zeros(3)
-        while done < 1.0:
-            old, new = before + done * (centre - before), before + (done + part) * (centre - before)
+        while done < 1.0 - 1e-9:
+            old, new = (before + share * (centre - before) for share in (done, done + part))
             load = Load(pressure_mpa, new, old, self.system.places(state))
             try:
                 state, force = self._settle(state, load)
             except NoEquilibrium:
                 self.statistics.halvings += 1
                 part /= 2
-                if part < SMALLEST_PART:
+                if part * way < SHORTEST_STEP_MM:
                     raise
                 continue
             done += part
         return state, force
 
-
-    def _settle(self, state: State, load: Load) -> tuple[State, np.ndarray]:
+    def _settle(self, state: State, load: Load, tolerance_n: float | None = None) -> tuple[State, np.ndarray]:
         """The balance near `state`, or the one that the skin snaps to; never one that the rod pierces."""
         try:
-            state, touch = self.equilibrium(state, load)
+            state, touch = self.equilibrium(state, load, tolerance_n)
         except NoEquilibrium:
-            state, touch = self.creep(state, load)
+            state, touch = self.creep(state, load, tolerance_n)
         if touch[3] > PIERCED * self.material.radius_mm:
             raise NoEquilibrium("the rod pierces the skin")
         self.statistics.deepest_mm = max(self.statistics.deepest_mm, float(touch[3]))
@@ -249,11 +281,11 @@ class Skin:
 
 def _mixed(history: list[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
     """Anderson's step from the last (unknowns, correction) pairs: the combination of least correction."""
-    unknowns, correction = history[-1]
+    correction = history[-1][1]
     if len(history) == 1:
         return correction.copy()
-    moves = np.array([b[0] - a[0] for a, b in zip(history[:-1], history[1:], strict=True)])
-    changes = np.array([b[1] - a[1] for a, b in zip(history[:-1], history[1:], strict=True)])
+    moves = np.array([b[0] - a[0] for a, b in pairwise(history)])
+    changes = np.array([b[1] - a[1] for a, b in pairwise(history)])
     normal = changes @ changes.T
     normal[np.diag_indices_from(normal)] *= 1 + 1e-10
     weights = np.linalg.lstsq(normal, changes @ correction, rcond=1e-12)[0]

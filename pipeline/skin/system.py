@@ -1,9 +1,10 @@
 """The skin's equations: nodes and rigid boards as one vector of unknowns, residual and tangent.
 
 A board is six unknowns: a displacement d of its centre and a rotation w since the last accepted position,
-so that a node of it with the arm r0 (rotated by what was accepted) lies at X_c + d + exp(w) r0. Virtual motion of
-that node: delta d + (T(w) delta w) x r, hence B = [I, -[r]x T]. Elements are summed into the upper triangle of one
-sparse matrix whose pattern never changes, with B^T K B wherever a node belongs to a board.
+so that a node of it with the arm r0 (rotated by what was accepted) lies at X_c + d + exp(w) r0. Virtual
+motion of that node: delta d + (T(w) delta w) x r, hence B = [I, -[r]x T]. Elements are summed into the
+upper triangle of one sparse matrix whose pattern never changes, with B^T K B wherever a node belongs to a
+board.
 """
 
 from dataclasses import dataclass, field
@@ -124,7 +125,9 @@ class System:
         """As `residual`; the tangent's upper triangle is then in `pattern`."""
         return self._assemble(state, load, True)
 
-    def _assemble(self, state: State, load: Load, wants_tangent: bool) -> tuple[np.ndarray | None, np.ndarray]:
+    def _assemble(
+        self, state: State, load: Load, wants_tangent: bool
+    ) -> tuple[np.ndarray | None, np.ndarray]:
         mesh, stuff = self.mesh, self.material
         places, motion = self._places(state)
         touched = load.centre is not None
@@ -275,7 +278,7 @@ def _sum_elements(
     data,
     total,
 ):
-    """Sums forces (nodes, 3), the tangent's data and the indenter's (4,). False if an element is inside out."""
+    """Sums forces (nodes, 3), the tangent's data, the indenter's (4,). False if one is inside out."""
     x = np.empty((3, 8))
     before = np.empty((3, 8))
     room = np.empty((8, 3, 8))

@@ -1,0 +1,181 @@
+"""Which lines an atlas needs, what mirror symmetry saves of them, and the solve of one.
+
+Results keep their positions in ascending order of the coordinate along the line, whatever the sense of
+motion.
+"""
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from scipy.interpolate import make_interp_spline
+
+from pipeline.sensor import Sensor
+from pipeline.skin.mesh import skin_mesh
+from pipeline.skin.solver import Skin, Statistics
+from pipeline.skin.system import Material, State
+
+# What is kept of a board's posture, against the untouched inflated skin: gravity in its frame (g), its
+# centre's displacement (mm), its turn about the skin's normal (rad). After the boards: the force on the
+# indenter (N).
+PER_BOARD = 7
+MIRROR_BOARD = (np.array([-1, 1, 1, -1, 1, 1, -1.0]), np.array([1, -1, 1, 1, -1, 1, -1.0]))
+MIRROR_FORCE = (np.array([-1, 1, 1.0]), np.array([1, -1, 1.0]))
+
+
+@dataclass(frozen=True)
+class Line:
+    """An indenter's line along axis 0 (x) or 1 (y), sense +1 or -1, at an offset along the other in mm."""
+
+    axis: int
+    sense: int
+    offset_mm: float
+
+    @property
+    def name(self) -> str:
+        return f"{'xy'[self.axis]}{'-0+'[self.sense + 1]}{self.offset_mm:+08.3f}"
+
+
+def reach_mm(sensor: Sensor) -> tuple[float, float]:
+    """Half sizes (x, y) beyond which an indenter's centre cannot touch the inflated skin."""
+    return (
+        sensor.chamber_mm[0] / 2 + sensor.indenter_diameter_mm / 2,
+        sensor.chamber_mm[1] / 2 + sensor.indenter_diameter_mm / 2,
+    )
+
+
+def mirrored_boards(sensor: Sensor, axis: int) -> tuple[int, ...] | None:
+    """The board that each becomes when the design is mirrored in x (0) or y (1); None if asymmetric."""
+    places = [(a.x_mm, a.y_mm) for a in sensor.accelerometers]
+    images = [(-x, y) if axis == 0 else (x, -y) for x, y in places]
+    found = [
+        next((n for n, place in enumerate(places) if math.dist(place, image) < 1e-9), -1) for image in images
+    ]
+    return None if -1 in found else tuple(found)
+
+
+def lines(offsets: tuple[np.ndarray, np.ndarray], sensor: Sensor) -> list[Line]:
+    """Every line along x at the given y, and along y at the given x, forward and backward, that touches."""
+    reach = reach_mm(sensor)
+    return [
+        Line(axis, sense, float(offset))
+        for axis in (0, 1)
+        for sense in (1, -1)
+        for offset in offsets[1 - axis]
+        if abs(offset) < reach[1 - axis] - 1.0
+    ]
+
+
+def representative(line: Line, sensor: Sensor) -> tuple[Line, tuple[int, ...]]:
+    """The line to be solved in this one's stead, and the axes to mirror its result in."""
+    axes = []
+    for axis in (0, 1):
+        if mirrored_boards(sensor, axis) is None:
+            continue
+        if axis == line.axis and line.sense < 0:
+            line = Line(line.axis, 1, line.offset_mm)
+            axes.append(axis)
+        elif axis != line.axis and line.offset_mm < 0:
+            line = Line(line.axis, line.sense, -line.offset_mm)
+            axes.append(axis)
+    return line, tuple(axes)
+
+
+def mirror(values: np.ndarray, line: Line, axis: int, sensor: Sensor) -> np.ndarray:
+    """Results (positions, channels) of the mirrored line."""
+    boards = len(sensor.accelerometers)
+    other = mirrored_boards(sensor, axis)
+    assert other is not None
+    posture = values[:, : PER_BOARD * boards].reshape(-1, boards, PER_BOARD)[:, list(other)]
+    result = np.concatenate(
+        [
+            (posture * MIRROR_BOARD[axis]).reshape(len(values), -1),
+            values[:, PER_BOARD * boards :] * MIRROR_FORCE[axis],
+        ],
+        axis=1,
+    )
+    return result[::-1] if axis == line.axis else result
+
+
+@lru_cache(maxsize=1)
+def skin_of(sensor: Sensor) -> Skin:
+    """The skin of a design; a process keeps the last one, with its sparse pattern analysed."""
+    material = Material(
+        sensor.skin.shear_modulus_mpa,
+        sensor.skin.bulk_modulus_mpa,
+        sensor.skin.friction,
+        sensor.indenter_diameter_mm / 2,
+    )
+    return Skin(skin_mesh(sensor), material)
+
+
+def gravity(rotations: np.ndarray) -> np.ndarray:
+    """Gravity (boards, 3) g that accelerometers at these board rotations (boards, 3, 3) read.
+
+    The accelerometer's x and y point against the board's, so that pressing at x < x_ref, which lowers the
+    board's left side, lowers vx as in the article; z points out of the skin.
+    """
+    return rotations[:, 2, :] * np.array([-1.0, -1.0, 1.0])
+
+
+def solve_line(
+    sensor: Sensor, line: Line, along_mm: np.ndarray, depth_mm: float, pressure_mpa: float, inflated: State
+) -> tuple[np.ndarray, Statistics]:
+    """Slides the indenter once, `depth_mm` below the flat skin's upper face, over `along_mm` (n,) ascending.
+
+    Returns:
+        (n, channels) as `PER_BOARD` says, nan where no equilibrium was found; what it cost.
+    """
+    skin = skin_of(sensor)
+    skin.statistics = Statistics()
+    centres = np.empty((len(along_mm), 3))
+    centres[:, line.axis] = along_mm[:: line.sense]
+    centres[:, 1 - line.axis] = line.offset_mm
+    centres[:, 2] = sensor.skin_thickness_mm + sensor.indenter_diameter_mm / 2 - depth_mm
+    postures, forces = skin.slide(inflated, pressure_mpa, centres)
+    boards = len(sensor.accelerometers)
+    values = np.full((len(centres), PER_BOARD * boards + 3), np.nan)
+    for n, posture in enumerate(postures):
+        if posture is not None:
+            values[n] = np.concatenate([channels(skin, posture, inflated), forces[n]])
+    return values[:: line.sense], skin.statistics
+
+
+def channels(skin: Skin, posture: State, inflated: State) -> np.ndarray:
+    """One posture against the inflated skin's, (boards * PER_BOARD,)."""
+    rows = []
+    tilt = gravity(posture.rotations) - gravity(inflated.rotations)
+    for n, change in enumerate(tilt):
+        moved = (posture.unknowns - inflated.unknowns)[skin.system.board_slice(n)][:3]
+        yaw = [math.atan2(r[1, 0], r[0, 0]) for r in (posture.rotations[n], inflated.rotations[n])]
+        rows.append(np.array([*change, *moved, yaw[0] - yaw[1]]))
+    return np.concatenate(rows)
+
+
+def join_families(
+    along: tuple[np.ndarray, np.ndarray], across: tuple[np.ndarray, np.ndarray], grids: tuple[np.ndarray, ...]
+) -> np.ndarray:
+    """One field and its friction parts from two families of lines, by transfinite (Gordon) interpolation.
+
+    With P_y the spline across the lines along x, and P_x the other way, the mean is P_y A + P_x B - P_x P_y
+    (A+B)/2: it has the accuracy of the fine spacing along the lines in both directions.
+
+    Args:
+        along: lines along x forward and backward, each (nx, lines, channels).
+        across: lines along y forward and backward, each (lines, ny, channels).
+        grids: x (nx,), y (ny,), and the lines' y and x, which are among them.
+
+    Returns:
+        (3, nx, ny, channels): mean, fx, fy.
+    """
+    x, y, line_y, line_x = grids
+    mean_x, part_x = (along[0] + along[1]) / 2, (along[0] - along[1]) / 2
+    mean_y, part_y = (across[0] + across[1]) / 2, (across[0] - across[1]) / 2
+    on_x = np.searchsorted(x, line_x - 1e-9)
+    on_y = np.searchsorted(y, line_y - 1e-9)
+    over_y = lambda values: make_interp_spline(line_y, values, axis=1)(y)  # noqa: E731
+    over_x = lambda values: make_interp_spline(line_x, values, axis=0)(x)  # noqa: E731
+    crossing = (mean_x[on_x] + mean_y[:, on_y]) / 2
+    mean = over_y(mean_x) + over_x(mean_y) - over_x(over_y(crossing))
+    return np.stack([mean, over_y(part_x), over_x(part_y)])

@@ -1,0 +1,201 @@
+"""The skin's mechanics against laws and known solutions."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import scipy.sparse as sparse
+from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
+
+from pipeline.sensor import Accelerometer, MeshSize, Sensor
+from pipeline.skin import material
+from pipeline.skin.linear import linear_solver
+from pipeline.skin.mesh import Mesh, plate, skin_mesh
+from pipeline.skin.solver import NoEquilibrium, Skin
+from pipeline.skin.survey import Line, gravity, mirror, solve_line
+from pipeline.skin.system import Load, Material, State, System
+
+ECOFLEX = Material(0.07 / 3, 2.0, 0.2, 3.0)
+AIR_MPA = 0.001
+
+
+def sensor(*places: tuple[float, float], size_mm: float = 5.0) -> Sensor:
+    parts = tuple(Accelerometer(f"a{n}", x, y) for n, (x, y) in enumerate(places))
+    return Sensor("s", 1000.0, (50.0, 50.0), 4.0, 6.0, 0.035, (5.0, 0.0), 5e-4, parts, mesh=MeshSize(size_mm))
+
+
+def bare_plate(cells: int, thickness: float, half: float = 25.0, layers: int = 3) -> Mesh:
+    line = np.linspace(-half, half, cells + 1)
+    return plate(line, line, np.linspace(0, thickness, layers + 1), np.empty((0, 2)), np.ones(2), (0, 0))
+
+
+@pytest.fixture(scope="module")
+def skin() -> Skin:
+    return Skin(skin_mesh(sensor((5.0, 0.0))), ECOFLEX)
+
+
+def element_forces(nodes: np.ndarray, mesh: Mesh) -> np.ndarray:
+    gradients, volumes = mesh.gradients
+    gradients = np.ascontiguousarray(gradients.transpose(0, 1, 3, 2))
+    forces = np.zeros_like(nodes)
+    force, stiffness, room = np.empty((3, 8)), np.empty((8, 3, 3, 8)), np.empty((8, 3, 8))
+    for element, g, v in zip(mesh.elements, gradients, volumes, strict=True):
+        x = np.ascontiguousarray(nodes[element].T)
+        assert material.element(x, g, v, 0.02, 2.0, False, room, force, stiffness)
+        forces[element] += force.T
+    return forces
+
+
+def test_patch_of_distorted_elements_carries_a_homogeneous_strain():
+    mesh = bare_plate(3, 6.0, half=3.0)
+    inside = ~mesh.clamped & (mesh.nodes[:, 2] > 0.1) & (mesh.nodes[:, 2] < 5.9)
+    shaken = mesh.nodes + inside[:, None] * np.random.default_rng(1).uniform(-0.3, 0.3, mesh.nodes.shape)
+    mesh = replace(mesh, nodes=shaken)
+    strain = np.array([[1.2, 0.1, 0.0], [0.05, 0.9, 0.2], [0.0, -0.1, 1.1]])
+    assert inside.sum() == 8
+    assert np.abs(element_forces(shaken @ strain.T, mesh)[inside]).max() < 1e-12
+    bent = shaken @ strain.T + 0.02 * shaken[:, :1] ** 2
+    assert np.abs(element_forces(bent, mesh)[inside]).max() > 1e-4
+
+
+def test_tangent_is_the_residual_s_derivative(skin):
+    system = System(skin.mesh, replace(ECOFLEX, friction=0.0))
+    random = np.random.default_rng(2)
+    state = system.accept(State(random.normal(size=system.size) * 0.05, system.rest().rotations))
+    load = Load(AIR_MPA, np.array([3.0, 1.3, 6.0]))
+    assert system.tangent(state, load)[1][2] > 0.01
+    matrix = (system.pattern + sparse.triu(system.pattern, 1).T).tocsc()
+    step = 1e-6
+    for column in [*random.integers(0, system.size - 6, 20), *range(system.size - 6, system.size)]:
+        move = np.zeros(system.size)
+        move[column] = step
+        ahead, behind = (
+            system.residual(State(state.unknowns + s * move, state.rotations), load)[0] for s in (1, -1)
+        )
+        slope = (ahead - behind) / (2 * step)
+        assert np.abs(slope - matrix[:, [column]].toarray().ravel()).max() < 1e-6 * np.abs(slope).max() + 1e-8
+
+
+def membrane_height(pressure: float, radius: float, thickness: float, shear: float) -> float:
+    """A clamped circular neo-Hookean membrane (Adkins and Rivlin 1952), by shooting on the pole's stretch."""
+
+    def meridional_stretch(tension: float, hoop: float) -> float:
+        return brentq(lambda m: shear * thickness * (m / hoop - 1 / (m * hoop) ** 3) - tension, 0.5, 20)
+
+    def profile(pole: float) -> tuple[float, float]:
+        def slope(place: float, state: np.ndarray) -> list[float]:
+            r, _, angle, tension = state
+            hoop = r / place
+            stretch = meridional_stretch(tension, hoop)
+            hoop_tension = shear * thickness * (hoop / stretch - 1 / (stretch * hoop) ** 3)
+            curvature = (pressure - hoop_tension * np.sin(angle) / r) / tension
+            dr = stretch * np.cos(angle)
+            return [dr, stretch * np.sin(angle), stretch * curvature, dr * (hoop_tension - tension) / r]
+
+        near = 1e-4 * radius
+        tension = shear * thickness * (1 - pole**-6)
+        first = [pole * near, 0.0, pole * near * pressure / (2 * tension), tension]
+        end = solve_ivp(slope, (near, radius), first, rtol=1e-8, atol=1e-10).y[:, -1]
+        return end[0], end[1]
+
+    pole = brentq(lambda p: profile(p)[0] - radius, 1.05, 1.4)
+    return profile(pole)[1]
+
+
+def test_inflated_disc_is_the_membrane_of_adkins_and_rivlin():
+    radius, thickness, pressure = 25.0, 0.5, 1.6e-4
+    mesh = bare_plate(16, thickness, half=1.0, layers=1)
+    u, v = mesh.nodes[:, 0], mesh.nodes[:, 1]
+    disc = np.column_stack(
+        [radius * u * np.sqrt(1 - v**2 / 2), radius * v * np.sqrt(1 - u**2 / 2), mesh.nodes[:, 2]]
+    )
+    skin = Skin(replace(mesh, nodes=disc), ECOFLEX)
+    known = membrane_height(pressure, radius, thickness, ECOFLEX.shear_mpa)
+    assert known > 6.0
+    assert skin.height(skin.inflate(pressure)) == pytest.approx(known, rel=0.02)
+    wrong = Skin(replace(mesh, nodes=disc), replace(ECOFLEX, shear_mpa=1.2 * ECOFLEX.shear_mpa))
+    assert wrong.height(wrong.inflate(pressure)) != pytest.approx(known, rel=0.02)
+
+
+def test_refinement_converges_at_the_element_s_order():
+    heights = []
+    for cells in (6, 12, 24):
+        skin = Skin(bare_plate(cells, 4.0, layers=2), ECOFLEX)
+        heights.append(skin.height(skin.inflate(3e-4)))
+    # Trilinear elements have order 2 where the solution is smooth; the clamped edge is singular.
+    order = np.log2((heights[1] - heights[0]) / (heights[2] - heights[1]))
+    assert 1.2 < order < 2.5
+
+
+def slide(design: Sensor, line: Line, friction: float) -> np.ndarray:
+    design = replace(design, skin=replace(design.skin, friction=friction))
+    skin = Skin(skin_mesh(design), replace(ECOFLEX, friction=friction))
+    along = np.arange(-30, 30.1, 1.25)
+    return solve_line(design, line, along, 0.5, AIR_MPA, skin.inflate(AIR_MPA))[0]
+
+
+def test_without_friction_the_way_does_not_matter():
+    design = sensor((5.0, 0.0))
+    forward, backward = (slide(design, Line(0, sense, 2.0), 0.0)[:, :3] for sense in (1, -1))
+    assert np.ptp(forward[:, 0]) > 0.3
+    assert np.abs(forward - backward).max() < 1e-3
+    rough, rough_back = (slide(design, Line(0, sense, 2.0), 0.2)[:, :3] for sense in (1, -1))
+    assert np.abs(rough - rough_back).max() > 5e-3
+
+
+@pytest.mark.parametrize(
+    ("axis", "line"), [(1, Line(0, 1, 7.5)), (1, Line(1, -1, 7.5)), (0, Line(0, -1, 2.0))]
+)
+def test_mirrored_lines_give_mirrored_postures(axis, line):
+    design = sensor((5.0, 0.0)) if axis == 1 else sensor((-8.0, 0.0), (8.0, 0.0))
+    other = Line(0, 1, line.offset_mm) if axis == line.axis == 0 else replace(line, offset_mm=-line.offset_mm)
+    if axis == line.axis == 1:
+        other = Line(1, 1, line.offset_mm)
+    found, mirrored = slide(design, line, 0.2), mirror(slide(design, other, 0.2), line, axis, design)
+    assert np.abs(found[:, :3]).max() > 0.05
+    assert np.abs(found - mirrored).max() < 2e-3
+    assert np.abs(found - mirrored[::-1]).max() > 0.02
+
+
+def test_skin_is_at_rest_where_a_line_ends(skin):
+    values = slide(sensor((5.0, 0.0)), Line(0, 1, 0.0), 0.2)
+    assert np.abs(values[:, :3]).max() > 0.2
+    assert np.abs(values[[0, -1]]).max() < 1e-4
+    assert values[:, -1].min() > -1e-9
+
+
+def test_a_jump_into_the_dome_is_refused_and_not_taken_for_an_equilibrium(skin):
+    inflated = skin.inflate(AIR_MPA)
+    centres = np.array([[-30.0, 0, 6.5], [0.0, 0, 6.5]])
+    steps = np.column_stack([np.arange(-30, 0.1, 1.25), np.zeros(25), np.full(25, 6.5)])
+    true = skin.slide(inflated, AIR_MPA, steps)[0][-1]
+    assert true is not None
+    jumped = skin.slide(inflated, AIR_MPA, centres)[0][-1]
+    assert jumped is not None
+    assert np.abs(gravity(jumped.rotations) - gravity(true.rotations)).max() < 1e-4
+    with pytest.raises(NoEquilibrium, match="pierces"):
+        skin._settle(inflated, Load(AIR_MPA, np.array([0.0, 0.0, -3.0])))
+
+
+def test_both_linear_solvers_agree(skin):
+    system = skin.system
+    right, _ = system.tangent(skin.inflate(AIR_MPA), Load(1.1 * AIR_MPA))
+    answers = []
+    for name in ("pardiso", "superlu"):
+        try:
+            solver = linear_solver(name)
+        except ImportError:
+            pytest.skip("MKL is not installed")
+        solver.factor(system.pattern)
+        assert solver.negative == 0
+        answers.append(solver.solve(right))
+    assert np.abs(answers[0] - answers[1]).max() < 1e-9 * np.abs(answers[0]).max()
+
+
+def test_height_is_reached_by_pressure_and_a_balloon_is_refused(skin):
+    pressure, state = skin.inflate_to(6.0)
+    assert skin.height(state) == pytest.approx(6.0, abs=2e-3)
+    assert 6e-4 < pressure < 1e-3
+    with pytest.raises(NoEquilibrium, match="balloons"):
+        skin.inflate(0.02)
