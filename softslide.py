@@ -43,6 +43,27 @@ def _parser() -> argparse.ArgumentParser:
     )
     load.set_defaults(run=_import)
 
+    simulate = commands.add_parser(
+        "simulate",
+        help="solve the skin: the response atlas of a sensor design",
+        description="Slides an indenter over the inflated skin along lines in both axes and both ways, at each "
+        "depth (mm) and skin height (mm) or effective pressure (MPa) of the design, and writes what every board "
+        "reads. An interrupted solve resumes from the lines it finished.",
+    )
+    simulate.add_argument(
+        "--sensor", type=Path, metavar="sensor.toml", help="the design (default: the article's sensor)"
+    )
+    simulate.add_argument("--out", type=Path, required=True, metavar="ATLAS", help="the .npz to write")
+    simulate.add_argument("--coarse", action="store_true", help="minutes instead of an hour, for a first look")
+    simulate.add_argument(
+        "--depth", type=float, nargs="+", metavar="MM", help="contact depths in mm (default: 0.2 0.6 1.2)"
+    )
+    simulate.add_argument("--workers", type=int, default=2, metavar="N", help="processes (default: %(default)s)")
+    simulate.add_argument(
+        "--backend", choices=("loky", "dask"), default="loky", help="who runs them (default: %(default)s)"
+    )
+    simulate.set_defaults(run=_simulate)
+
     return parser
 
 
@@ -72,6 +93,15 @@ def _import(arguments: argparse.Namespace) -> int:
         print(note, file=sys.stderr)
     resumed = f", {done.resumed} of them finished before" if done.resumed else ""
     print(f"{done.out}: {done.recordings} recordings imported{resumed}")
+    return 0
+
+
+def _simulate(arguments: argparse.Namespace) -> int:
+    from pipeline.solve import simulate
+
+    simulate(
+        arguments.sensor, arguments.out, arguments.coarse, arguments.depth, arguments.workers, arguments.backend
+    )
     return 0
 
 
