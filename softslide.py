@@ -64,6 +64,43 @@ def _parser() -> argparse.ArgumentParser:
     )
     simulate.set_defaults(run=_simulate)
 
+    evaluate = commands.add_parser(
+        "evaluate",
+        help="score a bundle on a folder of recordings against the article's bounds",
+        description="Runs the exported bundle over recordings with the device's own runtime. Writes "
+        "predictions.csv, metrics.json and report.html. Exit status 1: a bound of the article is not met.",
+    )
+    evaluate.add_argument("--model", type=Path, required=True, metavar="BUNDLE", help="a bundle from 'train'")
+    evaluate.add_argument("--recordings", type=Path, required=True, metavar="DIR", help="what to score on")
+    evaluate.add_argument(
+        "--split",
+        nargs="+",
+        action="extend",
+        metavar="NAME",
+        help="splits to score, by their full names (default: all that begin with test)",
+    )
+    evaluate.add_argument("--out", type=Path, required=True, metavar="DIR", help="where the results go")
+    evaluate.add_argument(
+        "--jobs", type=int, default=2, metavar="N", help="recordings at a time (default: %(default)s)"
+    )
+    evaluate.set_defaults(run=_evaluate)
+
+    predict = commands.add_parser(
+        "predict",
+        help="one JSON line a recording",
+        description="The estimate at each recording's end as a line of JSON: angles in degrees (deg), lengths in "
+        "mm, speed in mm/s, time in s; lo and hi bound a 90 %% interval; null where nothing is estimated.",
+    )
+    predict.add_argument("--model", type=Path, required=True, metavar="BUNDLE", help="a bundle from 'train'")
+    predict.add_argument(
+        "files",
+        nargs="+",
+        type=Path,
+        metavar="FILE",
+        help="CSV with time_s (s) and a0_vx, a0_vy, a0_vz, ... (V), or Parquet (needs the io extra)",
+    )
+    predict.set_defaults(run=_predict)
+
     return parser
 
 
@@ -93,6 +130,27 @@ def _import(arguments: argparse.Namespace) -> int:
         print(note, file=sys.stderr)
     resumed = f", {done.resumed} of them finished before" if done.resumed else ""
     print(f"{done.out}: {done.recordings} recordings imported{resumed}")
+    return 0
+
+
+def _evaluate(arguments: argparse.Namespace) -> int:
+    from experiments.evaluate import evaluate
+
+    result = evaluate(
+        arguments.model, arguments.recordings, arguments.split, arguments.out, jobs=arguments.jobs
+    )
+    print(f"softslide evaluate: wrote {arguments.out}/report.html", file=sys.stderr)
+    print("\n".join(verdict.line() for verdict in result.verdicts))
+    return 0 if result.met else 1
+
+
+def _predict(arguments: argparse.Namespace) -> int:
+    import json
+
+    from serve.predict import predict
+
+    for line in predict(arguments.model, arguments.files):
+        print(json.dumps(line, allow_nan=False), flush=True)
     return 0
 
 

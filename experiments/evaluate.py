@@ -1,0 +1,120 @@
+"""Batch evaluation of an exported bundle, through the device's own runtime, against the article's bounds."""
+
+import json
+import math
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+from tqdm import tqdm
+
+from experiments.bounds import Verdict, check, read_bounds
+from experiments.readout import predictions
+from experiments.report import write_report
+from experiments.scoring import along_the_stroke, by_direction, by_distance, by_speed, score, summary
+from features.errors import InputError
+from pipeline.recordings import Folder, read_folder
+from pipeline.staging import staged
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """What `evaluate` found: `metrics.json` as a dictionary, and each bound's verdict."""
+
+    metrics: dict[str, Any]
+    verdicts: tuple[Verdict, ...]
+
+    @property
+    def met(self) -> bool:
+        """Whether no bound is missed; one that no recording tests is not missed."""
+        return all(verdict.met is not False for verdict in self.verdicts)
+
+
+def evaluate(
+    bundle: Path, recordings: Path, splits: Sequence[str] | None, out: Path, jobs: int = 2
+) -> Evaluation:
+    """Writes `predictions.csv`, `metrics.json` and `report.html` to `out`, whole or not at all.
+
+    splits: the splits to score, by their full names; those that begin with `test` if None.
+
+    Raises:
+        InputError: the bundle, the folder or a recording is not what the contract says, or no such split.
+    """
+    folder = _chosen(read_folder(recordings), splits)
+    bounds = read_bounds()
+    with staged(out) as scratch:
+        rows = tqdm(
+            predictions(bundle, folder, jobs),
+            total=len(folder),
+            desc=f"localizing with {bundle.name}",
+            unit="recording",
+            disable=not sys.stderr.isatty(),
+        )
+        table = pd.concat(rows, ignore_index=True)
+        write_predictions(scratch / "predictions.csv", table)
+        scored = score(table, folder.manifest, folder.sensor)
+        verdicts = tuple(check(bound, scored) for bound in bounds)
+        metrics = measure(scored, verdicts) | {"bundle": _bundle(bundle), "sensor": folder.sensor.name}
+        text = json.dumps(_finite(metrics), indent=1, allow_nan=False)
+        (scratch / "metrics.json").write_text(text + "\n", encoding="utf-8")
+        write_report(scratch / "report.html", metrics, scored)
+    return Evaluation(metrics, verdicts)
+
+
+def measure(scored: pd.DataFrame, verdicts: Sequence[Verdict]) -> dict[str, Any]:
+    """`metrics.json`: bounds, then errors overall, for each split, direction, distance and speed.
+
+    `overall` and each of `splits` hold a summary for each stroke fraction; the others are at the end of the
+    stroke.
+    """
+    end = scored[scored["stroke_fraction"] == 1.0]
+    return {
+        "bounds": [verdict.as_json() for verdict in verdicts],
+        "overall": along_the_stroke(scored),
+        "splits": {str(name): along_the_stroke(rows) for name, rows in scored.groupby("split")},
+        "end_of_stroke": summary(end),
+        "by_direction": by_direction(end),
+        "by_distance": by_distance(end),
+        "by_speed": by_speed(end),
+    }
+
+
+def write_predictions(path: Path, table: pd.DataFrame) -> None:
+    """Writes the contract's columns: nine significant digits, true or false, empty where not estimated."""
+    shown = table.assign(
+        stroke_fraction=table["stroke_fraction"].map("{:.1f}".format),
+        valid=table["valid"].map({True: "true", False: "false"}),
+    )
+    shown.to_csv(path, index=False, float_format="%.9g", lineterminator="\n")
+
+
+def _chosen(folder: Folder, splits: Sequence[str] | None) -> Folder:
+    present = sorted(set(folder.manifest["split"]))
+    place = f"{folder.root / 'manifest.csv'}: it has the splits {', '.join(present)}"
+    if splits is None:
+        chosen = folder.select("test")
+        if not len(chosen):
+            raise InputError(f"{place}, none begins with 'test'; name one with --split")
+        return chosen
+    if unknown := [split for split in splits if split not in present]:
+        raise InputError(f"{place}, not '{unknown[0]}'; name one of these")
+    return replace(folder, manifest=folder.manifest[folder.manifest["split"].isin(splits)])
+
+
+def _bundle(bundle: Path) -> dict[str, Any]:
+    """The bundle's name and card, so that a report says what it is about."""
+    return {"name": bundle.name, "card": json.loads((bundle / "model.json").read_text(encoding="utf-8"))}
+
+
+def _finite(value: Any) -> Any:
+    """The same with null for every number that is not finite, since JSON knows none."""
+    if isinstance(value, dict):
+        return {key: _finite(inner) for key, inner in value.items()}
+    if isinstance(value, list):
+        return [_finite(inner) for inner in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

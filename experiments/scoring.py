@@ -1,0 +1,176 @@
+"""Errors of predictions against a manifest's labels, and their summaries.
+
+An estimate that its model marks as not valid is no estimate: it enters no error, and is counted as missing.
+"""
+
+from collections.abc import Callable
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from pipeline.sensor import Sensor
+
+# What is scored, and the unit each error is shown in.
+QUANTITIES = {
+    "direction_deg": "deg",
+    "speed_percent": "%",
+    "offset_mm": "mm",
+    "offset_percent": "%",
+    "position_mm": "mm",
+    "position_percent": "%",
+}
+# Quantities with an interval, by the contract's column.
+INTERVALS = ("direction_deg", "speed_mm_s", "offset_mm")
+# A slide this close to an axis counts as one of the article's X- or Y-slides.
+AXIS_TOLERANCE_DEG = 1.0
+
+
+def turn(degrees: pd.Series) -> pd.Series:
+    """Angles as the shortest turn, in (-180, 180] deg."""
+    return 180.0 - (180.0 - degrees) % 360.0
+
+
+def score(predictions: pd.DataFrame, manifest: pd.DataFrame, sensor: Sensor) -> pd.DataFrame:
+    """Joins the labels to the predictions and adds one column of absolute errors for each of QUANTITIES.
+
+    predictions: the contract's columns; manifest: `Folder.manifest`. The labels' columns get the prefix
+    `true_`. `offset_percent` is relative to the line's distance. `position_percent` is the article's: the
+    larger of the error along the motion over the travel since the chamber's edge, and of the distance's.
+    `travelled_mm` is that travel. `*_covered` tells whether an interval holds the label, 0 or 1. NaN where
+    there is no label or no valid estimate.
+    """
+    labels = manifest.drop(columns="file").add_prefix("true_").rename(columns={"true_split": "split"})
+    table = predictions.join(labels, on="recording")
+    estimated = table.where(table["valid"].astype(bool))
+    direction = np.deg2rad(table["true_direction_deg"])
+    along_x, along_y = np.cos(direction), np.sin(direction)
+
+    turned = turn(estimated["direction_deg"] - table["true_direction_deg"])
+    table["direction_deg_error"] = np.abs(turned)
+    ratio = estimated["speed_mm_s"] / table["true_speed_mm_s"]
+    table["speed_percent_error"] = 100 * (ratio - 1).abs()
+    off = (estimated["offset_mm"] - table["true_offset_mm"]).abs()
+    table["offset_mm_error"] = off
+    table["offset_percent_error"] = _percent(off, table["true_offset_mm"].abs())
+
+    path = table["stroke_fraction"] * table["true_travel_mm"]
+    dx = estimated["x_mm"] - (table["true_start_x_mm"] + path * along_x)
+    dy = estimated["y_mm"] - (table["true_start_y_mm"] + path * along_y)
+    table["travelled_mm"] = path - _entry(table, sensor)
+    table["position_mm_error"] = np.hypot(dx, dy)
+    forward = _percent((dx * along_x + dy * along_y).abs(), table["travelled_mm"])
+    sideways = _percent((dy * along_x - dx * along_y).abs(), table["true_offset_mm"].abs())
+    table["position_percent_error"] = np.maximum(forward, sideways)
+
+    for column in INTERVALS:
+        stem, unit = column.split("_", 1)
+        low, high = estimated[f"{stem}_lo_{unit}"], estimated[f"{stem}_hi_{unit}"]
+        truth = table[f"true_{column}"]
+        if column == "direction_deg":
+            # Measured from the lower bound, so that an interval across 0 degrees needs no case of its own.
+            inside = ((truth - low) % 360.0 <= (high - low) % 360.0) | (high - low >= 360.0)
+        else:
+            inside = (low <= truth) & (truth <= high)
+        table[f"{column}_covered"] = inside.astype(float).where(low.notna() & high.notna() & truth.notna())
+    return table
+
+
+def summary(scored: pd.DataFrame) -> dict[str, Any]:
+    """Mean, 95th percentile and maximum of each quantity's error over the rows, with the worst recording.
+
+    `recordings` and `valid_share` count all rows; each quantity's `n` those with an estimate and a label.
+    """
+    result: dict[str, Any] = {
+        "recordings": int(scored["recording"].nunique()),
+        "valid_share": float(scored["valid"].mean()) if len(scored) else None,
+    }
+    for quantity in QUANTITIES:
+        error = scored[f"{quantity}_error"].dropna()
+        result[quantity] = {"n": len(error)}
+        if len(error):
+            result[quantity] |= {
+                "mean": float(error.mean()),
+                "p95": float(np.percentile(error, 95)),
+                "max": float(error.max()),
+                "worst": str(scored["recording"][error.index[int(error.argmax())]]),
+            }
+    for column in INTERVALS:
+        covered = scored[f"{column}_covered"].dropna()
+        result[f"{column}_coverage"] = {"n": len(covered)}
+        if len(covered):
+            result[f"{column}_coverage"]["share"] = float(covered.mean())
+    return result
+
+
+def along_the_stroke(scored: pd.DataFrame) -> dict[str, dict[str, Any]]:
+    """A summary for each stroke fraction, keyed 0.1, 0.2, ... 1.0."""
+    return {f"{fraction:.1f}": summary(rows) for fraction, rows in scored.groupby("stroke_fraction")}
+
+
+def grouped(
+    scored: pd.DataFrame, key: Callable[[pd.DataFrame], pd.Series], names: tuple[str, ...]
+) -> dict[str, dict[str, Any]]:
+    """A summary for each of the groups `names`, in this order, that `key` assigns to some row."""
+    groups = key(scored)
+    return {name: summary(scored[groups == name]) for name in names if (groups == name).any()}
+
+
+def by_direction(scored: pd.DataFrame) -> dict[str, dict[str, Any]]:
+    """The article's four directions, and what lies between them."""
+    between = ("0 to 90 deg", "90 to 180 deg", "180 to 270 deg", "270 to 360 deg")
+    axes = ("X forward", "Y forward", "X backward", "Y backward")
+
+    def key(rows: pd.DataFrame) -> pd.Series:
+        direction = rows["true_direction_deg"]
+        names = pd.Series("", index=rows.index)
+        for quarter, (name, sector) in enumerate(zip(axes, between, strict=True)):
+            near = np.abs(turn(direction - 90 * quarter)) < AXIS_TOLERANCE_DEG
+            names[(direction // 90 == quarter) & (names == "")] = sector
+            names[near] = name
+        return names
+
+    return grouped(scored, key, (*axes, *between))
+
+
+def by_distance(scored: pd.DataFrame) -> dict[str, dict[str, Any]]:
+    """Bins of the line's distance from the reference point, cut where the article's areas end."""
+    return _binned(scored, scored["true_offset_mm"].abs(), (0, 2.5, 5, 10, 17.5, 25), "mm")
+
+
+def by_speed(scored: pd.DataFrame) -> dict[str, dict[str, Any]]:
+    """Bins of speed: three up to the article's 4 mm/s, two beyond."""
+    return _binned(scored, scored["true_speed_mm_s"], (0, 1, 2, 4, 8, 13), "mm/s")
+
+
+def _binned(scored: pd.DataFrame, values: pd.Series, edges: tuple[float, ...], unit: str) -> dict[str, Any]:
+    inner = [f"{low:g} to {high:g} {unit}" for low, high in pairwise(edges)]
+    names = (*inner, f"over {edges[-1]:g} {unit}")
+    bins = pd.cut(values, [*edges, np.inf], labels=list(names), include_lowest=True).astype(object)
+    return grouped(scored, lambda rows: bins.loc[rows.index], names)
+
+
+def _percent(error: pd.Series, size: pd.Series) -> pd.Series:
+    """error / size in percent; NaN where size is not positive."""
+    return 100 * error / size.where(size > 0)
+
+
+def _entry(table: pd.DataFrame, sensor: Sensor) -> pd.Series:
+    """Distance in mm from each slide's start to where its line enters the chamber; NaN if it never does."""
+    direction = np.deg2rad(table["true_direction_deg"].to_numpy())
+    enter = np.full(len(table), -np.inf)
+    leave = np.full(len(table), np.inf)
+    for size, start, heading in (
+        (sensor.chamber_mm[0], table["true_start_x_mm"].to_numpy(), np.cos(direction)),
+        (sensor.chamber_mm[1], table["true_start_y_mm"].to_numpy(), np.sin(direction)),
+    ):
+        # A heading of nothing but rounding would be divided by: the line then runs along this side.
+        across = np.abs(heading) > 1e-9
+        step = np.where(across, heading, 1.0)
+        ends = np.sort([(-size / 2 - start) / step, (size / 2 - start) / step], axis=0)
+        beside = np.where(np.abs(start) <= size / 2, -np.inf, np.inf)
+        enter = np.maximum(enter, np.where(across, ends[0], beside))
+        leave = np.minimum(leave, np.where(across, ends[1], np.inf))
+    known = (enter <= leave) & np.isfinite(enter)
+    return pd.Series(np.where(known, enter, np.nan), index=table.index)

@@ -1,0 +1,89 @@
+"""A real bundle whose graph is one matrix product: its answers can be worked out by hand."""
+
+import hashlib
+import math
+from pathlib import Path
+
+import numpy as np
+import onnx
+import onnxruntime as ort
+from onnx import TensorProto, helper, numpy_helper
+
+from features.card import Card, Interval, Validity, write_card
+from features.conditioning import Conditioning
+from features.window import WINDOW_BINS
+from pipeline.sensor import Sensor
+
+OUTPUTS = ("direction_cos", "direction_sin", "log_speed", "offset_mm", "along_mm")
+
+
+def write_small_bundle(
+    folder: Path,
+    sensor: Sensor,
+    *,
+    direction_deg: float = 30.0,
+    speed_mm_s: float = 2.0,
+    offset_mm: float = 5.0,
+    offset_mm_per_v: float = 0.0,
+    outputs: tuple[str, ...] = OUTPUTS,
+) -> Path:
+    """Always the same direction and speed; the offset grows with the mean of the first channel's window."""
+    size = len(sensor.channels) * WINDOW_BINS
+    answer = {
+        "direction_cos": math.cos(math.radians(direction_deg)),
+        "direction_sin": math.sin(math.radians(direction_deg)),
+        "log_speed": math.log(speed_mm_s),
+        "offset_mm": offset_mm,
+        "along_mm": 0.0,
+    }
+    weights = np.zeros((size, len(outputs)), np.float32)
+    weights[:WINDOW_BINS, outputs.index("offset_mm")] = offset_mm_per_v / WINDOW_BINS
+    bias = np.array([answer[name] for name in outputs], np.float32)
+    graph = helper.make_graph(
+        [
+            helper.make_node("Flatten", ["volts"], ["flat"]),
+            helper.make_node("Gemm", ["flat", "weights", "bias"], ["estimate"]),
+        ],
+        "small",
+        [
+            helper.make_tensor_value_info(
+                "volts", TensorProto.FLOAT, ["B", len(sensor.channels), WINDOW_BINS]
+            ),
+            helper.make_tensor_value_info("elapsed_s", TensorProto.FLOAT, ["B"]),
+            helper.make_tensor_value_info("weight", TensorProto.FLOAT, ["B", len(sensor.accelerometers)]),
+        ],
+        [helper.make_tensor_value_info("estimate", TensorProto.FLOAT, ["B", len(outputs)])],
+        [numpy_helper.from_array(weights, "weights"), numpy_helper.from_array(bias, "bias")],
+    )
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 18)], ir_version=10)
+    onnx.checker.check_model(model, full_check=True)
+    content = model.SerializeToString()
+    example = {
+        "volts": np.linspace(-0.1, 0.1, size, dtype=np.float32).reshape(1, -1, WINDOW_BINS),
+        "elapsed_s": np.ones(1, np.float32),
+        "weight": np.ones((1, len(sensor.accelerometers)), np.float32),
+    }
+    row = ort.InferenceSession(content, providers=["CPUExecutionProvider"]).run(None, example)[0][0]
+    folder.mkdir(parents=True)
+    (folder / "model.onnx").write_bytes(content)
+    card = Card(
+        model="small",
+        input="window",
+        outputs=outputs,
+        sensor={"name": sensor.name},
+        channels=sensor.channels,
+        sample_rate_hz=sensor.sample_rate_hz,
+        reference_mm=sensor.reference_mm,
+        conditioning=Conditioning(),
+        intervals={
+            "direction_deg": Interval(1.0, 2.0),
+            "log_speed": Interval(1.0, 0.1),
+            "offset_mm": Interval(1.0, 1.0),
+        },
+        validity=Validity(),
+        provenance={},
+        golden={"inputs": {k: v.tolist() for k, v in example.items()}, "estimate": row.tolist()},
+        graph_sha256=hashlib.sha256(content).hexdigest(),
+    )
+    write_card(card, folder / "model.json")
+    return folder

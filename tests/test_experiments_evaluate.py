@@ -1,0 +1,250 @@
+"""Evaluation through a real bundle: the contract's files, exit statuses, a model that sees volts alone."""
+
+import json
+import re
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from small_bundle import write_small_bundle
+
+import softslide
+from experiments.readout import COLUMNS
+from pipeline.recordings import SAMPLE, Folder, Recording, read_folder, write_folder
+from pipeline.sensor import Accelerometer, Sensor
+from serve.localizer import Localizer
+
+RATE_HZ = 200.0
+SENSOR = Sensor(
+    "trial", RATE_HZ, (50.0, 50.0), 4.0, 6.0, 0.035, (5.0, 0.0), 5e-4, (Accelerometer("a0", 5.0, 0.0),)
+)
+LABELS = {
+    "direction_deg": 0.0,
+    "speed_mm_s": 14.5,
+    "offset_mm": 8.0,
+    "start_x_mm": -29.0,
+    "start_y_mm": 8.0,
+    "travel_mm": 58.0,
+    "depth_mm": 0.5,
+    "pressure_mpa": 0.035,
+    "motion_start_s": 1.0,
+    "motion_end_s": 5.0,
+}
+
+
+def a_slide(name: str, amplitude_v: float) -> Recording:
+    """Six seconds: rest, then a pass that swings V_x both ways and V_y one way."""
+    time_s = np.arange(round(6 * RATE_HZ)) / RATE_HZ
+    s = np.clip((time_s - 1.0) / 4.0, 0.0, 1.0)
+    pulse = np.sin(np.pi * s) ** 2
+    volts = 1.65 + amplitude_v * np.column_stack([-pulse * np.cos(np.pi * s), pulse, 0.1 * pulse])
+    return Recording(name, time_s + 0.25, volts)
+
+
+def a_folder(root: Path, **rows: dict) -> Folder:
+    """Recordings named as the keyword arguments, each labelled as LABELS unless told otherwise."""
+    manifest = pd.DataFrame(
+        [{"recording": name, "split": "test", **LABELS, **row} for name, row in rows.items()]
+    )
+    slides = (a_slide(name, 0.1 + 0.02 * n) for n, name in enumerate(rows))
+    return write_folder(root, SENSOR, manifest, slides)
+
+
+@pytest.fixture
+def bundle(tmp_path: Path) -> Path:
+    return write_small_bundle(tmp_path / "bundle", SENSOR, offset_mm_per_v=50.0)
+
+
+def evaluated(bundle: Path, recordings: Path, out: Path, *options: str) -> tuple[int, pd.DataFrame]:
+    """The exit status, and predictions.csv as texts."""
+    arguments = [
+        "evaluate",
+        "--model",
+        bundle,
+        "--recordings",
+        recordings,
+        "--out",
+        out,
+        "--jobs",
+        1,
+        *options,
+    ]
+    status = softslide.main([str(a) for a in arguments])
+    return status, pd.read_csv(out / "predictions.csv", dtype=str, keep_default_na=False)
+
+
+def test_predictions_are_the_contracts(bundle: Path, tmp_path: Path) -> None:
+    a_folder(tmp_path / "lab", one={}, two={"motion_end_s": np.nan}, three={"split": "train"})
+    _, table = evaluated(bundle, tmp_path / "lab", tmp_path / "out")
+    assert table.columns.tolist() == list(COLUMNS) == contract_columns()
+    one, two = table[table["recording"] == "one"], table[table["recording"] == "two"]
+    assert one["stroke_fraction"].tolist() == [f"{n / 10:.1f}" for n in range(1, 11)]
+    assert two["stroke_fraction"].tolist() == ["1.0"]
+    assert set(table["recording"]) == {"one", "two"}
+    assert set(table["valid"]) <= {"true", "false"}
+    assert set(table["depth_mm"]) == {""}  # this model does not estimate it
+    assert table.loc[table["valid"] == "true", "direction_deg"].astype(float).to_numpy() == pytest.approx(
+        30.0
+    )
+
+
+def contract_columns() -> list[str]:
+    names = (
+        "recording, stroke_fraction, direction_deg, direction_lo_deg, direction_hi_deg, speed_mm_s, "
+        "speed_lo_mm_s, speed_hi_mm_s, offset_mm, offset_lo_mm, offset_hi_mm, depth_mm, x_mm, y_mm, valid"
+    )
+    return names.split(", ")
+
+
+def test_each_row_is_the_device_at_that_moment(bundle: Path, tmp_path: Path) -> None:
+    """A device that is given the samples up to the moment, and no more, says the same."""
+    folder = a_folder(tmp_path / "lab", one={})
+    _, table = evaluated(bundle, tmp_path / "lab", tmp_path / "out")
+    recording = folder.load("one")
+    for row in table.astype({"stroke_fraction": float}).to_dict("records"):
+        moment = 1.0 + row["stroke_fraction"] * 4.0
+        device = Localizer.load(bundle)
+        seen = device.push(recording.volts[recording.time_s <= moment + 1e-9])
+        assert row["valid"] == str(seen[-1].valid).lower()
+        assert (row["offset_mm"] or "nan") == f"{seen[-1].offset_mm:.9g}"
+    assert table["offset_mm"].nunique() > 5  # it does change as the stroke goes on
+
+
+def test_no_label_reaches_the_model(bundle: Path, tmp_path: Path) -> None:
+    """Labels scrambled: not a byte differs. Moments of motion moved: equal moments, equal estimates."""
+    names = ("one", "two")
+    a_folder(tmp_path / "right", **{name: {} for name in names})
+    lies = {
+        "direction_deg": 211.0,
+        "speed_mm_s": 0.7,
+        "offset_mm": -20.0,
+        "start_x_mm": 3.0,
+        "travel_mm": 11.0,
+    }
+    a_folder(tmp_path / "lies", **dict.fromkeys(names, lies))
+    a_folder(tmp_path / "moved", **{name: {"motion_start_s": 0.6, "motion_end_s": 4.6} for name in names})
+    _, right = evaluated(bundle, tmp_path / "right", tmp_path / "a")
+    evaluated(bundle, tmp_path / "lies", tmp_path / "b")
+    _, moved = evaluated(bundle, tmp_path / "moved", tmp_path / "c")
+    assert (tmp_path / "a/predictions.csv").read_bytes() == (tmp_path / "b/predictions.csv").read_bytes()
+    # 0.4 s are a tenth of the motion: each moment is the next one's of the other folder.
+    for name in names:
+        early, late = (t[t["recording"] == name].drop(columns="stroke_fraction") for t in (right, moved))
+        assert early[:-1].to_numpy().tolist() == late[1:].to_numpy().tolist()
+
+
+def test_twice_gives_the_same_bytes_on_one_process_or_two(bundle: Path, tmp_path: Path) -> None:
+    a_folder(tmp_path / "lab", one={}, two={}, three={})
+    for out, jobs in (("a", "1"), ("b", "2")):
+        evaluated(bundle, tmp_path / "lab", tmp_path / out, "--jobs", jobs)
+    for file in ("predictions.csv", "metrics.json", "report.html"):
+        assert (tmp_path / "a" / file).read_bytes() == (tmp_path / "b" / file).read_bytes()
+
+
+def test_metrics_say_what_was_found(bundle: Path, tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    a_folder(tmp_path / "lab", one={}, two={"split": "test-other"})
+    status, _ = evaluated(bundle, tmp_path / "lab", tmp_path / "out")
+    assert status == 0
+    metrics = json.loads((tmp_path / "out/metrics.json").read_text())
+    # 14.5 mm/s is faster than the article promises anything for.
+    assert capsys.readouterr().out.count("not tested, no such recording") == len(metrics["bounds"])
+    assert list(metrics["splits"]) == ["test", "test-other"]
+    end = metrics["overall"]["1.0"]
+    assert end["recordings"] == 2
+    assert end["direction_deg"]["mean"] == pytest.approx(30.0, abs=1e-4)
+    assert end["speed_percent"]["max"] == pytest.approx(100 * (1 - 2 / 14.5), abs=1e-4)
+    assert end["direction_deg_coverage"] == {"n": 2, "share": 0.0}
+    assert {b["name"] for b in metrics["bounds"]} >= {"direction", "speed", "distance"}
+    assert metrics["bundle"]["card"]["model"] == "small"
+
+
+@pytest.mark.parametrize(("speed_mm_s", "status"), [(2.0, 0), (2.2, 1)])
+def test_the_exit_status_is_the_bounds(tmp_path: Path, speed_mm_s: float, status: int) -> None:
+    """A model that is right by construction passes; one that is 10 % off in speed fails."""
+    write_small_bundle(tmp_path / "b", SENSOR, direction_deg=0.0, speed_mm_s=speed_mm_s, offset_mm=3.0)
+    a_folder(tmp_path / "lab", one={"speed_mm_s": 2.0, "offset_mm": 3.0})
+    assert evaluated(tmp_path / "b", tmp_path / "lab", tmp_path / "out")[0] == status
+
+
+def test_splits_are_chosen_by_full_name(bundle: Path, tmp_path: Path) -> None:
+    a_folder(
+        tmp_path / "lab", one={}, two={"split": "test-deep"}, three={"split": "train"}, four={"split": "x"}
+    )
+    chosen = evaluated(bundle, tmp_path / "lab", tmp_path / "out", "--split", "test", "x")[1]
+    assert set(chosen["recording"]) == {"one", "four"}
+
+
+class Page(HTMLParser):
+    """What a page holds: its text, and all that it would load."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.loads: list[str] = []
+        self.words = ""
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        if tag not in ("meta", "img", "br"):
+            self.open.append(tag)
+        self.loads += [value or "" for name, value in attrs if name in ("src", "href", "srcset", "data")]
+        assert tag not in ("script", "link", "iframe")
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        self.words += data
+
+
+def test_the_report_opens_without_a_network(bundle: Path, tmp_path: Path) -> None:
+    a_folder(tmp_path / "lab", one={}, two={"motion_start_s": np.nan, "offset_mm": np.nan})
+    evaluated(bundle, tmp_path / "lab", tmp_path / "out")
+    text = (tmp_path / "out/report.html").read_text(encoding="utf-8")
+    page = Page(text)
+    assert page.open == []
+    assert len(page.loads) == 2
+    assert all(source.startswith("data:image/svg+xml;base64,") for source in page.loads)
+    assert not re.search(r"url\(|@import|https?://", text)
+    for word in ("section 5.2.2", "not tested", "X forward", "test"):
+        assert word in page.words
+
+
+@pytest.mark.parametrize(
+    ("break_it", "says"),
+    [
+        (lambda lab, bundle: (lab / "slides/one.parquet").unlink(), "no such file"),
+        (lambda lab, bundle: (lab / "slides/one.parquet").write_bytes(b"PAR1"), "one.parquet"),
+        (lambda lab, bundle: (bundle / "model.onnx").write_bytes(b"x"), "model.onnx"),
+        (lambda lab, bundle: (bundle / "model.json").unlink(), "model.json"),
+        (
+            lambda lab, bundle: (lab / "manifest.csv").write_text(
+                (lab / "manifest.csv").read_text().replace("test", "train")
+            ),
+            "--split",
+        ),
+    ],
+)
+def test_bad_input_is_one_line_and_leaves_nothing(
+    bundle: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], break_it, says: str
+) -> None:
+    a_folder(tmp_path / "lab", one={})
+    break_it(tmp_path / "lab", bundle)
+    before = sorted(path.name for path in tmp_path.iterdir())
+    arguments = ["--model", bundle, "--recordings", tmp_path / "lab", "--out", tmp_path / "out", "--jobs", 2]
+    assert softslide.main(["evaluate", *map(str, arguments)]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.count("\n") == 1
+    assert says in err
+    assert sorted(path.name for path in tmp_path.iterdir()) == before
+
+
+def test_another_sensors_bundle_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_small_bundle(tmp_path / "b", read_folder(SAMPLE).sensor)
+    a_folder(tmp_path / "lab", one={})
+    arguments = ["--model", tmp_path / "b", "--recordings", tmp_path / "lab", "--out", tmp_path / "out"]
+    assert softslide.main(["evaluate", *map(str, arguments)]) == 2
+    assert "sample_rate_hz is 200" in capsys.readouterr().err

@@ -1,0 +1,221 @@
+"""Errors and bounds against numbers worked out by hand; a bound that cannot fail would be no bound."""
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from experiments.bounds import Bound, check, read_bounds
+from experiments.readout import COLUMNS
+from experiments.scoring import along_the_stroke, by_direction, by_distance, by_speed, score, summary, turn
+from features.errors import InputError
+from pipeline.recordings import LABELS
+from pipeline.sensor import Accelerometer, Sensor
+
+SENSOR = Sensor(
+    "trial", 1000.0, (50.0, 50.0), 4.0, 6.0, 0.035, (5.0, 0.0), 5e-4, (Accelerometer("a0", 5.0, 0.0),)
+)
+# X forward along y = 10: starts 4 mm outside the chamber.
+SLIDE = {
+    "file": "slides/s.parquet",
+    "split": "test",
+    "direction_deg": 0.0,
+    "speed_mm_s": 2.0,
+    "offset_mm": 10.0,
+    "start_x_mm": -29.0,
+    "start_y_mm": 10.0,
+    "travel_mm": 58.0,
+    "depth_mm": 0.5,
+    "pressure_mpa": 0.035,
+    "motion_start_s": 1.0,
+    "motion_end_s": 30.0,
+}
+
+
+def a_manifest(**rows: dict) -> pd.DataFrame:
+    return pd.DataFrame({name: SLIDE | row for name, row in rows.items()}).T.astype(
+        dict.fromkeys(LABELS, float)
+    )
+
+
+def predicted(
+    recording: str = "s", fraction: float = 1.0, valid: bool = True, **values: float
+) -> pd.DataFrame:
+    """One row of predictions: exactly right for SLIDE unless told otherwise."""
+    right = {
+        "direction_deg": 0.0,
+        "direction_lo_deg": -1.0,
+        "direction_hi_deg": 1.0,
+        "speed_mm_s": 2.0,
+        "speed_lo_mm_s": 1.9,
+        "speed_hi_mm_s": 2.1,
+        "offset_mm": 10.0,
+        "offset_lo_mm": 9.0,
+        "offset_hi_mm": 11.0,
+        "x_mm": -29.0 + 58.0 * fraction,
+        "y_mm": 10.0,
+    }
+    row = {"recording": recording, "stroke_fraction": fraction, "valid": valid, **right, **values}
+    return pd.DataFrame([row], columns=list(COLUMNS))
+
+
+def scored(*predictions: pd.DataFrame, **rows: dict) -> pd.DataFrame:
+    table = pd.concat(predictions, ignore_index=True)
+    return score(table, a_manifest(**(rows or {"s": {}})), SENSOR)
+
+
+def test_angles_are_compared_the_short_way_round() -> None:
+    given = pd.Series([0.0, 359.0, -359.0, 180.0, 181.0, 540.0])
+    assert turn(given).tolist() == [0.0, -1.0, 1.0, 180.0, -179.0, 180.0]
+
+
+def test_a_right_answer_has_no_error_and_a_wrong_one_has_the_one_worked_out_by_hand() -> None:
+    row = scored(predicted()).iloc[0]
+    errors = [row[f"{q}_error"] for q in ("direction_deg", "speed_percent", "offset_mm", "position_mm")]
+    assert errors == [0.0, 0.0, 0.0, 0.0]
+    wrong = scored(predicted(direction_deg=357.0, speed_mm_s=2.1, offset_mm=9.0, x_mm=32.0, y_mm=6.0)).iloc[0]
+    assert wrong["direction_deg_error"] == 3.0
+    assert wrong["speed_percent_error"] == pytest.approx(5.0)
+    assert wrong["offset_mm_error"] == 1.0
+    assert wrong["offset_percent_error"] == 10.0
+    assert wrong["position_mm_error"] == 5.0  # 3 along, 4 across
+    # The chamber begins 4 mm after the start: 54 travelled, 3 / 54 along and 4 / 10 across.
+    assert wrong["travelled_mm"] == 54.0
+    assert wrong["position_percent_error"] == pytest.approx(40.0)
+
+
+def test_a_slide_that_starts_inside_or_runs_diagonally_enters_the_chamber_where_it_does() -> None:
+    inside = scored(predicted(fraction=0.5), s={"start_x_mm": -20.0})
+    assert inside["travelled_mm"].iloc[0] == 29.0 - 5.0 + 10.0  # the edge lies 5 mm behind the start
+    slant = {"direction_deg": 45.0, "start_x_mm": -30.0, "start_y_mm": -30.0, "travel_mm": 60.0}
+    assert scored(predicted(), s=slant)["travelled_mm"].iloc[0] == pytest.approx(60.0 - 5.0 * math.sqrt(2.0))
+    beside = scored(predicted(), s={"start_y_mm": 26.0})
+    assert math.isnan(beside["travelled_mm"].iloc[0])
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "truth", "holds"),
+    [
+        (-5.0, 5.0, 2.0, 1),
+        (355.0, 365.0, 2.0, 1),
+        (355.0, 5.0, 2.0, 1),
+        (355.0, 5.0, 6.0, 0),
+        (-200.0, 200.0, 90.0, 1),
+        (10.0, 20.0, 5.0, 0),
+    ],
+)
+def test_an_interval_across_zero_degrees_holds_what_lies_in_it(
+    low: float, high: float, truth: float, holds: int
+) -> None:
+    table = scored(predicted(direction_lo_deg=low, direction_hi_deg=high), s={"direction_deg": truth})
+    assert table["direction_deg_covered"].tolist() == [holds]
+
+
+def test_what_is_not_valid_is_no_estimate() -> None:
+    table = scored(predicted(valid=False), predicted("t", speed_mm_s=2.2, speed_lo_mm_s=2.05), s={}, t={})
+    result = summary(table)
+    assert result["recordings"] == 2
+    assert result["valid_share"] == 0.5
+    assert result["speed_percent"]["n"] == 1
+    assert result["speed_percent"]["max"] == pytest.approx(10.0)
+    assert result["speed_percent"]["worst"] == "t"
+    assert result["speed_mm_s_coverage"] == {"n": 1, "share": 0.0}
+
+
+def test_a_summary_is_mean_percentile_and_maximum() -> None:
+    offsets = np.arange(1, 102)
+    names = [f"r{n}" for n in offsets]
+    rows = [predicted(name, offset_mm=10.0 + n / 10) for name, n in zip(names, offsets, strict=True)]
+    error = summary(scored(*rows, **{name: {} for name in names}))["offset_mm"]
+    assert error == pytest.approx({"n": 101, "mean": 5.1, "p95": 9.6, "max": 10.1, "worst": "r101"}, abs=1e-9)
+
+
+def test_groups_are_the_articles() -> None:
+    headings = {"xf": 359.5, "yf": 90.4, "xb": 180.0, "yb": 270.0, "d": 45.0, "e": 300.0}
+    rows = {
+        name: {"direction_deg": angle, "offset_mm": -3.0, "speed_mm_s": 9.0}
+        for name, angle in headings.items()
+    }
+    table = scored(*(predicted(name) for name in rows), **rows)
+    assert list(by_direction(table)) == [
+        *("X forward", "Y forward", "X backward", "Y backward"),
+        *("0 to 90 deg", "270 to 360 deg"),
+    ]
+    assert list(by_distance(table)) == ["2.5 to 5 mm"]
+    assert list(by_speed(table)) == ["8 to 13 mm/s"]
+    assert list(along_the_stroke(table)) == ["1.0"]
+
+
+def bound(name: str) -> Bound:
+    return next(b for b in read_bounds() if b.name == name)
+
+
+@pytest.mark.parametrize(
+    ("name", "within", "beyond"),
+    [
+        ("direction", {"direction_deg": 316.0}, {"direction_deg": 314.0}),
+        ("speed", {"speed_mm_s": 2.158}, {"speed_mm_s": 2.162}),
+        ("distance", {"offset_mm": 11.49}, {"offset_mm": 8.49}),
+        ("position", {"y_mm": 11.49}, {"y_mm": 8.49}),
+    ],
+)
+def test_a_bound_is_met_just_within_it_and_missed_just_beyond(name: str, within: dict, beyond: dict) -> None:
+    # At half the stroke X forward has passed the article's delay, and is still on the inflated area.
+    fraction = 0.5 if name == "position" else 1.0
+    assert check(bound(name), scored(predicted(fraction=fraction, **within))).met is True
+    verdict = check(bound(name), scored(predicted(fraction=fraction, **beyond)))
+    assert verdict.met is False
+    assert verdict.worst == "s"
+
+
+@pytest.mark.parametrize(
+    ("name", "slide"),
+    [
+        ("speed", {"offset_mm": 18.0}),
+        ("speed", {"direction_deg": 20.0}),
+        ("speed", {"speed_mm_s": 5.0}),
+        ("speed", {"depth_mm": 0.9}),
+        ("speed, fast", {"speed_mm_s": 14.0}),
+        ("distance", {"offset_mm": 4.9}),
+        ("distance", {"direction_deg": 90.0, "offset_mm": 9.9}),
+        ("distance, close by", {"direction_deg": 90.0, "offset_mm": 3.0}),
+        ("position", {"direction_deg": 180.0, "travel_mm": 24.0}),
+    ],
+)
+def test_a_slide_outside_a_bounds_conditions_does_not_test_it(name: str, slide: dict) -> None:
+    assert check(bound(name), scored(predicted(speed_mm_s=0.1, offset_mm=99.0), s=slide)).met is None
+
+
+def test_a_label_that_was_not_given_excludes_nothing() -> None:
+    assert check(bound("speed"), scored(predicted(), s={"depth_mm": math.nan})).met is True
+
+
+def test_a_missing_estimate_misses_the_bound() -> None:
+    verdict = check(bound("speed"), scored(predicted(), predicted("t", valid=False), s={}, t={}))
+    assert (verdict.met, verdict.missing, verdict.worst) == (False, 1, "t")
+    assert "1 without a valid estimate" in verdict.line()
+
+
+def test_every_bound_names_its_place_in_the_article() -> None:
+    bounds = read_bounds()
+    assert len({b.name for b in bounds}) == len(bounds) >= 6
+    assert all("section 5." in b.source for b in bounds)
+
+
+@pytest.mark.parametrize(
+    "line",
+    ["limitt = 8", "limit = -1", "quantity = 'warmth'", ""],
+)
+def test_a_broken_bound_is_refused(tmp_path: Path, line: str) -> None:
+    path = tmp_path / "bounds.toml"
+    path.write_text(f"[[bound]]\nname = 'b'\n{line}\n")
+    with pytest.raises(InputError, match=r"bounds\.toml"):
+        read_bounds(path)
+
+
+def test_a_bound_for_no_slide_is_refused() -> None:
+    with pytest.raises(ValueError, match="no slide"):
+        replace(bound("speed"), x_offset_mm=None, y_offset_mm=None)
