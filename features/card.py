@@ -110,7 +110,9 @@ def read_card(path: Path) -> Card:
     if not isinstance(table, dict) or table.pop("format", None) != FORMAT:
         raise InputError(f"{path}: not a softslide model card; name a bundle that 'softslide train' made")
     if (version := table.pop("version", None)) != VERSION:
-        raise InputError(f"{path}: card version {version}, this release reads {VERSION}; export the bundle again")
+        raise InputError(
+            f"{path}: card version {version}, this release reads {VERSION}; export the bundle again"
+        )
     table.pop("units", None)
     if odd := sorted(set(table) ^ {f.name for f in fields(Card)}):
         raise InputError(f"{path}: key '{odd[0]}' is missing or unknown; export the bundle again")

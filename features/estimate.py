@@ -38,7 +38,9 @@ class Estimate:
 _NO_INTERVAL = Interval(math.nan, math.nan)
 
 
-def decode(row: np.ndarray, card: Card, window: Window, state: State, time_s: float, width_s: float) -> Estimate:
+def decode(
+    row: np.ndarray, card: Card, window: Window, state: State, time_s: float, width_s: float
+) -> Estimate:
     """A graph's row (K,), in the card's order of outputs, as an estimate.
 
     width_s: the window's energy width, which turns `log_speed_width` into a speed: v = exp(.) / width.

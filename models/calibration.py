@@ -17,6 +17,7 @@ from pipeline.recordings import Folder
 from pipeline.sensor import Sensor
 
 STRETCH_MM = 0.5
+LEAST_DRIFT_V = 5e-4  # a static output is never known better than this
 RIM_MM = 1.5  # beyond the chamber's edge by this much, the skin lies on the base and answers nothing
 
 
@@ -142,9 +143,10 @@ def calibrate(
             prior if informed else None,
             config,
         )
-        rms = np.empty(len(slides))
+        rms, means = np.empty(len(slides)), np.empty((len(slides), response.channels))
         for i, slide in enumerate(slides):
-            gains[i], shifts[i], rms[i] = _fit_slide(slide, gains[i], shifts[i], response, config)
+            gains[i], shifts[i], left = _fit_slide(slide, gains[i], shifts[i], response, config)
+            rms[i], means[i] = np.sqrt(np.mean(left**2)), left.mean(axis=0)
         # A slide whose labels are wrong must not bend the map: it stands out by its residual.
         keep = rms < 4 * np.median(rms)
         gains /= np.mean(gains[keep])
@@ -154,21 +156,22 @@ def calibrate(
             if np.ptp(speeds[keep]) > 1 and keep.sum() > 8
             else 0.0
         )
-        lag = max(0.0, response.lag_s + slope)
+        lag = max(0.0, float(response.lag_s + slope))
         shifts -= (lag - response.lag_s) * speeds
         response = replace(response, lag_s=lag)
     peaks = np.array([np.abs(s.volts).max() for s in slides])
     shrink = max(len(slides) - 2, 0)
     gain_var = (shrink * np.var(gains[keep]) + 4 * config.gain_sd**2) / (shrink + 4)
     residual = float(np.sqrt(np.mean(rms[keep] ** 2)))
-    response = replace(response, gain_sd=float(np.sqrt(gain_var)), floor_v=residual)
+    drift = np.sqrt((np.sum(means[keep] ** 2, axis=0) + 4 * LEAST_DRIFT_V**2) / (keep.sum() + 4))
+    response = replace(response, gain_sd=float(np.sqrt(gain_var)), floor_v=residual, drift_v=drift)
     return response, {
         "slides": float(len(slides)),
         "outliers": float((~keep).sum()),
         "residual_v": residual,
         "residual_share": float(np.median(rms / peaks)),
         "gain_sd": response.gain_sd,
-        "lag_s": response.lag_s,
+        "lag_s": float(response.lag_s),
     }
 
 
@@ -200,18 +203,24 @@ def _fit_splines(slides, gains, shifts, response, prior, config) -> ResponseMap:
     normal = np.zeros((PARTS * size, PARTS * size))
     right = np.zeros((PARTS * size, response.channels))
     start = np.zeros_like(right) if prior is None else prior.coefficients.reshape(PARTS * size, -1)
+    grams: dict[float, sparse.csr_matrix] = {}
     for slide, gain, shift in zip(slides, gains, shifts, strict=True):
         x, y = slide.place(shift, response.lag_s)
         rows = _tensor(x, y, response.half_mm) * gain
         # What the map cannot follow limits a stretch's weight, however long it was averaged.
         weight = 1.0 / (1.0 / slide.blocks + 0.5)
-        turn = np.array([1.0, np.cos(slide.direction_rad), np.sin(slide.direction_rad)])
-        gram = (rows.T @ rows).toarray() * weight
-        depth = (slide.depth_mm - response.depth_mm) * (rows @ response.depth_slope.reshape(size, -1))
-        full = sparse.hstack([rows * t for t in turn]).tocsr()
-        moment = weight * (full.T @ (slide.volts - depth - full @ start))
-        normal += np.kron(np.outer(turn, turn), gram)
-        right += moment
+        turn = _turn(slide.direction_rad)
+        known = rows @ ((slide.depth_mm - response.depth_mm) * response.depth_slope.reshape(size, -1))
+        known += rows @ np.tensordot(turn, start.reshape(PARTS, size, -1), axes=1)
+        right += weight * np.multiply.outer(turn, rows.T @ (slide.volts - known)).reshape(right.shape)
+        gram = weight * (rows.T @ rows)
+        grams[slide.direction_rad] = (
+            grams[slide.direction_rad] + gram if slide.direction_rad in grams else gram
+        )
+    for direction, gram in grams.items():
+        turn, dense = _turn(direction), gram.toarray()
+        for i, j in np.ndindex(PARTS, PARTS):
+            normal[i * size : (i + 1) * size, j * size : (j + 1) * size] += turn[i] * turn[j] * dense
     second = np.diff(np.eye(k), 2, axis=0)
     bend = second.T @ second
     rough = np.kron(bend, np.eye(k)) + np.kron(np.eye(k), bend)
@@ -227,6 +236,11 @@ def _fit_splines(slides, gains, shifts, response, prior, config) -> ResponseMap:
     return replace(response, coefficients=solution.reshape(PARTS, k, k, -1))
 
 
+def _turn(direction_rad: float) -> np.ndarray:
+    """Weights (3,) of M, Fx, Fy for a motion's direction."""
+    return np.array([1.0, np.cos(direction_rad), np.sin(direction_rad)])
+
+
 def _rim_gram(response: ResponseMap) -> np.ndarray:
     """Gram matrix (K^2, K^2) of splines over points of the rim, where the response is known to be zero."""
     grid = np.arange(-response.half_mm, response.half_mm + 0.5, 1.0)
@@ -238,8 +252,8 @@ def _rim_gram(response: ResponseMap) -> np.ndarray:
     return (rows.T @ rows).toarray()
 
 
-def _fit_slide(slide, gain, shift, response, config) -> tuple[float, float, float]:
-    """A slide's gain and shift (mm) given the map, by Gauss-Newton with priors; and what rms (V) is left."""
+def _fit_slide(slide, gain, shift, response, config) -> tuple[float, float, np.ndarray]:
+    """A slide's gain and shift (mm) given the map, by Gauss-Newton with priors; and what is left (m, C) V."""
     noise = float(np.hypot(np.median(response.noise_v) / np.sqrt(slide.blocks), 5e-4))
 
     def model(at: float) -> np.ndarray:
@@ -257,4 +271,4 @@ def _fit_slide(slide, gain, shift, response, config) -> tuple[float, float, floa
         )
         step = np.linalg.lstsq(rows, gaps, rcond=None)[0]
         gain, shift = gain + step[0], shift + step[1]
-    return gain, shift, float(np.sqrt(np.mean((slide.volts - gain * model(shift)) ** 2)))
+    return gain, shift, slide.volts - gain * model(shift)

@@ -1,8 +1,8 @@
-"""The localizing network: a small temporal CNN, and Gauss-Newton against the response map, in one graph.
+"""The localizing network: a small temporal CNN, and Levenberg-Marquardt against the response map, in one graph.
 
 The CNN reads the slide so far in 64 equal bins of time and proposes a line (direction, offset), a speed and the
 contact's place on the line, each with its standard deviation. The response map predicts what the accelerometers
-would have shown; a few Gauss-Newton steps move the proposal to where prediction and signal agree best, with the
+would have shown; a few Levenberg-Marquardt steps move the proposal to where prediction and signal agree best, with the
 proposal as a weak prior, and leave a covariance. Time enters only relative to the window's length, so every speed
 looks alike.
 """
@@ -29,6 +29,7 @@ OUTPUTS = (
     "offset_sd_mm",
     "misfit",
 )
+PEAK_SHARE = 0.003  # what the map leaves over, as a share of the slide's largest output
 LENGTH_MM = 10.0  # scale of offsets and places inside the network
 
 
@@ -37,7 +38,8 @@ class NetworkConfig:
     """Sizes of the CNN, and the refinement.
 
     filters: of the three strided convolutions; hidden: of the two dense layers.
-    steps: Gauss-Newton steps. trust: the proposal's standard deviations times this are the refinement's prior.
+    steps: Levenberg-Marquardt steps. trust: the proposal's standard deviations times this are the refinement's
+        prior, but never less than least_prior (rad, mm, log, mm): a proposal that is wrong must not hold it back.
     depth_sd_mm: prior on the contact depth about the calibration's.
     """
 
@@ -45,6 +47,7 @@ class NetworkConfig:
     hidden: tuple[int, int] = (96, 48)
     steps: int = 3
     trust: float = 3.0
+    least_prior: tuple[float, float, float, float] = (0.1, 1.5, 0.1, 2.0)
     depth_sd_mm: float = 0.02
 
 
@@ -89,7 +92,7 @@ class Proposal(nn.Module):
 
 
 class Refinement(nn.Module):
-    """Gauss-Newton on (direction, offset, log speed, along, gain, depth) against the response map.
+    """Levenberg-Marquardt on (direction, offset, log speed, along, gain, depth) against the response map.
 
     Residuals are whitened: by noise that falls with the number of blocks a bin holds, by a floor for what the map
     leaves over, and by the slow wander of each channel's zero (a rank-one part of each channel's covariance).
@@ -109,53 +112,73 @@ class Refinement(nn.Module):
         self.register_buffer("bins", (torch.arange(WINDOW_BINS) + 0.5) / WINDOW_BINS)
         self.reference = response.reference_mm
         self.block_s, self.lag_s, self.floor_v = block_s, response.lag_s, response.floor_v
-        self.gain_sd, self.depth_mm, self.depth_sd = response.gain_sd, response.depth_mm, config.depth_sd_mm
+        self.depth_mm = response.depth_mm
+        self.register_buffer("nuisance_sd", torch.tensor([response.gain_sd, config.depth_sd_mm]))
+        self.register_buffer("least_prior", torch.tensor(config.least_prior))
+        self.register_buffer("longest_step", torch.tensor([0.3, 5.0, 0.4, 6.0, 0.1, 0.5]))
         self.steps, self.trust = config.steps, config.trust
 
     def forward(
         self, volts: Tensor, elapsed_s: Tensor, weight: Tensor, proposal: Tensor, log_sd: Tensor
     ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """-> state (B, 6: offset mm, log speed, along mm, log gain, depth mm off, -), direction (B, 2), ..."""
-        norm = (proposal[:, :2] ** 2).sum(1, keepdim=True).sqrt().clamp(min=1e-6)
-        heading = proposal[:, :2] / norm
-        state = F.pad(proposal[:, 2:5][:, [1, 0, 2]], (0, 2))
-        start, sd = state, log_sd[:, [0, 2, 1, 3]].exp() * self.trust
-        prior_sd = torch.cat([sd, sd.new_tensor([[self.gain_sd, self.depth_sd]]).expand(sd.shape[0], 2)], 1)
-        precision = prior_sd ** -2
-        turned = torch.zeros_like(state[:, :1])
-        blocks = (elapsed_s / (self.block_s * WINDOW_BINS)).clamp(min=0.3)
-        peak = volts.abs().amax((1, 2))
-        floor = (self.floor_v * 0.4) ** 2 + (0.003 * peak) ** 2
-        sigma = (self.noise**2 / blocks[:, None] + floor[:, None]).sqrt()
-        scale = weight / sigma
-        wander = (self.drift / sigma) ** 2 * WINDOW_BINS
-        shrink = 1 - (1 + wander).rsqrt()
+        """-> heading (B, 2: cos, sin), state (B, 6: -, offset mm, log speed, along mm, log gain, depth mm off the
+        map's), its covariance (B, 6, 6), misfit (B,)."""
+        norm = (proposal[:, :2] ** 2).sum(1, keepdim=True).clamp(min=1e-12).sqrt()
+        start = proposal[:, :2] / norm
+        # State, relative to the proposal: turn rad, offset mm, log speed, along mm, log gain, depth mm.
+        centre = F.pad(proposal[:, [3, 2, 4]], (1, 2))
+        own = torch.maximum(log_sd[:, [0, 2, 1, 3]].exp() * self.trust, self.least_prior)
+        prior_sd = torch.cat([own, self.nuisance_sd.expand(own.shape[0], 2)], 1)
+        precision = prior_sd**-2
+        scale, shrink = self._whitening(volts, elapsed_s, weight)
+        best = torch.zeros_like(prior_sd)
+        trial, damping = best, torch.full_like(best[:, :1], 1e-3)
         for step in range(self.steps + 1):
-            value, rows = self._predict(heading, state, elapsed_s)
+            value, rows = self._predict(start, centre, trial, elapsed_s)
             gap = (volts - value) * scale[:, :, None]
             gap = gap - shrink[:, :, None] * gap.mean(2, keepdim=True)
-            if step == self.steps:
-                break
+            chi2 = (gap * gap).sum((1, 2))
             rows = rows * scale[:, None, :, None]
             rows = (rows - shrink[:, None, :, None] * rows.mean(3, keepdim=True)).flatten(2)
-            away = torch.cat([turned, state - start], 1)
-            normal = rows @ rows.transpose(1, 2) + torch.diag_embed(precision * 1.0)
-            right = (rows @ gap.flatten(1)[:, :, None])[:, :, 0] - precision * away
-            move, covariance = solve(normal, right)
-            limit = prior_sd
-            move = torch.maximum(torch.minimum(move, limit), -limit)
-            turned = turned + move[:, :1]
-            cos, sin = move[:, :1].cos(), move[:, :1].sin()
-            heading = torch.cat([heading[:, :1] * cos - heading[:, 1:] * sin, heading[:, :1] * sin + heading[:, 1:] * cos], 1)
-            state = state + move[:, 1:]
-        used = weight.sum(1) * WINDOW_BINS
-        misfit = (gap * gap).sum((1, 2)) / used.clamp(min=1.0)
+            cost = chi2[:, None] + (precision * trial * trial).sum(1, keepdim=True)
+            normal = rows @ rows.transpose(1, 2) + torch.diag_embed(precision)
+            right = (rows @ gap.flatten(1)[:, :, None])[:, :, 0] - precision * trial
+            if step == 0:
+                held = (cost, chi2[:, None], best, normal, right)
+            else:
+                # Levenberg-Marquardt: what did not help is taken back, and tried again with a shorter step.
+                better = cost < held[0]
+                fresh = (cost, chi2[:, None], trial, normal, right)
+                held = tuple(
+                    torch.where(better if new.dim() == 2 else better[:, :, None], new, old)
+                    for new, old in zip(fresh, held, strict=True)
+                )
+                damping = torch.where(better, damping * 0.1, damping * 30.0)
+            if step < self.steps:
+                move, _ = solve(held[3], held[4], damping)
+                trial = held[2] + torch.maximum(torch.minimum(move, self.longest_step), -self.longest_step)
+        _, chi2, best, normal, right = held
+        _, covariance = solve(normal, right, torch.zeros_like(damping))
+        heading, state = turned(start, best[:, :1]), centre + best
+        misfit = chi2[:, 0] / (weight.sum(1) * WINDOW_BINS).clamp(min=1.0)
         return heading, state, covariance, misfit
 
-    def _predict(self, heading: Tensor, state: Tensor, elapsed_s: Tensor) -> tuple[Tensor, Tensor]:
-        """Predicted bins (B, C, 64) V and their derivatives (B, 6, C, 64) for the state."""
+    def _whitening(self, volts: Tensor, elapsed_s: Tensor, weight: Tensor) -> tuple[Tensor, Tensor]:
+        """Weights (B, C) of the residuals, and the share (B, C) of a channel's mean residual that its zero explains."""
+        blocks = (elapsed_s / (self.block_s * WINDOW_BINS)).clamp(min=0.3)
+        peak = volts.abs().amax((1, 2))
+        floor = (0.4 * self.floor_v) ** 2 + (PEAK_SHARE * peak) ** 2
+        sigma = (self.noise**2 / blocks[:, None] + floor[:, None]).sqrt()
+        wander = (self.drift / sigma) ** 2 * WINDOW_BINS
+        return weight / sigma, 1 - (1 + wander).rsqrt()
+
+    def _predict(
+        self, start: Tensor, centre: Tensor, trial: Tensor, elapsed_s: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """Predicted bins (B, C, 64) V and their derivatives (B, 6, C, 64) at a trial state."""
+        heading, state = turned(start, trial[:, :1]), centre + trial
         cos, sin = heading[:, :1], heading[:, 1:]
-        offset, speed, along = state[:, :1], state[:, 1:2].exp(), state[:, 2:3]
+        offset, speed, along = state[:, 1:2], state[:, 2:3].clamp(-5.0, 7.0).exp(), state[:, 3:4]
         behind = speed * (elapsed_s[:, None] * (1 - self.bins) + self.lag_s)
         s = along - behind
         x = self.reference[0] - offset * sin + s * cos
@@ -171,10 +194,12 @@ class Refinement(nn.Module):
         volts = (across[:, 0] * by).sum(2).transpose(1, 2)
         along_x = (across[:, 1] * by).sum(2).transpose(1, 2) / SPACING_MM
         along_y = (across[:, 0] * dy).sum(2).transpose(1, 2) / SPACING_MM
-        deep = (basis[:, 0] @ self.coefficients[3].reshape(k, k * channels)).reshape(b, WINDOW_BINS, k, channels)
+        deep = (basis[:, 0] @ self.coefficients[3].reshape(k, k * channels)).reshape(
+            b, WINDOW_BINS, k, channels
+        )
         deep = (deep * by).sum(2).transpose(1, 2)
-        gain = state[:, 3:4, None].exp()
-        value = volts + state[:, 4:5, None] * deep
+        gain = state[:, 4:5, None].exp()
+        value = volts + state[:, 5:6, None] * deep
         forward = gain * (cos[:, :, None] * along_x + sin[:, :, None] * along_y)
         left = gain * (cos[:, :, None] * along_y - sin[:, :, None] * along_x)
         rows = torch.stack(
@@ -200,15 +225,22 @@ def splines(z: Tensor) -> tuple[Tensor, Tensor]:
     return value, z.sign() * (2 * inner2 - 0.5 * outer2)
 
 
-def solve(normal: Tensor, right: Tensor) -> tuple[Tensor, Tensor]:
-    """x = A^-1 b and A^-1 for symmetric positive definite A (B, n, n), by Gauss-Jordan on the scaled matrix.
+def turned(heading: Tensor, angle: Tensor) -> Tensor:
+    """A heading (B, 2: cos, sin) turned by an angle (B, 1) rad."""
+    cos, sin = angle.cos(), angle.sin()
+    x, y = heading[:, :1], heading[:, 1:]
+    return torch.cat([x * cos - y * sin, x * sin + y * cos], 1)
+
+
+def solve(normal: Tensor, right: Tensor, damping: Tensor) -> tuple[Tensor, Tensor]:
+    """x = (A + d diag A)^-1 b and that inverse, for symmetric positive definite A (B, n, n), by Gauss-Jordan.
 
     Written out because ONNX has no solver; with A scaled to a unit diagonal no pivoting is needed.
     """
     n = normal.shape[-1]
     scale = normal.diagonal(dim1=1, dim2=2).rsqrt()
-    scaled = normal * scale[:, :, None] * scale[:, None, :]
     eye = torch.eye(n)
+    scaled = normal * scale[:, :, None] * scale[:, None, :] + eye * damping[:, :, None]
     work = torch.cat([scaled, eye.expand(normal.shape[0], n, n)], 2)
     for k in range(n):
         row = work[:, k : k + 1] / work[:, k : k + 1, k : k + 1]
@@ -235,10 +267,10 @@ class SlideNetwork(nn.Module):
         return torch.cat(
             [
                 heading,
-                state[:, 1:2],
-                state[:, :1],
                 state[:, 2:3],
-                state[:, 4:5] + self.refinement.depth_mm,
+                state[:, 1:2],
+                state[:, 3:4],
+                state[:, 5:6] + self.refinement.depth_mm,
                 sd[:, :1] * (180 / math.pi),
                 sd[:, 2:3],
                 sd[:, 1:2],

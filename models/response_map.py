@@ -61,14 +61,17 @@ class ResponseMap:
         depth_mm: float | None = None,
     ) -> np.ndarray:
         """Subtracted output (n, C) V for contacts at (n,) positions moving in one direction or in (n,)."""
-        bx, by = spline_basis(x_mm, self.half_mm), spline_basis(y_mm, self.half_mm)
-        parts = np.einsum("ni,pijc,nj->pnc", bx, self.coefficients, by, optimize=True)
         a = np.broadcast_to(np.asarray(direction_rad, dtype=float), np.shape(x_mm))[:, None]
-        volts = parts[0] + np.cos(a) * parts[1] + np.sin(a) * parts[2]
+        weights = np.stack([np.ones_like(a), np.cos(a), np.sin(a)])
+        surfaces = self.coefficients
         if depth_mm is not None and depth_mm != self.depth_mm:
-            slope = np.einsum("ni,ijc,nj->nc", bx, self.depth_slope, by, optimize=True)
-            volts += (depth_mm - self.depth_mm) * slope
-        return volts
+            weights = np.concatenate([weights, np.full((1, *a.shape), depth_mm - self.depth_mm)])
+            surfaces = np.concatenate([surfaces, self.depth_slope[None]])
+        parts, k, _, channels = surfaces.shape
+        bx, by = spline_basis(x_mm, self.half_mm), spline_basis(y_mm, self.half_mm)
+        across = bx @ surfaces.transpose(1, 0, 2, 3).reshape(k, -1)
+        values = (across.reshape(-1, parts, k, channels) * by[:, None, :, None]).sum(axis=2)
+        return (weights * values.transpose(1, 0, 2)).sum(axis=0)
 
     def scaled(self, gain: float) -> "ResponseMap":
         """The same map with every response times `gain`."""

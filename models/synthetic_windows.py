@@ -14,6 +14,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from features.window import WINDOW_BINS
+from models.network import PEAK_SHARE
 from models.response_map import ResponseMap
 
 KNOTS = 4 * WINDOW_BINS
@@ -90,12 +91,15 @@ class WindowSource:
         speed = torch.exp(uniform(math.log(c.speed_mm_s[0]), math.log(c.speed_mm_s[1])))
         foot_x = response.reference_mm[0] - offset * sin
         foot_y = response.reference_mm[1] + offset * cos
-        enter, leave = _crossing(foot_x, cos, response.chamber_mm[0] / 2), _crossing(
-            foot_y, sin, response.chamber_mm[1] / 2
+        enter, leave = (
+            _crossing(foot_x, cos, response.chamber_mm[0] / 2),
+            _crossing(foot_y, sin, response.chamber_mm[1] / 2),
         )
         first, last = torch.maximum(enter[0], leave[0]), torch.minimum(enter[1], leave[1])
         sound = last - first > 10.0
-        first = torch.where(chance(c.midway), first + uniform(0.0, 0.6) * (last - first), first - uniform(0.0, 6.0))
+        first = torch.where(
+            chance(c.midway), first + uniform(0.0, 0.6) * (last - first), first - uniform(0.0, 6.0)
+        )
         last = last + uniform(0.0, 6.0)
         seen = torch.where(chance(c.complete), torch.ones(count), uniform(0.06, 1.0))
         length = (last - first) * seen
@@ -105,13 +109,23 @@ class WindowSource:
         way = torch.minimum(share * (length + pause)[:, None], length[:, None])
         s = first[:, None] + way - (speed * response.lag_s)[:, None]
         depth = c.depth_mm * normal(count).clamp(-2.0, 3.0)
-        clean = self._response(foot_x[:, None] + s * cos[:, None], foot_y[:, None] + s * sin[:, None], cos, sin, depth)
+        clean = self._response(
+            foot_x[:, None] + s * cos[:, None], foot_y[:, None] + s * sin[:, None], cos, sin, depth
+        )
         channels = clean.shape[2]
         gain = 1 + response.gain_sd * normal(count, 1, 1) + c.channel_gain * normal(count, 1, channels)
         blocks = (seconds / self.block_s / KNOTS).clamp(min=0.2)
         zero = self._drift * normal(count, 1, channels)
         zero = zero + self._drift * normal(count, 1, channels) * (share[:, None] - 0.3)
-        volts = gain * clean + zero + self._noise * blocks.rsqrt()[:, None, None] * normal(count, KNOTS, channels)
+        # What the map leaves over: a smooth wave along the line, different in each channel.
+        wave = 2 * math.pi * (length + pause)[:, None] / uniform(15.0, 50.0)[:, None] * share
+        phase = 2 * math.pi * torch.rand(count, 1, channels, generator=generator)
+        peak = clean.abs().amax((1, 2))[:, None, None]
+        left = (response.floor_v + PEAK_SHARE * peak) * normal(count, 1, channels)
+        zero = zero + left * torch.sin(wave[:, :, None] + phase)
+        volts = (
+            gain * clean + zero + self._noise * blocks.rsqrt()[:, None, None] * normal(count, KNOTS, channels)
+        )
         integral = F.pad(volts.cumsum(1), (0, 0, 1, 0))
         width = 6
         level = (integral[:, width:] - integral[:, :-width]).abs().amax(2) / width

@@ -40,7 +40,9 @@ def train_proposal(
     proposal = start or Proposal(source.response.channels, network)
     averaged = torch.optim.swa_utils.AveragedModel(
         proposal,
-        avg_fn=lambda kept, new, count: kept + (new - kept) * (1 - min(config.average, float(1 - 1 / (count + 1)))),
+        avg_fn=lambda kept, new, count: (
+            kept + (new - kept) * (1 - min(config.average, float(1 - 1 / (count + 1))))
+        ),
     )
     optimizer = torch.optim.AdamW(proposal.parameters(), lr=config.rate, weight_decay=1e-4)
     for step in range(config.steps):

@@ -44,7 +44,9 @@ class Localizer:
         except OSError:
             raise InputError(f"{path}: cannot be read; a bundle holds model.onnx and model.json") from None
         if hashlib.sha256(graph).hexdigest() != card.graph_sha256:
-            raise InputError(f"{path}: not the graph that model.json describes; take the bundle from its source again")
+            raise InputError(
+                f"{path}: not the graph that model.json describes; take the bundle from its source again"
+            )
         localizer = cls(card, open_session(graph, path))
         localizer._check_golden(path)
         return localizer
@@ -79,7 +81,11 @@ class Localizer:
         if window is None:
             return Estimate(time_s=time_s, state=state)
         row = self._session.run(None, self.inputs(window))[0][0]
-        width = energy_width_s(window.volts, window.elapsed_s) if "log_speed_width" in self.card.outputs else math.nan
+        width = (
+            energy_width_s(window.volts, window.elapsed_s)
+            if "log_speed_width" in self.card.outputs
+            else math.nan
+        )
         estimate = decode(row, self.card, window, state, time_s, width)
         if state is State.ENDED:
             self._held = estimate
@@ -116,10 +122,16 @@ class Localizer:
             inputs = {k: np.array(v, dtype=np.float32) for k, v in golden["inputs"].items()}
             row = self._session.run(None, inputs)[0][0]
         except Exception as error:  # ONNX Runtime raises types of its own
-            raise InputError(f"{path}: the card's example does not run ({error}); export the bundle again") from None
+            raise InputError(
+                f"{path}: the card's example does not run ({error}); export the bundle again"
+            ) from None
         wanted = np.array(golden["estimate"], dtype=np.float32)
-        if row.shape != wanted.shape or not np.allclose(row, wanted, rtol=GOLDEN_TOLERANCE, atol=GOLDEN_TOLERANCE):
-            raise InputError(f"{path}: the graph does not compute its card's example; export the bundle again")
+        if row.shape != wanted.shape or not np.allclose(
+            row, wanted, rtol=GOLDEN_TOLERANCE, atol=GOLDEN_TOLERANCE
+        ):
+            raise InputError(
+                f"{path}: the graph does not compute its card's example; export the bundle again"
+            )
 
 
 def open_session(graph: bytes, path: Path) -> ort.InferenceSession:

@@ -1,0 +1,90 @@
+"""Writes a bundle, model.onnx and model.json, and refuses one that does not compute what was trained."""
+
+import hashlib
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import onnx
+import onnxruntime as ort
+
+from features.card import Card, write_card
+from features.conditioning import Conditioning
+from features.vector import feature_matrix
+from models.fitted import FittedModel
+from pipeline.dataset import LabelledWindows
+from pipeline.sensor import Sensor
+from pipeline.staging import staged
+
+PARITY = 1e-4
+
+
+class ParityError(RuntimeError):
+    """The exported graph and the original disagree."""
+
+
+def graph_inputs(model_input: str, volts: np.ndarray, elapsed_s: np.ndarray) -> dict[str, np.ndarray]:
+    """A graph's inputs for windows volts (B, C, 64) V, elapsed_s (B,) s, every accelerometer in use."""
+    if model_input == "features":
+        return {"features": feature_matrix(volts, elapsed_s).astype(np.float32)}
+    weight = np.ones((len(volts), volts.shape[1] // 3), dtype=np.float32)
+    return {"volts": volts.astype(np.float32), "elapsed_s": elapsed_s.astype(np.float32), "weight": weight}
+
+
+def write_bundle(
+    fitted: FittedModel,
+    sensor: Sensor,
+    conditioning: Conditioning,
+    windows: LabelledWindows,
+    provenance: dict[str, Any],
+    out: Path,
+) -> float:
+    """Writes the bundle and returns the largest relative difference between graph and original on the windows.
+
+    Raises:
+        ParityError: they differ by more than 1e-4 relative; nothing is written.
+        InputError: `out` cannot be written.
+    """
+    graph = fitted.graph.SerializeToString()
+    inputs = graph_inputs(fitted.input, windows.volts, windows.elapsed_s)
+    session = ort.InferenceSession(graph, providers=["CPUExecutionProvider"])
+    exported = session.run(None, inputs)[0]
+    difference = relative_difference(exported, fitted.original(inputs))
+    if not difference <= PARITY:
+        raise ParityError(f"ONNX Runtime and the trained {fitted.name} differ by {difference:.1e} relative")
+    # The middle of the latest windows: a whole slide, and no extreme one.
+    golden = int(np.flatnonzero(windows.stroke_fraction == windows.stroke_fraction.max())[0])
+    card = Card(
+        model=fitted.name,
+        input=fitted.input,
+        outputs=fitted.outputs,
+        sensor=asdict(sensor),
+        channels=sensor.channels,
+        sample_rate_hz=sensor.sample_rate_hz,
+        reference_mm=sensor.reference_mm,
+        conditioning=conditioning,
+        intervals=fitted.intervals,
+        validity=fitted.validity,
+        provenance={**provenance, "fit": fitted.summary, "parity": difference},
+        golden={
+            "inputs": {k: v[golden : golden + 1].tolist() for k, v in inputs.items()},
+            "estimate": exported[golden].tolist(),
+        },
+        graph_sha256=hashlib.sha256(graph).hexdigest(),
+    )
+    with staged(out) as folder:
+        (folder / "model.onnx").write_bytes(graph)
+        write_card(card, folder / "model.json")
+    return difference
+
+
+def read_graph(bundle: Path) -> onnx.ModelProto:
+    """The graph of a bundle, to train on from it."""
+    return onnx.load_model_from_string((bundle / "model.onnx").read_bytes())
+
+
+def relative_difference(a: np.ndarray, b: np.ndarray) -> float:
+    """Largest |a - b| over the column's largest |b|."""
+    scale = np.maximum(np.abs(b).max(axis=0), 1e-6)
+    return float((np.abs(a - b) / scale).max())
