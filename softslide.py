@@ -28,6 +28,7 @@ def _parser() -> argparse.ArgumentParser:
 
     check = commands.add_parser("check", help="validate a folder of recordings")
     check.add_argument("folder", type=Path, metavar="DIR", help="sensor.toml, manifest.csv, slides/*.parquet")
+    check.add_argument("--json", action="store_true", help="the findings as one JSON object")
     check.set_defaults(run=_check)
 
     load = commands.add_parser("import", help="turn a lab's files into a folder of recordings")
@@ -105,11 +106,22 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _check(arguments: argparse.Namespace) -> int:
-    from pipeline.recordings import check_folder, read_folder
+    import json
+
+    from pipeline.health import as_json, examine
+    from pipeline.recordings import read_folder
 
     recordings = read_folder(arguments.folder)
-    check_folder(recordings)
-    print(f"{arguments.folder}: {len(recordings)} recordings are well")
+    findings = examine(recordings)
+    errors = [finding for finding in findings if finding.level == "error"]
+    if arguments.json:
+        print(json.dumps(as_json(recordings, findings), indent=1, allow_nan=False))
+    else:
+        for finding in findings:
+            print(finding.line())
+        print(f"{len(recordings)} recordings, {len(errors)} errors, {len(findings) - len(errors)} warnings")
+    if errors:
+        raise InputError(f"{arguments.folder}: {len(errors)} errors, first {errors[0].line()}; mend or drop these")
     return 0
 
 

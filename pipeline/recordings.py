@@ -113,16 +113,6 @@ def read_folder(root: Path) -> Folder:
     return Folder(root, sensor, manifest)
 
 
-def check_folder(folder: Folder) -> None:
-    """Loads every slide, so that a folder which passes holds no bad sample.
-
-    Raises:
-        InputError: the first thing that is wrong.
-    """
-    for recording in folder.manifest.index:
-        folder.load(recording)
-
-
 def write_folder(
     out: Path, sensor: Sensor, manifest: pd.DataFrame, recordings: Iterable[Recording]
 ) -> Folder:

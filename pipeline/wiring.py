@@ -57,11 +57,12 @@ def sign_agreement(recording: Recording, labels: pd.Series, sensor: Sensor) -> n
     agreement = np.full((len(sensor.accelerometers), 3, 2), np.nan)
     if labels[list(NEEDED)].isna().any():
         return agreement
-    rest = recording.time_s < labels["motion_start_s"]
+    time_s, volts = _hundredths(recording, sensor.sample_rate_hz)
+    rest = time_s < labels["motion_start_s"]
     if rest.sum() < 2:
         return agreement
-    path = contact_path(recording.time_s, labels, sensor)
-    volts = recording.volts - recording.volts[rest].mean(axis=0)
+    path = contact_path(time_s, labels, sensor)
+    volts = volts - volts[rest].mean(axis=0)
     for k, part in enumerate(sensor.accelerometers):
         away = path - (part.x_mm, part.y_mm)
         close = np.hypot(away[:, 0], away[:, 1]) < FAR_MM
@@ -75,3 +76,11 @@ def sign_agreement(recording: Recording, labels: pd.Series, sensor: Sensor) -> n
                 scale = np.linalg.norm(output) * np.sqrt(len(due))
                 agreement[k, i, j] = output @ due / scale if scale > 0 else 0.0
     return agreement
+
+
+def _hundredths(recording: Recording, rate_hz: float) -> tuple[np.ndarray, np.ndarray]:
+    """Means over hundredths of a second: the noise goes, the slide stays."""
+    block = max(int(rate_hz / 100), 1)
+    count = len(recording.time_s) // block
+    time_s = recording.time_s[: count * block].reshape(count, block).mean(axis=1)
+    return time_s, recording.volts[: count * block].reshape(count, block, -1).mean(axis=1)

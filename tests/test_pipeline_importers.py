@@ -13,7 +13,7 @@ import softslide
 from pipeline.importers import run
 from pipeline.importers.mapping import KINDS, read_map, template
 from pipeline.importers.run import import_recordings
-from pipeline.recordings import SAMPLE, check_folder, read_folder
+from pipeline.recordings import SAMPLE, read_folder
 
 HAPMAT = Path(__file__).parents[1].parent / "shared" / "recordings" / "hapmat"
 
@@ -22,7 +22,8 @@ def imported(map_path: Path, out: Path, source: Path | None = None):
     """The folder that an import makes, read back."""
     import_recordings([source or map_path.parent / "lab"], read_map(map_path), out)
     folder = read_folder(out)
-    check_folder(folder)
+    for name in folder.manifest.index:
+        folder.load(name)
     return folder
 
 

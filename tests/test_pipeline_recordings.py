@@ -14,7 +14,7 @@ from hypothesis.extra import numpy as hnp
 import softslide
 from features.clock import check_clock
 from features.errors import InputError
-from pipeline.recordings import LABELS, SAMPLE, Recording, check_folder, read_folder, write_folder
+from pipeline.recordings import LABELS, SAMPLE, Recording, read_folder, write_folder
 from pipeline.sensor import Accelerometer, Sensor
 from pipeline.slides import read_slide, write_slide
 
@@ -80,7 +80,8 @@ def test_a_folder_comes_back_as_written(tmp_path: Path, accelerometers: int) -> 
     recordings = [a_recording(name, len(sensor.channels)) for name in names]
     write_folder(tmp_path / "lab", sensor, a_manifest(names), recordings)
     folder = read_folder(tmp_path / "lab")
-    check_folder(folder)
+    for name in folder.manifest.index:
+        folder.load(name)
     assert folder.sensor == sensor
     assert list(folder.manifest.index) == names
     for written in recordings:
@@ -122,7 +123,8 @@ def test_labels_may_be_absent(tmp_path: Path) -> None:
     manifest.loc[0, "speed_mm_s"] = np.nan
     write_folder(tmp_path / "lab", a_sensor(), manifest, map(a_recording, ["one", "two"]))
     folder = read_folder(tmp_path / "lab")
-    check_folder(folder)
+    for name in folder.manifest.index:
+        folder.load(name)
     assert set(LABELS) <= set(folder.manifest.columns)
     assert folder.manifest["direction_deg"].isna().all()
     assert len(folder.labelled()) == 0
@@ -320,7 +322,8 @@ def test_nothing_half_written_is_left(tmp_path: Path) -> None:
 
 def test_the_sample_is_well_and_covers_what_a_demo_needs() -> None:
     folder = read_folder(SAMPLE)
-    check_folder(folder)
+    for name in folder.manifest.index:
+        folder.load(name)
     assert len(folder.labelled()) == len(folder) == 60
     calibration = folder.select("calibration").manifest
     for direction in (0, 90, 180, 270):
