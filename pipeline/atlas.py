@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 from scipy.interpolate import NdBSpline, make_interp_spline
+from scipy.optimize import brentq
 
 from features.errors import InputError
 from pipeline.sensor import Sensor, design_hash, design_of
@@ -126,7 +127,12 @@ class Atlas:
             raise InputError(
                 f"a skin height of {height_mm:g} mm is outside the atlas's {low:.3g}..{high:.3g} mm"
             )
-        return float(_along(self.height_mm, self.pressure_mpa, height_mm))
+        if len(self.height_mm) == 1:
+            return float(self.pressure_mpa[0])
+        ends = (float(self.pressure_mpa[0]), float(self.pressure_mpa[-1]))
+        if not low < height_mm < high:
+            return ends[height_mm >= high]
+        return brentq(lambda pressure: self.height(pressure) - height_mm, *ends, xtol=1e-10)
 
     def _level(self, pressure: float) -> float:
         _inside("pressure_level", np.asarray(pressure), self.pressure_mpa, "MPa")
@@ -254,7 +260,7 @@ def read_atlas(path: Path = DEFAULT_ATLAS) -> Atlas:
         InputError: there is no such file, it is no atlas, or one of another version.
     """
     try:
-        with np.load(path, allow_pickle=False) as file:
+        with path.open("rb") as handle, np.load(handle, allow_pickle=False) as file:
             meta = json.loads(str(file["meta"]))
             version = meta.pop("version")
             if version != VERSION:

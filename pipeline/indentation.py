@@ -14,7 +14,7 @@ from pipeline.atlas import Atlas
 
 
 def height_by_formula(static_g: float, board_mm: float, half_width_mm: float) -> float:
-    """The article's height (mm) of a parabolic skin, h = D^2 tan(beta) / (2 x0), sin(beta) = V_x / (g k).
+    """The article's height (mm): parabolic skin, h = D^2 tan(beta) / (2 x0), sin(beta) = V_x / (g k).
 
     Args:
         static_g: the untouched accelerometer's reading along x, V_x / k. board_mm: its x0, not zero.
