@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from features.clock import RATE_TOLERANCE
 from features.errors import InputError
 from pipeline.importers.mapping import Clock
 
@@ -110,8 +111,10 @@ def kept(streams: Sequence[Iterator[Samples]], rate_hz: float) -> Iterator[Sampl
         first = time_s[0] if first is None else first
         last, count = time_s[-1], count + len(time_s)
         yield time_s, values
-    # Even steps that are all a little long still make another rate.
-    if first is not None and abs((count - 1) / (last - first) / rate_hz - 1) > 0.002:
+    # Even steps that are all a little long still make another rate; jitter at the ends does not.
+    if first is not None and abs((count - 1) / (last - first) / rate_hz - 1) > RATE_TOLERANCE + EVEN / (
+        count - 1
+    ):
         raise Uneven
 
 

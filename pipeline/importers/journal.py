@@ -29,7 +29,8 @@ class Journal:
             self.path.write_text(head + "\n")
 
     def has(self, job: Source) -> bool:
-        return self.entries.get(job.name, {}).get("sources") == stamp(job)
+        slide = self.path.parent / "raw" / f"{job.name}.parquet"
+        return slide.is_file() and self.entries.get(job.name, {}).get("sources") == stamp(job)
 
     def add(self, job: Source, entry: dict[str, Any]) -> None:
         self.entries[job.name] = {"recording": job.name, "sources": stamp(job), **entry}

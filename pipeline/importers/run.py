@@ -36,8 +36,8 @@ from pipeline.slides import read_slide, read_slide_in_blocks, write_slide_in_blo
 from pipeline.staging import staged
 from pipeline.wiring import sign_agreement, start_mm
 
-# Signs and onsets look at a slide as a whole; a longer one than this (80 minutes at 1 kHz) is left out.
-WHOLE_SAMPLES = 5_000_000
+# Signs and onsets look at a slide as a whole; a longer one than this (half an hour at 1 kHz) is left out.
+WHOLE_SAMPLES = 2_000_000
 
 
 @dataclass(frozen=True)
@@ -210,7 +210,7 @@ def _finish(jobs: Sequence[Source], mapping: Map, journal: Journal, partial: Pat
                 )
                 write_slide_in_blocks(scratch / file, blocks, mapping.sensor.channels)
             else:
-                os.link(raw, scratch / file)
+                os.replace(raw, scratch / file)
         write_sensor(scratch / "sensor.toml", mapping.sensor)
         write_manifest(scratch / "manifest.csv", manifest)
         report = {
