@@ -1,9 +1,6 @@
 """Solves a sensor design's atlas: lines of the indenter in parallel, resumable, then gathered on a grid."""
 
-import hashlib
-import json
 import math
-import shutil
 import sys
 from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass, replace
@@ -14,10 +11,10 @@ import numpy as np
 
 from features.errors import InputError
 from pipeline.atlas import DEFAULT_SENSOR, Atlas, write_atlas
+from pipeline.line_store import LineStore, Task
 from pipeline.sensor import Sensor, check_design, design_hash, design_of, read_sensor
 from pipeline.skin.solver import TOLERANCE_N, NoEquilibrium, Statistics
 from pipeline.skin.survey import (
-    Line,
     gravity,
     join_families,
     lines,
@@ -103,7 +100,13 @@ def solve_atlas(
         for depth in range(len(grid.depth_mm))
         for line in wanted
     ]
-    store = None if work is None else _Store(work, sensor, grid, [p for p, _ in levels])
+    store = (
+        None
+        if work is None
+        else LineStore(
+            work, [design_of(sensor), asdict(sensor.mesh), asdict(grid), [round(p, 9) for p, _ in levels]]
+        )
+    )
     done = {} if store is None else store.finished(tasks)
     left = [task for task in tasks if task not in done]
     calls = [
@@ -200,9 +203,6 @@ def _levels(sensor: Sensor, source: str) -> list[tuple[float, State]]:
     return levels
 
 
-Task = tuple[int, int, Line]
-
-
 def _solve(task: Task, call: tuple) -> tuple[Task, np.ndarray, dict[str, float]]:
     values, statistics = solve_line(*call)
     return task, values, asdict(statistics)
@@ -297,41 +297,3 @@ def _rest_error(done: dict[Task, tuple[np.ndarray, dict[str, float]]], boards: i
     """The largest tilt in g left at either end of any line, where the skin must be at rest again."""
     ends = [values[[0, -1], : 7 * boards].reshape(2, boards, 7)[..., :3] for values, _ in done.values()]
     return float(np.nanmax(np.abs(ends)))
-
-
-class _Store:
-    """A folder of finished lines. A file appears under its name when it is whole."""
-
-    def __init__(self, folder: Path, sensor: Sensor, grid: Grid, pressures: list[float]) -> None:
-        key = json.dumps(
-            [design_of(sensor), asdict(sensor.mesh), asdict(grid), [round(p, 9) for p in pressures]],
-            sort_keys=True,
-        )
-        self._folder = folder / hashlib.sha256(key.encode()).hexdigest()[:16]
-        try:
-            self._folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise InputError(f"{folder}: cannot be written ({error.strerror}); name another --out") from None
-
-    def _path(self, task: Task) -> Path:
-        level, depth, line = task
-        return self._folder / f"{level}-{depth}-{line.name}.npz"
-
-    def finished(self, tasks: list[Task]) -> dict[Task, tuple[np.ndarray, dict[str, float]]]:
-        found = {}
-        for task in tasks:
-            if self._path(task).exists():
-                with np.load(self._path(task), allow_pickle=False) as file:
-                    found[task] = (file["values"], json.loads(str(file["statistics"])))
-        return found
-
-    def keep(self, task: Task, values: np.ndarray, statistics: dict[str, float]) -> None:
-        path = self._path(task)
-        scratch = path.with_suffix(".partial.npz")
-        np.savez(scratch, values=values, statistics=np.array(json.dumps(statistics)))
-        scratch.replace(path)
-
-    def remove(self) -> None:
-        shutil.rmtree(self._folder, ignore_errors=True)
-        if not any(self._folder.parent.iterdir()):
-            self._folder.parent.rmdir()

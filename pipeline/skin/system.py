@@ -11,9 +11,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import scipy.sparse as sparse
-from numba import njit
 
-from pipeline.skin import loads, material
+from pipeline.skin import loads
+from pipeline.skin.assembly import sum_elements
 from pipeline.skin.mesh import Mesh
 
 
@@ -137,7 +137,7 @@ class System:
         total = np.zeros(4)
         if wants_tangent:
             self.pattern.data[:] = 0.0
-        good = _sum_elements(
+        good = sum_elements(
             mesh.elements,
             places,
             load.old_places if load.old_places is not None else places,
@@ -249,105 +249,3 @@ def _face_areas(mesh: Mesh) -> np.ndarray:
     corners = mesh.nodes[mesh.elements[:, 4:]]
     diagonals = np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1])
     return np.linalg.norm(diagonals, axis=1) / 2
-
-
-@njit(cache=True, fastmath=material.FAST, error_model="numpy")
-def _sum_elements(
-    elements,
-    places,
-    old_places,
-    gradients,
-    volumes,
-    shear,
-    bulk,
-    is_bottom,
-    pressure,
-    pressed_shapes,
-    is_top,
-    areas,
-    centre,
-    moved,
-    law,
-    face_shapes,
-    wants_tangent,
-    first,
-    count,
-    motion,
-    positions,
-    forces,
-    data,
-    total,
-):
-    """Sums forces (nodes, 3), the tangent's data, the indenter's (4,). False if one is inside out."""
-    x = np.empty((3, 8))
-    before = np.empty((3, 8))
-    room = np.empty((8, 3, 8))
-    force = np.empty((3, 8))
-    stiffness = np.empty((8, 3, 3, 8))
-    carried = np.empty((3, 6))
-    travel = np.sqrt(moved[0] * moved[0] + moved[1] * moved[1] + moved[2] * moved[2])
-    for e in range(elements.shape[0]):
-        for a in range(8):
-            for i in range(3):
-                x[i, a] = places[elements[e, a], i]
-        if not material.element(
-            x, gradients[e], volumes[e], shear, bulk, wants_tangent, room, force, stiffness
-        ):
-            return False
-        if is_bottom[e] and pressure != 0.0:
-            loads.air(x, pressure, pressed_shapes, wants_tangent, force, stiffness)
-        if is_top[e]:
-            for a in range(8):
-                for i in range(3):
-                    before[i, a] = old_places[elements[e, a], i]
-            loads.touch(
-                x,
-                before,
-                areas[e],
-                centre,
-                moved,
-                travel,
-                law,
-                face_shapes,
-                wants_tangent,
-                force,
-                stiffness,
-                total,
-            )
-        for a in range(8):
-            for i in range(3):
-                forces[elements[e, a], i] += force[i, a]
-        if not wants_tangent:
-            continue
-        for a in range(8):
-            na = elements[e, a]
-            if count[na] == 0:
-                continue
-            for b in range(8):
-                nb = elements[e, b]
-                if count[nb] == 0 or first[nb] < first[na]:
-                    continue
-                same = first[na] == first[nb]
-                # K_ab B_b, then B_a^T of it
-                if count[nb] == 3:
-                    for i in range(3):
-                        for j in range(3):
-                            carried[i, j] = stiffness[a, i, j, b]
-                else:
-                    for i in range(3):
-                        for j in range(6):
-                            carried[i, j] = 0.0
-                            for k in range(3):
-                                carried[i, j] += stiffness[a, i, k, b] * motion[nb, k, j]
-                for i in range(count[na]):
-                    at = positions[e, a, b, i]
-                    begin = i if same else 0
-                    for j in range(begin, count[nb]):
-                        if count[na] == 3:
-                            value = carried[i, j]
-                        else:
-                            value = 0.0
-                            for k in range(3):
-                                value += motion[na, k, i] * carried[k, j]
-                        data[at + j - begin] += value
-    return True
