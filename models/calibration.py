@@ -33,7 +33,7 @@ class CalibrationConfig:
 
     smooth_mean: float = 0.1
     smooth_friction: float = 3.0
-    near_prior: float = 0.03
+    near_prior: float = 0.003
     gain_sd: float = 0.03
     shift_sd_mm: float = 0.1
     iterations: int = 4
@@ -56,6 +56,11 @@ class CalibrationSlide:
     volts: np.ndarray
     blocks: int
     rest_noise_v: np.ndarray
+
+    @property
+    def offset_key(self) -> float:
+        """Signed distance (mm) of the line from the chamber's centre; tells lines of one direction apart."""
+        return self.start_mm[1] * np.cos(self.direction_rad) - self.start_mm[0] * np.sin(self.direction_rad)
 
     def place(self, shift_mm: float, lag_s: float) -> tuple[np.ndarray, np.ndarray]:
         """Contact positions x, y (m,) mm that the signal answers to, given the slide's shift and the lag."""
@@ -173,6 +178,12 @@ def calibrate(
         "gain_sd": response.gain_sd,
         "lag_s": float(response.lag_s),
     }
+
+
+def slide_residual(slide: CalibrationSlide, response: ResponseMap) -> float:
+    """Rms (V) that a map leaves over of a slide, its gain and shift fitted."""
+    left = _fit_slide(slide, 1.0, 0.0, response, CalibrationConfig())[2]
+    return float(np.sqrt(np.mean(left**2)))
 
 
 def blank_map(sensor: Sensor, depth_mm: float) -> ResponseMap:

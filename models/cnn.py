@@ -1,7 +1,7 @@
 """Fits the default model: a calibrated response map, and the network trained on slides drawn from it."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 import onnx
@@ -9,18 +9,20 @@ import torch
 
 from features.card import Interval, Validity
 from features.conditioning import Conditioning
-from models.calibration import CalibrationConfig, CalibrationSlide, blank_map, calibrate, calibration_slides
+from models.calibration import CalibrationConfig, calibration_slides
+from models.device import DeviceMaps, device_maps
 from models.export import export_graph
 from models.fitted import FittedModel
-from models.intervals import angle_error_deg, conformal_interval, line_folds
+from models.intervals import angle_error_deg, conformal_interval
 from models.network import OUTPUTS, NetworkConfig, Proposal, Refinement, SlideNetwork
+from models.prior import DeviceSpread
 from models.response_map import ResponseMap
 from models.synthetic_windows import SynthesisConfig, WindowSource
 from models.training import TrainingConfig, train_proposal
+from pipeline.atlas import Atlas
 from pipeline.dataset import LabelledWindows, labelled_windows
 from pipeline.recordings import Folder
 
-FOLDS = 4
 # Without recordings nothing says how far this device is from its design: the article's own bounds, and a margin.
 UNCALIBRATED = {
     "direction_deg": Interval(1.645, 4.0),
@@ -35,6 +37,7 @@ class CnnConfig:
 
     conditioning: Conditioning = field(default_factory=Conditioning)
     calibration: CalibrationConfig = field(default_factory=CalibrationConfig)
+    spread: DeviceSpread = field(default_factory=DeviceSpread)
     network: NetworkConfig = field(default_factory=NetworkConfig)
     synthesis: SynthesisConfig = field(default_factory=SynthesisConfig)
     training: TrainingConfig = field(default_factory=TrainingConfig)
@@ -42,26 +45,30 @@ class CnnConfig:
 
 def fit_cnn(
     folder: Folder,
-    prior: ResponseMap | None,
     config: CnnConfig,
+    atlas: Atlas | None = None,
     init: onnx.ModelProto | None = None,
     progress: Callable[[int, float], None] = lambda step, loss: None,
 ) -> FittedModel:
     """Calibrates the map on the folder's labelled slides and trains the network on it.
 
-    folder: its calibration splits. prior: the sensor's map from its atlas; None: from recordings alone.
-    init: an exported network to go on from.
+    folder: its calibration splits. atlas: of the sensor's design; None: from recordings alone.
+    init: an exported network to go on from. progress: told the step and the loss, now and then.
+
+    Raises:
+        InputError: neither slides nor an atlas.
     """
     slides = calibration_slides(folder, config.conditioning)
-    start = blank_map(folder.sensor, _nominal_depth(slides)) if prior is None else prior
-    response, summary = calibrate(slides, start, prior is not None, config.calibration)
+    maps = device_maps(slides, folder.sensor, atlas, config.calibration, config.spread)
+    response = maps.response
     source = WindowSource(response, config.conditioning.block_s, config.synthesis)
     begun = None if init is None else initial_proposal(init, response.channels, config.network)
     proposal = train_proposal(source, config.network, config.training, begun, progress)
     network = _network(proposal, response, config)
     intervals, validity = dict(UNCALIBRATED), Validity(misfit=20.0, direction_sd_deg=8.0, log_speed_sd=0.15)
-    if len(slides) >= 2 * FOLDS:
-        held = _held_out(folder, slides, start, prior is not None, proposal, config)
+    summary = dict(maps.summary)
+    if maps.held_out:
+        held = _held_out(folder, maps, proposal, config)
         intervals, validity = _judge(*held)
         summary |= {f"heldout_{k}": v for k, v in _errors(*held).items()}
     return FittedModel(
@@ -109,33 +116,17 @@ def _run(network: SlideNetwork, volts: np.ndarray, elapsed_s: np.ndarray, weight
     return row.numpy()
 
 
-def _nominal_depth(slides: list[CalibrationSlide]) -> float:
-    return float(np.median([s.depth_mm for s in slides])) if slides else 0.5
-
-
 def _held_out(
-    folder: Folder,
-    slides: list[CalibrationSlide],
-    start: ResponseMap,
-    informed: bool,
-    proposal: Proposal,
-    config: CnnConfig,
+    folder: Folder, maps: DeviceMaps, proposal: Proposal, config: CnnConfig
 ) -> tuple[np.ndarray, LabelledWindows]:
     """Rows (n, K) for windows of lines that the map behind them was not fitted to, and those windows."""
     windows = labelled_windows(folder, config.conditioning)
-    names = np.array([s.recording for s in slides])
-    labels = folder.manifest.loc[names]
-    fold = line_folds(labels.direction_deg.to_numpy(), labels.offset_mm.to_numpy(), FOLDS)
-    # Fewer alternations will do: only the held-out errors' size is wanted.
-    quick = replace(config.calibration, iterations=2)
     rows = np.full((len(windows), len(OUTPUTS)), np.nan, dtype=np.float32)
-    for number in range(FOLDS):
-        seen = [s for s, f in zip(slides, fold, strict=True) if f != number]
-        response, _ = calibrate(seen, start, informed, quick)
-        network = _network(proposal, response, config)
-        mask = np.isin(windows.recording, names[fold == number])
+    for response, unseen in maps.held_out:
+        mask = np.isin(windows.recording, unseen)
         if mask.any():
             weight = np.ones((int(mask.sum()), windows.volts.shape[1] // 3))
+            network = _network(proposal, response, config)
             rows[mask] = _run(network, windows.volts[mask], windows.elapsed_s[mask], weight)
     known = np.isfinite(rows[:, 0])
     return rows[known], windows[known]

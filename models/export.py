@@ -33,6 +33,7 @@ def export_graph(network: torch.nn.Module, accelerometers: int) -> onnx.ModelPro
             dynamic_shapes=({0: batch}, {0: batch}, {0: batch}),
             verbose=False,
         )
+    assert program is not None
     graph = program.model_proto
     strip(graph)
     onnx.checker.check_model(graph, full_check=True)

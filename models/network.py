@@ -58,6 +58,8 @@ class Proposal(nn.Module):
     along mm.
     """
 
+    bins: Tensor
+
     def __init__(self, channels: int, config: NetworkConfig) -> None:
         super().__init__()
         f, h = config.filters, config.hidden
@@ -98,9 +100,19 @@ class Refinement(nn.Module):
     leaves over, and by the slow wander of each channel's zero (a rank-one part of each channel's covariance).
     """
 
+    coefficients: Tensor
+    centres: Tensor
+    noise: Tensor
+    drift: Tensor
+    bins: Tensor
+    nuisance_sd: Tensor
+    least_prior: Tensor
+    longest_step: Tensor
+
     def __init__(self, response: ResponseMap, block_s: float, config: NetworkConfig) -> None:
         super().__init__()
-        assert response.noise_v is not None and response.drift_v is not None
+        assert response.noise_v is not None
+        assert response.drift_v is not None
         k = response.coefficients.shape[1]
         # (K, parts K C) so that one product with the x-splines serves every part.
         stacked = torch.tensor(response.coefficients, dtype=torch.float32)

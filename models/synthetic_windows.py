@@ -17,7 +17,7 @@ from features.window import WINDOW_BINS
 from models.network import PEAK_SHARE
 from models.response_map import ResponseMap
 
-KNOTS = 4 * WINDOW_BINS
+KNOTS = 2 * WINDOW_BINS
 TABLE_MM = 0.5
 
 
@@ -56,7 +56,8 @@ class WindowSource:
     """Draws batches of windows from a response map."""
 
     def __init__(self, response: ResponseMap, block_s: float, config: SynthesisConfig) -> None:
-        assert response.noise_v is not None and response.drift_v is not None
+        assert response.noise_v is not None
+        assert response.drift_v is not None
         self.response, self.block_s, self.config = response, block_s, config
         grid = np.arange(-response.half_mm - 1, response.half_mm + 1 + TABLE_MM / 2, TABLE_MM)
         x, y = (axis.ravel() for axis in np.meshgrid(grid, grid, indexing="ij"))
@@ -127,13 +128,13 @@ class WindowSource:
             gain * clean + zero + self._noise * blocks.rsqrt()[:, None, None] * normal(count, KNOTS, channels)
         )
         integral = F.pad(volts.cumsum(1), (0, 0, 1, 0))
-        width = 6
+        width = 3
         level = (integral[:, width:] - integral[:, :-width]).abs().amax(2) / width
         threshold = torch.exp(uniform(math.log(c.trigger_v[0]), math.log(c.trigger_v[1])))
         passed = level > threshold[:, None]
         start = passed.float().argmax(1)
-        sound &= passed.any(1) & (start < KNOTS - 12) & (seconds * (1 - start / KNOTS) > 6 * self.block_s)
-        start = start.clamp(max=KNOTS - 12).float()
+        sound &= passed.any(1) & (start < KNOTS - 8) & (seconds * (1 - start / KNOTS) > 6 * self.block_s)
+        start = start.clamp(max=KNOTS - 8).float()
         windows = _bins(integral, start)
         weight = torch.ones(count, channels // 2)
         if channels > 2:

@@ -50,7 +50,8 @@ def train_proposal(
         for group in optimizer.param_groups:
             group["lr"] = rate
         batch = source.draw(config.batch, generator)
-        loss = likelihood_loss(*proposal(batch.volts, batch.elapsed_s, batch.weight), batch.targets)
+        proposed, log_sd = proposal(batch.volts, batch.elapsed_s, batch.weight)
+        loss = likelihood_loss(proposed, log_sd, batch.targets)
         optimizer.zero_grad()
         loss.backward()
         clip_grad_norm_(proposal.parameters(), 1.0)
@@ -58,7 +59,9 @@ def train_proposal(
         averaged.update_parameters(proposal)
         if step % 50 == 0:
             progress(step, loss.item())
-    return averaged.module.eval()
+    kept = averaged.module
+    assert isinstance(kept, Proposal)
+    return kept.eval()
 
 
 def likelihood_loss(proposal: Tensor, log_sd: Tensor, targets: Tensor) -> Tensor:

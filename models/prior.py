@@ -1,0 +1,181 @@
+"""The atlas as a prior: a response map of the design, moved to where a few recordings say the device is.
+
+What a device differs by from its design: the skin's height, each board's place and turn, gain, friction. Those few
+numbers are fitted with priors of their own, so that four recordings already mend them and none leave the design.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from models.calibration import CalibrationSlide
+from models.response_map import MARGIN_MM, ResponseMap, spline_coefficients
+from pipeline.atlas import Atlas
+from pipeline.sensor import Sensor
+
+GRID_MM = 1.0
+DEPTH_STEP_MM = 0.1
+SAMPLE_MM = 2.0
+
+
+@dataclass(frozen=True)
+class DeviceSpread:
+    """Standard deviations of a device about its design. height_mm: about the atlas's middle height."""
+
+    gain: float = 0.25
+    turn_rad: float = 0.05
+    place_mm: float = 1.0
+    friction: float = 0.5
+    lag_s: float = 0.02
+    height_mm: float = 1.5
+    misfit: float = 0.05
+
+
+def design_map(atlas: Atlas, sensor: Sensor, height_mm: float, depth_mm: float) -> ResponseMap:
+    """The response map (V) that the atlas gives for a skin height and a contact depth, both within the atlas."""
+    half = max(sensor.chamber_mm) / 2 + MARGIN_MM
+    grid = np.arange(-half, half + GRID_MM / 2, GRID_MM)
+    x, y = (axis.ravel() for axis in np.meshgrid(grid, grid, indexing="ij"))
+    level = atlas.pressure_at(height_mm)
+    volts_per_g = np.repeat([a.sensitivity_v_per_g for a in sensor.accelerometers], 2)
+
+    def tilt(heading_deg: float | None, depth: float) -> np.ndarray:
+        g = np.nan_to_num(atlas.response(x, y, heading_deg, depth, level))[:, :, :2]
+        return g.reshape(len(x), -1) * volts_per_g
+
+    mean = tilt(None, depth_mm)
+    along_x, along_y = tilt(0.0, depth_mm) - mean, tilt(90.0, depth_mm) - mean
+    low, high = np.clip(
+        [depth_mm - DEPTH_STEP_MM, depth_mm + DEPTH_STEP_MM], atlas.depth_mm[0], atlas.depth_mm[-1]
+    )
+    slope = (tilt(None, high) - tilt(None, low)) / (high - low) if high > low else np.zeros_like(mean)
+    surfaces = [
+        spline_coefficients(values.reshape(len(grid), len(grid), -1), grid, half)
+        for values in (mean, along_x, along_y, slope)
+    ]
+    channels = mean.shape[1]
+    return ResponseMap(
+        np.stack(surfaces[:3]),
+        surfaces[3],
+        sensor.chamber_mm,
+        sensor.reference_mm,
+        depth_mm=depth_mm,
+        noise_v=np.full(channels, 1.4e-3),
+        drift_v=np.full(channels, 7e-4),
+        floor_v=4e-3,
+        gain_sd=0.1,
+    )
+
+
+def device_map(
+    atlas: Atlas, sensor: Sensor, slides: list[CalibrationSlide], depth_mm: float, spread: DeviceSpread
+) -> tuple[ResponseMap, dict[str, float]]:
+    """The design's map moved to the device; and by what it was moved.
+
+    Without slides it is the design's own, at the atlas's middle height.
+    """
+    depth_mm = float(np.clip(depth_mm, atlas.depth_mm[0], atlas.depth_mm[-1]))
+    heights = atlas.height_mm
+    middle = float(np.clip(6.75, heights[0], heights[-1]))
+    levels = [design_map(atlas, sensor, float(h), depth_mm) for h in heights]
+    boards = len(sensor.accelerometers)
+    start = np.zeros(3 + 4 * boards)
+    if slides:
+        sd = np.array(
+            [spread.height_mm, spread.friction, spread.lag_s]
+            + [spread.gain, spread.turn_rad, spread.place_mm, spread.place_mm] * boards
+        )
+        sd[0] = sd[0] if len(heights) > 1 else 1e-6
+        peak = max(float(np.abs(s.volts).max()) for s in slides)
+
+        def gaps(p: np.ndarray) -> np.ndarray:
+            left = [
+                np.ravel(_moved(levels, heights, middle, p, s)[:: _every(s)] - s.volts[:: _every(s)])
+                for s in slides
+            ]
+            # Neighbouring stretches err alike: each slide counts as a few independent pieces of evidence.
+            scale = spread.misfit * peak * np.sqrt(sum(len(v) for v in left) / (8.0 * len(slides)))
+            return np.concatenate([*[v / scale for v in left], p / sd])
+
+        start = least_squares(gaps, start, x_scale=sd, method="trf", max_nfev=25).x
+    height = float(np.clip(middle + start[0], heights[0], heights[-1]))
+    moved = _warped(levels, heights, height, start)
+    report = {"height_mm": height, "friction": 1 + float(start[1]), "lag_s": float(max(start[2], 0.0))}
+    for k, board in enumerate(sensor.accelerometers):
+        gain, turn, dx, dy = start[3 + 4 * k : 7 + 4 * k]
+        report |= {
+            f"{board.name}_gain": float(np.exp(gain)),
+            f"{board.name}_turn_deg": float(np.degrees(turn)),
+        }
+        report |= {f"{board.name}_dx_mm": float(dx), f"{board.name}_dy_mm": float(dy)}
+    return moved, report
+
+
+def _every(slide: CalibrationSlide) -> int:
+    """Take one stretch in so many: a couple of millimetres apart."""
+    step = float(np.median(np.diff(slide.travelled_mm)))
+    return max(1, round(SAMPLE_MM / max(step, 1e-3)))
+
+
+def _between(
+    levels: list[ResponseMap], heights: np.ndarray, height_mm: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Coefficients interpolated in height (quadratic through three levels, linear through two)."""
+    weights = np.ones(len(heights))
+    for i, h in enumerate(heights):
+        for j, other in enumerate(heights):
+            if i != j:
+                weights[i] *= (height_mm - other) / (h - other)
+    coefficients = sum(w * level.coefficients for w, level in zip(weights, levels, strict=True))
+    slope = sum(w * level.depth_slope for w, level in zip(weights, levels, strict=True))
+    return np.asarray(coefficients), np.asarray(slope)
+
+
+def _moved(
+    levels: list[ResponseMap], heights: np.ndarray, middle: float, p: np.ndarray, slide: CalibrationSlide
+) -> np.ndarray:
+    """What the moved design shows along a slide (m, C) V."""
+    coefficients, slope = _between(levels, heights, float(np.clip(middle + p[0], heights[0], heights[-1])))
+    response = replace(levels[0], coefficients=coefficients, depth_slope=slope)
+    x, y = slide.place(0.0, max(p[2], 0.0))
+    volts = np.empty((len(x), response.channels))
+    for k in range(response.channels // 2):
+        gain, turn, dx, dy = p[3 + 4 * k : 7 + 4 * k]
+        pair = slice(2 * k, 2 * k + 2)
+        one = replace(response, coefficients=response.coefficients[..., pair], depth_slope=slope[..., pair])
+        plain = one.response(x - dx, y - dy, slide.direction_rad, slide.depth_mm)
+        still = replace(one, coefficients=one.coefficients * np.array([1.0, 0, 0])[:, None, None, None])
+        still_volts = still.response(x - dx, y - dy, slide.direction_rad, slide.depth_mm)
+        volts[:, pair] = np.exp(gain) * _rotated(still_volts + (1 + p[1]) * (plain - still_volts), turn)
+    return volts
+
+
+def _rotated(volts: np.ndarray, turn_rad: float) -> np.ndarray:
+    """V_x, V_y (..., 2) of a board turned about its normal."""
+    cos, sin = np.cos(turn_rad), np.sin(turn_rad)
+    return volts @ np.array([[cos, -sin], [sin, cos]])
+
+
+def _warped(levels: list[ResponseMap], heights: np.ndarray, height_mm: float, p: np.ndarray) -> ResponseMap:
+    """The moved design as a map of its own."""
+    coefficients, slope = _between(levels, heights, height_mm)
+    base = levels[0]
+    grid = np.arange(-base.half_mm, base.half_mm + GRID_MM / 2, GRID_MM)
+    x, y = (axis.ravel() for axis in np.meshgrid(grid, grid, indexing="ij"))
+    out, deep = np.empty_like(coefficients), np.empty_like(slope)
+    scale = np.array([1.0, 1 + p[1], 1 + p[1]])
+    for k in range(base.channels // 2):
+        gain, turn, dx, dy = p[3 + 4 * k : 7 + 4 * k]
+        pair = slice(2 * k, 2 * k + 2)
+        surfaces = [*(coefficients[..., pair] * scale[:, None, None, None]), slope[..., pair]]
+        none = np.zeros_like(slope[..., pair])
+        for part, surface in enumerate(surfaces):
+            one = replace(base, coefficients=np.stack([surface, none, none]), depth_slope=none)
+            values = np.exp(gain) * _rotated(one.response(x - dx, y - dy, 0.0), turn)
+            fitted = spline_coefficients(values.reshape(len(grid), len(grid), 2), grid, base.half_mm)
+            if part < 3:
+                out[part, ..., pair] = fitted
+            else:
+                deep[..., pair] = fitted
+    return replace(base, coefficients=out, depth_slope=deep, lag_s=float(max(p[2], 0.0)))
