@@ -43,6 +43,7 @@ class Limits:
     speed: float = 0.05  # the motion's duration against travel over speed, as a portion
     ramp_s: float = 1.0  # or, if more, as a time
     same_noise: float = 0.5  # correlation of two recordings' noise
+    same_output: float = 0.95  # correlation of two outputs' noise: a shaken device moves all of them
     echo: float = 0.3  # autocorrelation of the noise
     tone: float = 100.0  # power of a line over the noise floor
     equal_noise: float = 0.02  # spread of the noise between outputs, over what chance would leave
@@ -123,9 +124,9 @@ def _signal(one: Vitals, sensor: Sensor, limits: Limits) -> Iterator[Finding]:
         rest_g = float(
             np.linalg.norm(one.rest_v[3 * k : 3 * k + 3] - part.zero_g_v) / part.sensitivity_v_per_g
         )
-        if abs(rest_g - 1) > limits.gravity_g:
+        if (off := abs(rest_g - 1)) > limits.gravity_g:
             yield find(
-                "warning", "gravity", part.name, rest_g, 1 + limits.gravity_g, "g at rest, where 1 is due"
+                "warning", "gravity", part.name, off, limits.gravity_g, "g off the 1 g that is due at rest"
             )
         sheet = DATA_SHEET_G_RTHZ.get(part.model)
         for i, axis in enumerate("xyz"):
@@ -228,16 +229,20 @@ def _duplicates(vitals: Sequence[Vitals]) -> Iterator[Finding]:
 def _made_up(vitals: Sequence[Vitals], sensor: Sensor, limits: Limits) -> Iterator[Finding]:
     """Noise that two recordings or two outputs share, and outputs whose noise is equal beyond chance."""
     whole = [one for one in vitals if len(one.fingerprint) == max(len(v.fingerprint) for v in vitals)]
-    lanes = [(one.name, c, one.digest) for one in whole for c in range(one.fingerprint.shape[1])]
+    outputs = len(sensor.channels)
     noise = np.concatenate([one.fingerprint.T for one in whole])
-    for b, (other, d, other_digest) in enumerate(lanes[1:], 1):
+    for b in range(1, len(noise)):
+        own = b - b % outputs
         shared = np.abs(noise[:b] @ noise[b])
-        a = int(shared.argmax())
-        name, c, digest = lanes[a]
-        if shared[a] > limits.same_noise and (name == other or digest != other_digest):
-            text = f"correlation of its noise with {name} {sensor.channels[c]}: a generator's, repeated"
-            channel = sensor.channels[d]
-            yield Finding("error", "made up", other, channel, float(shared[a]), limits.same_noise, text)
+        one, channel = whole[b // outputs], sensor.channels[b % outputs]
+        if own < b and (figure := float(shared[own:].max())) > limits.same_output:
+            text = "correlation of its noise with another output's: a generator's, repeated"
+            yield Finding("warning", "made up", one.name, channel, figure, limits.same_output, text)
+        if own and (figure := float(shared[:own].max())) > limits.same_noise:
+            other = whole[int(shared[:own].argmax()) // outputs]
+            if other.digest != one.digest:
+                text = f"correlation of its noise with that of {other.name}: a generator's, repeated"
+                yield Finding("error", "made up", one.name, channel, figure, limits.same_noise, text)
     if len(vitals) < 5 or len(sensor.channels) < 3:
         return
     variance = np.array([one.noise_v_rthz**2 for one in vitals])

@@ -26,10 +26,11 @@ class Vitals:
     longest_step: in samples. span_v: highest less lowest reading. rail_run: the longest run of equal
     samples at the highest or lowest reading. noise_v_rthz: density, V / sqrt(Hz). mains_v: amplitude at the
     nearer of 50 and 60 Hz. tone_hz, tone_ratio: the strongest other line and its power over the noise
-    floor. rest_s: before the motion, NaN if unlabelled. rest_v: mean before it. drift_v: rest after less
-    rest before, NaN if either is absent. agreement: (accelerometers, 3, 2), see `wiring`. digest: of the
-    volts. fingerprint: (n, channels) noise of the first samples, each channel of unit norm. echo:
-    (channels,) the highest autocorrelation of the noise at a lag of a fifth of a second or more.
+    floor. rest_s: before the motion, NaN if unlabelled. rest_v: mean before it, or of the first half
+    second. drift_v: rest after less rest before, NaN if either is absent. agreement: (accelerometers, 3,
+    2), see `wiring`. digest: of the volts. fingerprint: (n, channels) noise of the first samples, each
+    channel of unit norm. echo: the highest autocorrelation of the noise at a lag of a fifth of a second or
+    more.
     """
 
     name: str
@@ -57,7 +58,8 @@ def measure(recording: Recording, labels: pd.Series, sensor: Sensor) -> Vitals:
     time_s, volts = recording.time_s, recording.volts
     rate = sensor.sample_rate_hz
     start, end = float(labels["motion_start_s"]), float(labels["motion_end_s"])
-    before = time_s < start if start > time_s[0] else np.zeros(len(time_s), bool)
+    # Unlabelled recordings are taken to begin at rest.
+    before = time_s < (time_s[0] + 0.5 if np.isnan(start) else start)
     # The skin creeps back for a while after the object has left.
     after = time_s > end + 0.25
     rest_v = volts[before].mean(axis=0) if before.any() else np.full(volts.shape[1], np.nan)

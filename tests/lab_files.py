@@ -174,6 +174,19 @@ def _bag2(plugin: StoragePlugin, kind: str):
     return write
 
 
+def write_two_topics(folder: Path, lag_s: float, samples: int = 250) -> None:
+    """A bag of two accelerometers, each with a clock of its own: the second's runs lag_s behind the first's."""
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    time_s, volts = slide(0, samples)
+    messages = []
+    for topic, lag in (("/left", 0.0), ("/right", lag_s)):
+        messages += [(ns, topic, m) for ns, m in _vectors(store, volts, time_s + lag, VOLTS, ros1=False)]
+    with Writer2(folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        topics = {name: writer.add_connection(name, VOLTS, typestore=store) for name in ("/left", "/right")}
+        for ns, topic, message in sorted(messages, key=lambda entry: entry[0]):
+            writer.write(topics[topic], ns, store.serialize_cdr(message, VOLTS))
+
+
 def _mcap(folder: Path, name: str, time_s: np.ndarray, volts: np.ndarray) -> None:
     """The one file of a recorder that writes no metadata.yaml."""
     _bag2(StoragePlugin.MCAP, VOLTS)(folder, f"{name}_", time_s, volts)

@@ -2,18 +2,21 @@
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
-from lab_files import FORMATS, Format, slide, write_lab
+from lab_files import FORMATS, Format, a_sensor, slide, write_lab, write_two_topics
 
 import softslide
+from pipeline.health import examine
 from pipeline.importers import run
 from pipeline.importers.mapping import KINDS, read_map, template
 from pipeline.importers.run import import_recordings
 from pipeline.recordings import SAMPLE, read_folder
+from pipeline.sensor import Accelerometer, write_sensor
 
 HAPMAT = Path(__file__).parents[1].parent / "shared" / "recordings" / "hapmat"
 
@@ -246,6 +249,24 @@ def test_a_missing_axis_is_refused(tmp_path: Path, capsys) -> None:
     assert "no file of the part 'y'" in refused(map_path, capsys)
 
 
+def test_two_topics_with_clocks_of_their_own_share_one(tmp_path: Path) -> None:
+    map_path = write_lab(tmp_path, FORMATS["ros 2"], ())
+    write_two_topics(tmp_path / "lab" / "one", lag_s=0.003)
+    parts = (Accelerometer("a0", -8.0, 0.0), Accelerometer("a1", 8.0, 0.0))
+    write_sensor(tmp_path / "sensor.toml", replace(a_sensor(), accelerometers=parts))
+    text = map_path.read_text().replace("/skin", "/left")
+    for axis in "xyz":
+        text += f'[channels.a1_v{axis}]\ncolumn = "/right.vector.{axis}"\n'
+    map_path.write_text(text)
+    recording = imported(map_path, tmp_path / "out").load("one")
+    time_s, volts = slide(0)
+    # The grid starts with the later stream: its samples stay, the other's are read off a straight line.
+    np.testing.assert_array_equal(recording.volts[:, 3:], volts[:-1])
+    line = np.column_stack([np.interp(time_s[:-1] + 0.003, time_s, column) for column in volts.T])
+    np.testing.assert_allclose(recording.volts[:, :3], line, atol=1e-6)
+    np.testing.assert_allclose(np.diff(recording.time_s), 0.01, atol=1e-12)
+
+
 def test_usage_is_said(tmp_path: Path, capsys) -> None:
     for arguments in (["x"], ["x", "--out", "y"], ["--map-template", "xls"], []):
         assert softslide.main(["import", *arguments]) == 2
@@ -270,6 +291,9 @@ def test_a_real_accelerometer_comes_in(tmp_path: Path) -> None:
         (recording.volts - 1.65) / 0.8, source[["accel_x", "accel_y", "accel_z"]], atol=1e-12
     )
     assert json.loads((tmp_path / "out" / "import.json").read_text())["recordings"][0]["resampled"] is False
+    findings = examine(folder)
+    assert {finding.level for finding in findings} == {"warning"}
+    assert ("gravity", "Wood 1") in {(finding.kind, finding.recording) for finding in findings}
 
 
 @pytest.fixture(scope="module")
@@ -297,6 +321,13 @@ def sample_as_csv(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_inverted_outputs_are_flipped_and_said(sample_as_csv: Path, tmp_path: Path) -> None:
     text = (sample_as_csv / "map.toml").read_text()
     straight = imported(sample_as_csv / "map.toml", tmp_path / "straight")
+    sample = read_folder(SAMPLE)
+    for name, row in straight.manifest.iterrows():
+        np.testing.assert_array_equal(straight.load(name).volts, sample.load(name).volts)
+        np.testing.assert_array_equal(straight.load(name).time_s, sample.load(name).time_s)
+        pd.testing.assert_series_equal(
+            row.drop("pressure_mpa"), sample.manifest.loc[name].drop("pressure_mpa")
+        )
     wrong = text + '[boards.a0]\nflip = ["y"]\n'
     mended = tmp_path / "mended"
     for signs in ("given", "zones"):
