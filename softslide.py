@@ -26,6 +26,15 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="softslide", description=__doc__)
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
 
+    demo = commands.add_parser(
+        "demo",
+        help="the main job end to end on what ships with the project",
+        description="Trains the article's interpolation, trees and the CNN on a sample of emulated bench recordings, "
+        "evaluates each against the article's bounds, prints the table, and says where everything lies.",
+    )
+    demo.add_argument("--out", type=Path, required=True, metavar="DIR", help="where everything goes")
+    demo.set_defaults(run=_demo)
+
     check = commands.add_parser("check", help="validate a folder of recordings")
     check.add_argument("folder", type=Path, metavar="DIR", help="sensor.toml, manifest.csv, slides/*.parquet")
     check.add_argument("--json", action="store_true", help="the findings as one JSON object")
@@ -64,6 +73,27 @@ def _parser() -> argparse.ArgumentParser:
         "--backend", choices=("loky", "dask"), default="loky", help="who runs them (default: %(default)s)"
     )
     simulate.set_defaults(run=_simulate)
+
+    train = commands.add_parser(
+        "train",
+        help="train a model, tracked in MLflow, and export it",
+        description="Uses the splits whose names begin with calibration or train and no other. The run is kept in "
+        "sqlite:///mlflow.db, or where MLFLOW_TRACKING_URI says.",
+    )
+    train.add_argument("--recordings", type=Path, required=True, metavar="DIR", help="what to learn from")
+    train.add_argument(
+        "--atlas", type=Path, metavar="ATLAS", help="what the sensor's design says, from 'simulate'"
+    )
+    train.add_argument("--init", type=Path, metavar="BUNDLE", help="a bundle of the same model to go on from")
+    train.add_argument(
+        "--model",
+        default="cnn",
+        metavar="NAME",
+        help="interpolation, trees, mlp, gp or cnn (default: %(default)s)",
+    )
+    train.add_argument("--config", type=Path, metavar="FILE", help="TOML with changes to the model's defaults")
+    train.add_argument("--out", type=Path, required=True, metavar="BUNDLE", help="where the bundle goes")
+    train.set_defaults(run=_train)
 
     evaluate = commands.add_parser(
         "evaluate",
@@ -105,6 +135,13 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
+def _demo(arguments: argparse.Namespace) -> int:
+    from experiments.demo import demo
+
+    print(demo(arguments.out))
+    return 0
+
+
 def _check(arguments: argparse.Namespace) -> int:
     import json
 
@@ -142,6 +179,27 @@ def _import(arguments: argparse.Namespace) -> int:
         print(note, file=sys.stderr)
     resumed = f", {done.resumed} of them finished before" if done.resumed else ""
     print(f"{done.out}: {done.recordings} recordings imported{resumed}")
+    return 0
+
+
+def _train(arguments: argparse.Namespace) -> int:
+    from experiments.train import train
+    from models.bundle import ParityError
+
+    try:
+        done = train(
+            arguments.recordings,
+            arguments.out,
+            arguments.model,
+            atlas=arguments.atlas,
+            init=arguments.init,
+            config=arguments.config,
+        )
+    except ParityError as error:
+        print(f"softslide train: {error}; nothing was written", file=sys.stderr)
+        return 1
+    print(f"softslide train: run {done.run.identifier} in {done.run.store}", file=sys.stderr)
+    print(done.bundle)
     return 0
 
 

@@ -59,6 +59,9 @@ def recording_by_recording(scored: pd.DataFrame) -> str:
         error = rows[f"{quantity}_error"]
         ax.plot(rows[label], error, "o", markersize=4, alpha=0.75, markeredgewidth=0, **look)
         ax.set_xlabel(title)
+        if quantity == "direction_deg":
+            ax.set_xlim(-12, 372)
+            ax.set_xticks([0, 90, 180, 270, 360])
         if quantity == "speed_percent":
             ax.set_xscale("log")
             ax.xaxis.set_major_locator(mpl.ticker.FixedLocator([0.5, 1, 2, 4, 8, 13]))
@@ -82,8 +85,9 @@ def _panels(rows: pd.DataFrame, draw, prefix: str) -> str:
             if positive:
                 ax.set_yscale("log")
                 ax.yaxis.set_major_formatter("{x:g}")
-                ax.yaxis.set_minor_formatter(mpl.ticker.LogFormatter(minor_thresholds=(1.5, 0.4)))
-            ax.set_title(prefix + title, fontsize=10, loc="left", color="#1c2328")
+                ax.yaxis.set_minor_locator(mpl.ticker.LogLocator(subs=(2, 5)))
+                ax.yaxis.set_minor_formatter("{x:g}")
+            ax.set_title(prefix + title, fontsize=10, loc="left", pad=10, color="#1c2328")
         handles, names = axes[0].get_legend_handles_labels()
         if handles:
             figure.legend(handles, names, loc="outside lower center", ncols=len(names), frameon=False)

@@ -47,6 +47,8 @@ def fit_model(
 
         try:
             return fit_cnn(folder, config, atlas, init, progress)
+        except InputError:
+            raise
         except ValueError as error:
             raise InputError(f"--init: {error}") from None
     raise InputError(f"no model '{name}'; name one of {', '.join(MODELS)}")

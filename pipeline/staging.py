@@ -14,10 +14,11 @@ from features.errors import InputError
 def staged(out: Path) -> Iterator[Path]:
     """A temporary folder beside `out` that becomes `out` when the block ends well, and vanishes when not.
 
-    An `out` that exists already is replaced, so that a command can be run again.
+    An `out` that exists already is replaced, so that a command can be run again, but only if it holds nothing
+    that the new one does not.
 
     Raises:
-        InputError: `out` is a file, or its parent cannot be written.
+        InputError: `out` is a file or holds other files, or its parent cannot be written.
     """
     if out.exists() and not out.is_dir():
         raise InputError(f"{out}: a file of this name is in the way; name a folder")
@@ -30,6 +31,10 @@ def staged(out: Path) -> Iterator[Path]:
     try:
         yield scratch
         if out.exists():
+            # A folder that holds anything else was named by mistake: replacing it would lose that.
+            foreign = {path.name for path in out.iterdir()} - {path.name for path in scratch.iterdir()}
+            if foreign:
+                raise InputError(f"{out}: holds other files ({min(foreign)}); name a new folder")
             retired = Path(tempfile.mkdtemp(prefix=f".{out.name}.old.", dir=out.parent))
             os.replace(out, retired / out.name)
             os.replace(scratch, out)

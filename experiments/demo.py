@@ -1,0 +1,91 @@
+"""The main job end to end on the sample that ships with the project, within minutes on two cores."""
+
+import os
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from experiments.evaluate import Evaluation, evaluate
+from experiments.report import number
+from experiments.scoring import QUANTITIES
+from experiments.train import train
+from features.errors import InputError
+from pipeline.recordings import SAMPLE
+
+DEMO_MODELS = ("interpolation", "trees", "cnn")
+# Enough for the CNN to propose where the response map's refinement finds the rest; a full training takes 6000.
+DEMO_STEPS = 400
+DEMO_BATCH = 192
+MEANS = {"direction_deg": "direction", "speed_percent": "speed", "offset_mm": "distance"}
+
+
+def demo(out: Path) -> str:
+    """Trains and evaluates each of DEMO_MODELS on the sample, below `out`; the table and the way to each result.
+
+    Raises:
+        InputError: `out` cannot be written.
+    """
+    store = f"sqlite:///{out / 'mlflow.db'}"
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{out}: cannot be written ({error.strerror}); name another folder") from None
+    evaluations = {}
+    for model in DEMO_MODELS:
+        print(f"softslide demo: training and evaluating {model}", file=sys.stderr)
+        done = train(SAMPLE, out / model / "bundle", model, change=_shortened, store=store)
+        evaluation = evaluate(done.bundle, SAMPLE, None, out / model / "evaluation")
+        end = evaluation.metrics["end_of_stroke"]
+        done.run.metrics({f"test_{name}_mean": end[name]["mean"] for name in MEANS}, done.logged_model)
+        done.run.files(out / model / "evaluation", "evaluation")
+        evaluations[model] = evaluation
+    return "\n".join([*_table(evaluations), "", *_ways(out, store)])
+
+
+def _shortened(settings: Any) -> Any:
+    """The demo's budget: fewer and smaller steps where a model trains in steps."""
+    if not hasattr(settings, "training"):
+        return settings
+    return replace(settings, training=replace(settings.training, steps=DEMO_STEPS, batch=DEMO_BATCH))
+
+
+def _table(evaluations: dict[str, Evaluation]) -> list[str]:
+    """The article's figures beside the largest error of each model, and each model's mean errors by split."""
+    columns = ["article", *evaluations]
+    lines = ["Emulated bench recordings, never measured on hardware.", "", _row("largest error", columns)]
+    for verdicts in zip(*(e.verdicts for e in evaluations.values()), strict=True):
+        bound = verdicts[0].bound
+        unit = QUANTITIES[bound.quantity]
+        cells = ["-" if v.met is None else f"{number(v.max)}{'' if v.met else ' !'}" for v in verdicts]
+        lines.append(_row(f"{bound.name}, {unit}", [f"< {bound.limit:g}", *cells]))
+    lines += [
+        "! beyond the article's bound, or without a valid estimate; - no such recording in the sample",
+        "",
+    ]
+    lines.append(_row("mean error at the end", columns))
+    splits = next(iter(evaluations.values())).metrics["splits"]
+    for split in splits:
+        for quantity, title in MEANS.items():
+            ends = [e.metrics["splits"][split]["1.0"][quantity] for e in evaluations.values()]
+            cells = [number(end.get("mean")) for end in ends]
+            lines.append(_row(f"{split}: {title}, {QUANTITIES[quantity]}", ["", *cells]))
+    return lines
+
+
+def _row(title: str, cells: list[str]) -> str:
+    return f"{title:<30}" + "".join(f"{cell:>15}" for cell in cells)
+
+
+def _ways(out: Path, store: str) -> list[str]:
+    """Where each result lies, and the command that opens it."""
+    here = os.path.relpath(Path(sys.executable).parent)
+    slide = os.path.relpath(SAMPLE / "slides" / "a0120.parquet")
+    return [
+        f"reports  {out}/*/evaluation/report.html",
+        f"         {here}/python -m webbrowser -t {(out / 'cnn/evaluation/report.html').resolve().as_uri()}",
+        f"bundles  {out}/*/bundle",
+        f"         {here}/softslide predict --model {out}/cnn/bundle {slide}",
+        f"runs     {store}",
+        f"         {here}/mlflow ui --backend-store-uri {store}",
+    ]

@@ -1,0 +1,115 @@
+"""One training: recordings in, a bundle out, an MLflow run kept."""
+
+import sys
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+from tqdm import tqdm
+
+from experiments import figures, tracking
+from experiments.configuration import configured
+from experiments.readout import predictions
+from experiments.scoring import score, summary
+from models.bundle import read_graph, write_bundle
+from models.fit import default_config, fit_model
+from models.fitted import FittedModel
+from pipeline.atlas import Atlas, check_atlas, read_atlas
+from pipeline.dataset import labelled_windows
+from pipeline.recordings import Folder, read_folder
+
+
+@dataclass(frozen=True)
+class Training:
+    """What `train` made: the bundle, its fit, and where the run is kept."""
+
+    bundle: Path
+    fitted: FittedModel
+    run: tracking.Run
+    logged_model: str
+
+
+def train(
+    recordings: Path,
+    out: Path,
+    model: str = "cnn",
+    *,
+    atlas: Path | None = None,
+    init: Path | None = None,
+    config: Path | None = None,
+    change: Callable[[Any], Any] = lambda default: default,
+    store: str | None = None,
+) -> Training:
+    """Fits one model to the splits that begin with `calibration` or `train`, and exports it.
+
+    atlas: what the sensor's design says, from `softslide simulate`; without one, and without labelled
+    recordings, the default sensor's. init: a bundle to go on from. config: TOML over the model's defaults;
+    change: applied to the defaults before it. store: as in `tracking.tracked`.
+
+    Raises:
+        InputError: what is read is not what the contract says, or there is nothing to train on.
+        ParityError: the exported graph and the original disagree; nothing is written.
+    """
+    whole = read_folder(recordings)
+    folder = whole.select("calibration", "train").labelled()
+    settings = configured(change(default_config(model)), config)
+    design = _design(folder, atlas)
+    start = None if init is None else read_graph(init)
+    configuration = {
+        "model": model,
+        "recordings": str(recordings),
+        "atlas": None if atlas is None else str(atlas),
+        "init": None if init is None else str(init),
+        "settings": asdict(settings),
+    }
+    provenance: dict[str, Any] = {
+        "configuration": configuration,
+        "data": tracking.data_hashes(folder),
+        "code": tracking.code_revision(),
+    }
+    tags = {f"data.{name}": digest for name, digest in provenance["data"].items()}
+    with tracking.tracked(f"{model} on {folder.sensor.name}", configuration, tags, store) as run:
+        run.data(folder, "training")
+        losses: dict[int, float] = {}
+        with tqdm(desc=f"fitting {model}", unit="step", disable=not sys.stderr.isatty()) as bar:
+
+            def progress(step: int, loss: float) -> None:
+                losses[step] = loss
+                bar.set_postfix(loss=f"{loss:.3f}", refresh=False)
+                bar.update(step - bar.n)
+
+            fitted = fit_model(model, folder, settings, atlas=design, init=start, progress=progress)
+        windows = labelled_windows(folder, settings.conditioning)
+        difference = write_bundle(fitted, folder.sensor, settings.conditioning, windows, provenance, out)
+        logged = run.model(out, model)
+        run.losses(losses)
+        run.metrics({**fitted.summary, "parity": difference}, logged)
+        if len(folder):
+            _log_fit(run, out, folder, logged)
+    return Training(out, fitted, run, logged)
+
+
+def _design(folder: Folder, atlas: Path | None) -> Atlas | None:
+    """The atlas named, or the default one if the folder holds nothing to learn from; None otherwise.
+
+    Raises:
+        InputError: no such atlas, or one that was solved for another design.
+    """
+    if atlas is None and len(folder):
+        return None
+    design = read_atlas() if atlas is None else read_atlas(atlas)
+    check_atlas(design, folder.sensor, "the default atlas" if atlas is None else str(atlas))
+    return design
+
+
+def _log_fit(run: tracking.Run, bundle: Path, folder: Folder, logged: str) -> None:
+    """What the exported bundle makes of the recordings behind it; how it does on others, `evaluate` says."""
+    table = pd.concat(predictions(bundle, folder), ignore_index=True)
+    scored = score(table, folder.manifest, folder.sensor)
+    for name, error in summary(scored[scored["stroke_fraction"] == 1.0]).items():
+        if isinstance(error, dict) and "mean" in error:
+            run.metrics({f"fitted_{name}_{kind}": error[kind] for kind in ("mean", "p95", "max")}, logged)
+    run.text(figures.along_the_stroke(scored), "figures/fitted_along_the_stroke.svg")
+    run.text(figures.recording_by_recording(scored), "figures/fitted_recording_by_recording.svg")
