@@ -5,6 +5,7 @@ An `error` is a recording, a label or a wire that is wrong; training on it would
 """
 
 import sys
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -42,6 +43,7 @@ class Limits:
     line_mm: float = 2.0  # start less line
     speed: float = 0.05  # the motion's duration against travel over speed, as a portion
     ramp_s: float = 1.0  # or, if more, as a time
+    copied: float = 0.3  # portion of the samples that two recordings share
     same_noise: float = 0.5  # correlation of two recordings' noise
     same_output: float = 0.95  # correlation of two outputs' noise: a shaken device moves all of them
     echo: float = 0.3  # autocorrelation of the noise
@@ -88,8 +90,10 @@ def examine(folder: Folder, limits: Limits | None = None) -> list[Finding]:
         if sound:
             # With a wire wrong every slide would disagree with its labels, and say nothing new.
             findings += _label_against_signal(one, folder.sensor, limits)
-    findings += _duplicates(vitals)
-    findings += _made_up(vitals, folder.sensor, limits)
+    copies = list(_duplicates(vitals, limits))
+    findings += copies
+    copied = {finding.recording for finding in copies}
+    findings += _made_up([one for one in vitals if one.name not in copied], folder.sensor, limits)
     findings += _leakage(manifest, limits)
     return sorted(findings, key=lambda finding: finding.level)
 
@@ -217,13 +221,19 @@ def _wiring(vitals: Sequence[Vitals], sensor: Sensor, limits: Limits) -> Iterato
                 yield Finding("error", "dead", "", channel, float(mean[i, i]), limits.follows, text)
 
 
-def _duplicates(vitals: Sequence[Vitals]) -> Iterator[Finding]:
-    first: dict[str, str] = {}
-    for one in vitals:
-        if one.digest in first:
-            text = f"the samples of {first[one.digest]} to the last bit"
-            yield Finding("error", "duplicate", one.name, "", 1.0, 0.0, text)
-        first.setdefault(one.digest, one.name)
+def _duplicates(vitals: Sequence[Vitals], limits: Limits) -> Iterator[Finding]:
+    """Recordings that hold the samples of an earlier one to the last bit, wherever they begin."""
+    owner: dict[int, int] = {}
+    for n, one in enumerate(vitals):
+        owners = [owner.setdefault(int(mark), n) for mark in one.landmarks]
+        shared = Counter(m for m in owners if m != n)
+        if not shared:
+            continue
+        m, count = shared.most_common(1)[0]
+        share = count / min(len(one.landmarks), len(vitals[m].landmarks))
+        if share > limits.copied:
+            text = f"of its samples, or of the other's, are those of {vitals[m].name} to the last bit"
+            yield Finding("error", "duplicate", one.name, "", share, limits.copied, text)
 
 
 def _made_up(vitals: Sequence[Vitals], sensor: Sensor, limits: Limits) -> Iterator[Finding]:
@@ -239,10 +249,9 @@ def _made_up(vitals: Sequence[Vitals], sensor: Sensor, limits: Limits) -> Iterat
             text = "correlation of its noise with another output's: a generator's, repeated"
             yield Finding("warning", "made up", one.name, channel, figure, limits.same_output, text)
         if own and (figure := float(shared[:own].max())) > limits.same_noise:
-            other = whole[int(shared[:own].argmax()) // outputs]
-            if other.digest != one.digest:
-                text = f"correlation of its noise with that of {other.name}: a generator's, repeated"
-                yield Finding("error", "made up", one.name, channel, figure, limits.same_noise, text)
+            other = whole[int(shared[:own].argmax()) // outputs].name
+            text = f"correlation of its noise with that of {other}: a generator's, repeated"
+            yield Finding("error", "made up", one.name, channel, figure, limits.same_noise, text)
     if len(vitals) < 5 or len(sensor.channels) < 3:
         return
     variance = np.array([one.noise_v_rthz**2 for one in vitals])
