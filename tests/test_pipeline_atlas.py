@@ -1,0 +1,317 @@
+"""The atlas: its file, its interpolation, its solve; and the article's findings on the default one."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import pipeline.solve
+import softslide
+from features.errors import InputError
+from pipeline.atlas import DEFAULT_ATLAS, DEFAULT_SENSOR, Atlas, check_atlas, read_atlas, write_atlas
+from pipeline.sensor import Accelerometer, MeshSize, design_hash, read_sensor
+from pipeline.skin.survey import join_families
+from pipeline.solve import Grid, solve_atlas
+
+QUICK = Grid(depth_mm=(0.5,), line_mm=6.0, steps_per_line=5)
+
+
+def quick_sensor(height_mm: float = 6.0):
+    sensor = read_sensor(DEFAULT_SENSOR)
+    return replace(sensor, mesh=MeshSize(5.0), skin=replace(sensor.skin, height_mm=(height_mm,)))
+
+
+@pytest.fixture(scope="module")
+def quick() -> Atlas:
+    return solve_atlas(quick_sensor(), QUICK)
+
+
+def known(x, y, depth, level):
+    """A smooth field that cubic splines follow well."""
+    bump = np.exp(-((x / 12) ** 2) - ((y / 12) ** 2))
+    return np.stack([(x + 0.1 * depth) * bump * level * 1e3, y * bump * (1 + depth), bump * depth], axis=-1)
+
+
+def made_atlas() -> Atlas:
+    x = y = np.arange(-30, 30.1, 1.5)
+    depth, level = np.array([0.2, 0.6, 1.2]), np.array([0.5e-3, 1e-3, 2e-3])
+    parts = np.zeros((3, len(x), len(y), 3, 3, 10))
+    at = np.meshgrid(x, y, depth, level, indexing="ij")
+    for n, share in enumerate((1.0, 0.1, -0.2)):
+        parts[n, ..., :3] = share * known(*at)
+    statics = np.array([[[0.1, 0, 0.99]], [[0.14, 0, 0.99]], [[0.2, 0, 0.98]]])
+    meta = {"reach_mm": [28.0, 28.0], "failed": [], "design_hash": "x", "design": {}}
+    valid = np.ones(parts.shape[1:5], bool)
+    return Atlas(x, y, depth, level, np.array([5.0, 7.0, 9.6]), statics, parts, valid, meta)
+
+
+def test_interpolation_follows_a_smooth_field_in_all_four_and_in_the_heading():
+    atlas, random = made_atlas(), np.random.default_rng(3)
+    x, y = random.uniform(-25, 25, (2, 400))
+    depth, level, heading = (random.uniform(*r, 400) for r in ((0.2, 1.2), (0.5e-3, 2e-3), (0, 360)))
+    wanted = (1 + 0.1 * np.cos(np.deg2rad(heading)) - 0.2 * np.sin(np.deg2rad(heading)))[:, None] * known(
+        x, y, depth, level
+    )
+    found = atlas.response(x, y, heading, depth, level)
+    assert found.shape == (400, 1, 3)
+    assert np.abs(found[:, 0] - wanted).max() < 0.01
+    alone = atlas.response(x, y, heading, 0.6, 1e-3)
+    mixed = atlas.response(x, y, heading, np.full(400, 0.6), np.full(400, 1e-3) * (1 + 1e-12 * (x > 0)))
+    assert np.abs(alone - mixed).max() < 1e-9
+    assert not atlas.response(np.array([28.5, -40.0]), np.zeros(2), 0.0, 0.5, 1e-3).any()
+
+
+def test_levels_and_heights_are_inverse():
+    atlas = made_atlas()
+    assert atlas.height(atlas.pressure_at(6.1)) == pytest.approx(6.1, abs=1e-6)
+    assert atlas.static(1e-3)[0, 0] == pytest.approx(0.14)
+    for call in (
+        lambda: atlas.response(np.zeros(1), np.zeros(1), 0.0, 2.0, 1e-3),
+        lambda: atlas.response(np.zeros(1), np.zeros(1), 0.0, 0.5, 3e-3),
+        lambda: atlas.response(np.zeros(1), np.zeros(1), 0.0, np.nan, 1e-3),
+        lambda: atlas.static(3e-3),
+        lambda: atlas.pressure_at(12.0),
+    ):
+        with pytest.raises(InputError, match="outside"):
+            call()
+
+
+def test_two_families_of_lines_make_one_field():
+    x, y = np.arange(-30, 30.1, 1.25), np.arange(-30, 30.1, 1.25)
+    field = np.stack([known(*np.meshgrid(x, y, indexing="ij"), 0.5, 1e-3)[..., 0]] * 2, axis=-1)
+    along, across = field[:, ::4], field[::4]
+    joined = join_families((1.1 * along, 0.9 * along), (1.2 * across, 0.8 * across), (x, y, y[::4], x[::4]))
+    assert np.abs(joined[0] - field).max() < 0.05 * np.abs(field).max()
+    assert np.abs(joined[0] - field)[::4].max() < 1e-9
+    assert np.abs(joined[1] - 0.1 * field)[:, ::4].max() < 1e-9
+    assert np.abs(joined[2] - 0.2 * field)[::4].max() < 1e-9
+
+
+def test_a_written_atlas_is_read_back(quick, tmp_path):
+    path = tmp_path / "a.npz"
+    write_atlas(quick, path)
+    again = read_atlas(path)
+    x = np.linspace(-29, 29, 40)
+    level = quick.pressure_mpa[0]
+    assert np.array_equal(
+        again.response(x, x / 2, 30.0, 0.5, level), quick.response(x, x / 2, 30.0, 0.5, level)
+    )
+    assert json.loads(json.dumps(quick.meta)) == again.meta
+    assert [p.name for p in tmp_path.iterdir()] == ["a.npz"]
+
+
+def test_bad_atlas_files_are_one_line(quick, tmp_path):
+    path = tmp_path / "a.npz"
+    with pytest.raises(InputError, match="no such file"):
+        read_atlas(path)
+    write_atlas(quick, path)
+    whole = path.read_bytes()
+    for broken in (b"", b"nonsense", whole[: len(whole) // 2]):
+        path.write_bytes(broken)
+        with pytest.raises(InputError, match="not an atlas or damaged"):
+            read_atlas(path)
+    write_atlas(replace(quick, parts=quick.parts[:, 1:]), path)
+    with pytest.raises(InputError, match="do not fit"):
+        read_atlas(path)
+    write_atlas(replace(quick, meta={**quick.meta, "version": 99}), path)
+    with pytest.raises(InputError, match="version 99"):
+        read_atlas(path)
+
+
+def test_an_atlas_of_another_design_is_refused(quick):
+    sensor = quick_sensor()
+    check_atlas(quick, sensor)
+    check_atlas(quick, replace(sensor, name="other", adc_step_v=0.0))
+    moved = replace(sensor, accelerometers=(Accelerometer("a0", 6.0, 0.0),))
+    with pytest.raises(InputError, match=r"another design.*boards_mm"):
+        check_atlas(quick, moved, "a.npz")
+    assert design_hash(moved) != design_hash(sensor)
+
+
+def test_solve_resumes_from_finished_lines(quick, tmp_path, monkeypatch):
+    work = tmp_path / "lines"
+
+    def interrupted(results, number):
+        for n, result in enumerate(results):
+            yield result
+            if n == 9:
+                raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        solve_atlas(quick_sensor(), QUICK, work=work, progress=interrupted)
+    kept = sorted(work.rglob("*.npz"))
+    assert 9 <= len(kept) <= 10
+    assert not [p for p in kept if "partial" in p.name]
+    left = []
+    again = solve_atlas(quick_sensor(), QUICK, work=work, progress=lambda r, n: left.append(n) or r)
+    assert left == [quick.meta["statistics"]["lines"] - len(kept)]
+    assert np.array_equal(again.parts, quick.parts)
+    assert not work.exists()
+
+
+def test_a_failed_position_is_reported_and_left_out(quick, monkeypatch):
+    solve = pipeline.solve.solve_line
+
+    def failing(sensor, line, along, depth, pressure, inflated):
+        values, statistics = (np.zeros((len(along), 10)), pipeline.solve.Statistics())
+        if (line.axis, line.sense, line.offset_mm) == (0, 1, 6.0):
+            values[np.searchsorted(along, 12.0) :] = np.nan
+        return values, statistics
+
+    monkeypatch.setattr(pipeline.solve, "solve_line", failing)
+    assert solve is not failing
+    atlas = solve_atlas(quick_sensor(), QUICK)
+    level = atlas.pressure_mpa[0]
+    assert [12.0, 6.0, 0.0, 0.5] in [row[:4] for row in atlas.failed]
+    assert [12.0, -6.0, 0.0, 0.5] in [row[:4] for row in atlas.failed]
+    x, y = np.array([20.0, 20.0, -10.0, 20.0]), np.array([6.0, -3.0, 6.0, 20.0])
+    assert np.isnan(atlas.response(x, y, 0.0, 0.5, level)).all(axis=(1, 2)).tolist() == [
+        True,
+        True,
+        False,
+        False,
+    ]
+
+
+def test_a_solved_atlas_answers_between_its_lines_as_the_solver_does(quick):
+    from pipeline.skin.survey import Line, skin_of, solve_line
+
+    sensor = quick_sensor()
+    level = float(quick.pressure_mpa[0])
+    inflated = skin_of(sensor).inflate(level)
+    along = np.arange(-30, 30.1, 1.2)
+    values = solve_line(sensor, Line(0, 1, 6.0), along, 0.5, level, inflated)[0]
+    on_line = quick.response(along, np.full(len(along), 6.0), 0.0, 0.5, level)[:, 0]
+    assert np.abs(on_line - values[:, :3]).max() < 0.02
+    assert np.ptp(on_line[:, 0]) > 0.2
+
+
+@pytest.mark.parametrize(
+    ("workers", "backend"),
+    [
+        (1, "loky"),
+        pytest.param(2, "loky", marks=pytest.mark.long),
+        pytest.param(2, "dask", marks=[pytest.mark.long, pytest.mark.filterwarnings("default")]),
+    ],
+)
+def test_simulate_writes_the_same_atlas_however_it_is_run(workers, backend, tmp_path, capsys):
+    sensor, out = tmp_path / "sensor.toml", tmp_path / "a.npz"
+    text = DEFAULT_SENSOR.read_text()
+    sensor.write_text(text.replace("[5.0, 7.0, 9.6]", "[6.0]").replace("size_mm = 2.5", "size_mm = 5.0"))
+    command = ["simulate", "--sensor", str(sensor), "--out", str(out), "--coarse", "--depth", "0.5"]
+    assert softslide.main([*command, "--workers", str(workers), "--backend", backend]) == 0
+    said = capsys.readouterr().err
+    assert "0 failed" in said
+    atlas = read_atlas(out)
+    check_atlas(atlas, read_sensor(sensor))
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["a.npz", "sensor.toml"]
+    if workers > 1:
+        alone = solve_atlas(read_sensor(sensor), replace(pipeline.solve.COARSE, depth_mm=(0.5,)))
+        assert np.array_equal(atlas.parts, alone.parts)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--sensor", "no.toml"], "no such file"),
+        (["--workers", "0"], "at least one"),
+        (["--depth", "0.5", "0.2"], "--depth: depth_mm"),
+    ],
+)
+def test_simulate_refuses_bad_arguments_in_one_line(arguments, words, tmp_path, capsys):
+    assert softslide.main(["simulate", *arguments, "--out", str(tmp_path / "a.npz")]) == 2
+    said = capsys.readouterr().err
+    assert words in said
+    assert len(said.strip().splitlines()) == 1
+    assert softslide.main(["simulate", "--out", str(tmp_path)]) == 2
+    assert "a folder" in capsys.readouterr().err
+
+
+@pytest.fixture(scope="module")
+def default() -> Atlas:
+    return read_atlas(DEFAULT_ATLAS)
+
+
+def vx_extremes(atlas: Atlas, y: float, level: float) -> tuple[float, float, float, float]:
+    x = np.linspace(-29, 29, 581)
+    vx = atlas.response(x, np.full(len(x), y), 0.0, 0.5, level)[:, 0, 0]
+    return vx.min(), vx.max(), x[vx.argmin()], x[vx.argmax()]
+
+
+def test_default_atlas_is_the_article_s_sensor_without_a_failed_position(default):
+    check_atlas(default, read_sensor(DEFAULT_SENSOR))
+    assert default.failed == []
+    assert default.pressure_mpa[-1] == pytest.approx(2e-3, rel=0.05)
+    assert default.meta["rest_error_g"] < 1e-3
+    assert {0.2, 1.2} <= set(default.depth_mm)
+    assert max(abs(default.x_mm[0]), default.x_mm[-1]) >= 29
+
+
+@pytest.mark.parametrize("height", [5.5, 6.75, 9.0])
+def test_default_atlas_has_the_article_s_signs_by_zone(default, height):
+    level = default.pressure_at(height)
+    for x, y, signs in [(-4, -7, (-1, -1)), (14, -7, (1, -1)), (-4, 7, (-1, 1)), (14, 7, (1, 1))]:
+        for heading in (0.0, 90.0, 180.0, 270.0):
+            found = default.response(np.array([x]), np.array([y]), heading, 0.5, level)[0, 0, :2]
+            assert np.sign(found).tolist() == list(signs)
+
+
+def test_default_atlas_x_slides_change_vx_s_sign_and_keep_vy_s(default):
+    x = np.linspace(-24, 24, 97)
+    level = default.pressure_at(6.75)
+    for y in (-10.0, 10.0):
+        vx, vy = default.response(x, np.full(len(x), y), 0.0, 0.5, level)[:, 0, :2].T
+        strong = np.abs(vx) > 0.01
+        assert np.count_nonzero(np.diff(np.sign(vx[strong]))) == 1
+        assert (np.sign(vy[np.abs(vy) > 0.02]) == np.sign(y)).all()
+
+
+def test_default_atlas_extremes_fall_with_distance_and_stay_in_place(default):
+    level = default.pressure_at(6.75)
+    rows = np.array([vx_extremes(default, y, level) for y in (0.0, 5.0, 10.0, 15.0)])
+    assert (np.diff(rows[:, 0]) > 0).all()
+    assert (np.diff(rows[:, 1]) < 0).all()
+    assert np.ptp(rows[:, 3]) < 2.0
+    assert np.ptp(rows[:3, 2]) < 2.5
+
+
+def test_default_atlas_gives_more_signal_with_more_pressure(default):
+    swings = [np.ptp(vx_extremes(default, 2.5, float(p))[:2]) for p in default.pressure_mpa]
+    assert (np.diff(swings) > 0.05).all()
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("start", "heading", "depth", "height", "limits"),
+    [
+        ((-30.0, 3.75), 0.0, 0.6, 7.0, (0.006, 0.03)),
+        ((-30.0, -3.75), 0.0, 0.5, 6.75, (0.006, 0.03)),
+        ((-30.0, 8.75), 0.0, 0.9, 8.5, (0.015, 0.06)),
+        ((1.25, 30.0), 270.0, 0.4, 6.0, (0.006, 0.03)),
+        ((-24.0, -20.0), 45.0, 0.6, 7.0, (0.008, 0.04)),
+        ((20.0, -23.0), 120.0, 0.5, 6.0, (0.008, 0.04)),
+    ],
+)
+def test_default_atlas_answers_lines_it_was_not_solved_on(default, start, heading, depth, height, limits):
+    """Root mean square and largest error in g against the solver, between lines, depths, levels, askew."""
+    from pipeline.skin.survey import gravity, skin_of
+
+    sensor = read_sensor(DEFAULT_SENSOR)
+    skin = skin_of(sensor)
+    level = default.pressure_at(height)
+    inflated = skin.inflate(level)
+    assert skin.height(inflated) == pytest.approx(height, abs=0.05)
+    travel = np.arange(0, 60.1, 1.25)[:, None]
+    angle = np.deg2rad(heading)
+    places = np.array(start) + travel * [np.cos(angle), np.sin(angle)]
+    centres = np.column_stack([places, np.full(len(places), 4.0 + 3.0 - depth)])
+    postures, _ = skin.slide(inflated, level, centres)
+    solved = np.array([gravity(p.rotations) - gravity(inflated.rotations) for p in postures])
+    error = default.response(*places.T, heading, depth, level) - solved
+    print(
+        f"{heading:g} deg, {depth} mm, {height} mm: {np.sqrt((error**2).mean()):.4f}, {np.abs(error).max():.4f} g"
+    )
+    assert np.ptp(solved[:, 0, 0]) > 0.2
+    assert np.sqrt((error**2).mean()) < limits[0]
+    assert np.abs(error).max() < limits[1]
