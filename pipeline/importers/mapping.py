@@ -148,6 +148,10 @@ class Map:
                 raise ValueError(
                     f"[labels.{name}] names the group '{label.name}', which pattern does not have"
                 )
+            if name == "recording" and not label.name:
+                raise ValueError(
+                    "[labels.recording] needs name, a group of pattern; a file holds one recording"
+                )
             if label.sheet and self.sheet is None:
                 raise ValueError(f"[labels.{name}] names a sheet's column; add [sheet] with its file")
         if any(s.part for s in self.channels.values()) and "part" not in groups:
