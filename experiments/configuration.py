@@ -51,9 +51,11 @@ def _fitting(default: Any, value: Any, place: str) -> Any:
     if is_dataclass(default) and isinstance(value, Mapping):
         return changed(default, value, place)
     if isinstance(default, tuple) and isinstance(value, list):
-        return tuple(_fitting(default[0], inner, place) for inner in value) if default else tuple(value)
+        if len(value) != len(default):
+            raise InputError(f"{place} holds {len(value)}, not {len(default)}; write as many as in {default}")
+        return tuple(_fitting(d, v, place) for d, v in zip(default, value, strict=True))
     if isinstance(default, float) and isinstance(value, int) and not isinstance(value, bool):
         return float(value)
     if default is not None and type(value) is not type(default):
-        raise InputError(f"{place} is {value!r}; write a {type(default).__name__}, as in {default!r}")
+        raise InputError(f"{place} is {value!r}; write one like {default!r}")
     return value

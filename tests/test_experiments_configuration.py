@@ -1,0 +1,67 @@
+"""A configuration file changes what it names and refuses what it does not know."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import pytest
+
+from experiments.configuration import configured
+from features.errors import InputError
+
+
+@dataclass(frozen=True)
+class Inner:
+    rate: float = 0.1
+    sizes: tuple[int, int] = (3, 4)
+
+    def __post_init__(self) -> None:
+        if not self.rate > 0:
+            raise ValueError(f"rate is {self.rate}; it must be positive")
+
+
+@dataclass(frozen=True)
+class Outer:
+    steps: int = 10
+    name: str = "n"
+    inner: Inner = field(default_factory=Inner)
+
+
+def written(tmp_path: Path, text: str) -> Path:
+    path = tmp_path / "config.toml"
+    path.write_text(text)
+    return path
+
+
+def test_a_file_changes_what_it_names(tmp_path: Path) -> None:
+    path = written(tmp_path, "steps = 7\n[inner]\nrate = 2\nsizes = [5, 6]\n")
+    assert configured(Outer(), path) == Outer(7, "n", Inner(2.0, (5, 6)))
+    assert configured(Outer(), None) == Outer()
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("stepps = 7", "unknown key 'stepps'; known are steps, name, inner"),
+        ("[inner]\nrat = 7", "inner: unknown key 'rat'"),
+        ("steps = 0.5", "steps is 0.5; write one like 10"),
+        ("steps = true", "steps is True"),
+        ("name = 3", "name is 3"),
+        ("inner = 3", "inner is 3"),
+        ("[inner]\nrate = -1.0", "inner: rate is -1.0; it must be positive"),
+        ("[inner]\nsizes = [1, 'x']", "sizes is 'x'"),
+        ("[inner]\nsizes = [1]", "sizes holds 1, not 2"),
+        ("steps = ", "not a TOML file"),
+    ],
+)
+def test_what_is_wrong_is_named(tmp_path: Path, text: str, says: str) -> None:
+    path = written(tmp_path, text)
+    with pytest.raises(InputError) as error:
+        configured(Outer(), path)
+    assert str(error.value).startswith(str(path))
+    assert says in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_a_missing_file_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="cannot be read"):
+        configured(Outer(), tmp_path / "none.toml")
