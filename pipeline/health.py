@@ -252,10 +252,10 @@ def _made_up(vitals: Sequence[Vitals], sensor: Sensor, limits: Limits) -> Iterat
             other = whole[int(shared[:own].argmax()) // outputs].name
             text = f"correlation of its noise with that of {other}: a generator's, repeated"
             yield Finding("error", "made up", one.name, channel, figure, limits.same_noise, text)
-    if len(vitals) < 5 or len(sensor.channels) < 3:
+    variance = np.array([one.noise_v_rthz**2 for one in vitals if np.isfinite(one.noise_v_rthz).all()])
+    if len(variance) < 5:
         return
-    variance = np.array([one.noise_v_rthz**2 for one in vitals])
-    chance = variance.std(axis=0, ddof=1).mean() / np.sqrt(len(vitals))
+    chance = variance.std(axis=0, ddof=1).mean() / np.sqrt(len(variance))
     spread = variance.mean(axis=0).std(ddof=1)
     relative = float(spread / variance.mean())
     if relative < limits.equal_noise and spread < 2 * chance:

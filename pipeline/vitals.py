@@ -124,9 +124,12 @@ def _rail_run(column: np.ndarray) -> int:
 def _spectrum(volts: np.ndarray, rate_hz: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Floor (channels,) V^2/Hz, frequencies (f,) Hz and power (f, channels) V^2/Hz above `NOISE_FROM_HZ`.
 
-    Welch's mean over seconds that overlap by half, Hann windows; the floor is the median over frequency.
+    Welch's mean over seconds that overlap by half, Hann windows; the floor is the median over frequency. A
+    recording of less than a quarter of a second has no spectrum: its floor is NaN.
     """
     length = min(int(rate_hz), len(volts))
+    if length < 0.25 * rate_hz:
+        return np.full(volts.shape[1], np.nan), np.zeros(0), np.zeros((0, volts.shape[1]))
     window = np.hanning(length)[:, None]
     starts = range(0, len(volts) - length + 1, max(length // 2, 1))[:SECONDS]
     power = np.zeros((length // 2 + 1, volts.shape[1]))
@@ -143,7 +146,9 @@ def _spectrum(volts: np.ndarray, rate_hz: float) -> tuple[np.ndarray, np.ndarray
 
 def _mains(frequency: np.ndarray, power: np.ndarray, floor: np.ndarray) -> tuple[float, np.ndarray]:
     """The stronger of 50 and 60 Hz, and its amplitude (channels,) V."""
-    width = frequency[1] - frequency[0] if len(frequency) > 1 else 1.0
+    if len(frequency) < 2:
+        return MAINS_HZ[0], np.zeros(power.shape[1])
+    width = frequency[1] - frequency[0]
     amplitudes = []
     for mains in MAINS_HZ:
         near = np.abs(frequency - mains) <= 2 * width

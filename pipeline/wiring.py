@@ -83,4 +83,6 @@ def _hundredths(recording: Recording, rate_hz: float) -> tuple[np.ndarray, np.nd
     block = max(int(rate_hz / 100), 1)
     count = len(recording.time_s) // block
     time_s = recording.time_s[: count * block].reshape(count, block).mean(axis=1)
-    return time_s, recording.volts[: count * block].reshape(count, block, -1).mean(axis=1)
+    return time_s, recording.volts[: count * block].reshape(count, block, recording.volts.shape[1]).mean(
+        axis=1
+    )

@@ -224,3 +224,19 @@ def test_the_report_is_json_and_errors_exit_with_2(sound, tmp_path: Path, capsys
 @pytest.mark.skipif(not BENCH.is_dir(), reason="the shared recordings are not beside this checkout")
 def test_the_bench_recordings_have_no_errors(bench: str) -> None:
     assert [f.line() for f in examine(read_folder(BENCH / bench)) if f.level == "error"] == []
+
+
+@pytest.mark.parametrize("samples", [2, 3, 9, 60, 700])
+@pytest.mark.parametrize("labelled", [True, False])
+@pytest.mark.parametrize("constant", [True, False])
+def test_short_and_constant_recordings_are_judged(sound, tmp_path: Path, samples, labelled, constant) -> None:
+    folder, recordings = sound
+    names = list(folder.manifest.index[:2])
+    manifest = folder.manifest.loc[names].copy()
+    manifest[["motion_start_s", "motion_end_s"]] = [0.0, 0.001] if labelled else np.nan
+    cut = [Recording(r.name, r.time_s[:samples], r.volts[:samples]) for r in recordings[:2]]
+    if constant:
+        cut = [Recording(r.name, r.time_s, np.full_like(r.volts, 1.65)) for r in cut]
+    findings = examine(write_folder(tmp_path / "lab", folder.sensor, manifest, cut))
+    assert not constant or "dead" in {f.kind for f in findings}
+    assert all(np.isfinite([f.figure, f.limit]).all() for f in findings)

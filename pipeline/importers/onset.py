@@ -20,6 +20,8 @@ def onset_s(recording: Recording) -> float:
     rate = (len(recording.time_s) - 1) / (recording.time_s[-1] - recording.time_s[0])
     block = max(round(BLOCK_S * rate), 1)
     count = len(recording.time_s) // block
+    if count * BLOCK_S < 1:
+        return float("nan")
     means = recording.volts[: count * block].reshape(count, block, -1).mean(axis=1)
     rest = means[: max(round(0.5 / BLOCK_S), 4)]
     away = np.sqrt(((means - rest.mean(axis=0)) ** 2).mean(axis=1))
