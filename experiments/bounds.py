@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from experiments.scoring import AXIS_TOLERANCE_DEG, QUANTITIES, turn
+from experiments.scoring import AXIS_TOLERANCE_DEG, ESTIMATES, QUANTITIES, turn
 from features.errors import InputError
 
 BOUNDS = Path(__file__).parent / "bounds.toml"
@@ -45,7 +45,8 @@ class Bound:
 class Verdict:
     """A bound held against recordings. Errors in the quantity's unit; `worst` names the worst recording.
 
-    met: None where no recording meets the bound's conditions. missing: rows within them that hold no valid
+    met: None where the bound is not tested: no recording meets its conditions, or the model estimates other
+    quantities and never this one (`estimated` is false). missing: rows within the conditions that hold no valid
     estimate; one is enough to miss the bound, since the article promises an estimate there.
     """
 
@@ -56,16 +57,22 @@ class Verdict:
     mean: float | None
     max: float | None
     worst: str | None
+    estimated: bool = True
 
     def line(self) -> str:
         """The verdict in one line, with the largest error and the worst recording."""
         head = f"{self.bound.name}, below {self.bound.limit:g} {QUANTITIES[self.bound.quantity]}:"
         if self.met is None:
-            return f"{head} not tested, no such recording"
+            return f"{head} not tested, {self.why_untested}"
         verdict = "met" if self.met else "MISSED"
         gaps = f", {self.missing} without a valid estimate" if self.missing else ""
         largest = "" if self.max is None else f", {self.max:.3g} at most"
         return f"{head} {verdict}{largest} in {self.recordings} recordings{gaps}; worst {self.worst}"
+
+    @property
+    def why_untested(self) -> str:
+        """What keeps a bound from being tested."""
+        return "no such recording" if self.estimated else "this model does not estimate it"
 
     def as_json(self) -> dict[str, Any]:
         """The verdict for `metrics.json`."""
@@ -82,6 +89,7 @@ class Verdict:
             "recordings": self.recordings,
             "missing": self.missing,
             "pass": self.met,
+            "untested": self.why_untested if self.met is None else None,
         }
 
 
@@ -108,8 +116,11 @@ def check(bound: Bound, scored: pd.DataFrame) -> Verdict:
     """Holds one bound against the rows of `scoring.score` that meet its conditions."""
     rows = scored[_within(bound, scored)]
     errors = rows[f"{bound.quantity}_error"]
+    answered = scored[scored["direction_deg"].notna()]
+    estimated = answered.empty or bool(answered[ESTIMATES[bound.quantity]].notna().any())
     missing = int(errors.isna().sum())
-    met = None if rows.empty else missing == 0 and bool((errors < bound.limit).all())
+    tested = estimated and not rows.empty
+    met = missing == 0 and bool((errors < bound.limit).all()) if tested else None
     worst = None if errors.isna().all() else str(rows["recording"].iloc[int(errors.argmax())])
     if missing:
         worst = str(rows.loc[errors.isna(), "recording"].iloc[0])
@@ -121,6 +132,7 @@ def check(bound: Bound, scored: pd.DataFrame) -> Verdict:
         mean=None if errors.isna().all() else float(errors.mean()),
         max=None if errors.isna().all() else float(errors.max()),
         worst=worst,
+        estimated=estimated,
     )
 
 

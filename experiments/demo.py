@@ -60,7 +60,7 @@ def _table(evaluations: dict[str, Evaluation]) -> list[str]:
         cells = ["-" if v.met is None else f"{number(v.max)}{'' if v.met else ' !'}" for v in verdicts]
         lines.append(_row(f"{bound.name}, {unit}", [f"< {bound.limit:g}", *cells]))
     lines += [
-        "! beyond the article's bound, or without a valid estimate; - no such recording in the sample",
+        "! beyond the article's bound, or without a valid estimate; - not tested: see the report",
         "",
     ]
     lines.append(_row("mean error at the end", columns))

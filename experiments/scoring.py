@@ -21,6 +21,15 @@ QUANTITIES = {
     "position_mm": "mm",
     "position_percent": "%",
 }
+# The column of predictions that each quantity is the error of.
+ESTIMATES = {
+    "direction_deg": "direction_deg",
+    "speed_percent": "speed_mm_s",
+    "offset_mm": "offset_mm",
+    "offset_percent": "offset_mm",
+    "position_mm": "x_mm",
+    "position_percent": "x_mm",
+}
 # Quantities with an interval, by the contract's column.
 INTERVALS = ("direction_deg", "speed_mm_s", "offset_mm")
 # A slide this close to an axis counts as one of the article's X- or Y-slides.

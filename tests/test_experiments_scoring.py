@@ -199,6 +199,15 @@ def test_a_missing_estimate_misses_the_bound() -> None:
     assert "1 without a valid estimate" in verdict.line()
 
 
+def test_what_a_model_never_estimates_is_not_tested_but_one_that_says_nothing_misses() -> None:
+    nan = math.nan
+    silent = check(bound("position"), scored(predicted(fraction=0.5, x_mm=nan, y_mm=nan)))
+    assert silent.met is None
+    assert "does not estimate it" in silent.line()
+    nothing = predicted(fraction=0.5, x_mm=nan, y_mm=nan, direction_deg=nan, speed_mm_s=nan, valid=False)
+    assert check(bound("position"), scored(nothing)).met is False
+
+
 def test_every_bound_names_its_place_in_the_article() -> None:
     bounds = read_bounds()
     assert len({b.name for b in bounds}) == len(bounds) >= 6
