@@ -6,8 +6,8 @@ At every grid point a mean over headings and two friction parts are kept,
     value(heading) = mean + cos(heading) fx + sin(heading) fy
 
 which is exact in the four headings along the axes when friction acts to first order. All parts are
-interpolated by cubic tensor splines. A pressure level is the model's *effective* pressure in MPa, found
-from the skin's height; it is not the regulator's figure (see `pipeline.sensor.Skin`).
+interpolated by tensor splines, cubic where there are four levels, the pressure's through its cube root, as which
+a membrane rises. A pressure level is the model's *effective* pressure in MPa, found from the skin's height; it is not the regulator's figure (see `pipeline.sensor.Skin`).
 """
 
 import json
@@ -110,11 +110,11 @@ class Atlas:
 
     def static(self, pressure_level: float) -> np.ndarray:
         """(boards, 3) g: what the accelerometers read when nothing touches the skin."""
-        return _along(self.pressure_mpa, self.statics, self._level(pressure_level))
+        return _along(np.cbrt(self.pressure_mpa), self.statics, self._level(pressure_level))
 
     def height(self, pressure_level: float) -> float:
         """The inflated skin's height in mm."""
-        return float(_along(self.pressure_mpa, self.height_mm, self._level(pressure_level)))
+        return float(_along(np.cbrt(self.pressure_mpa), self.height_mm, self._level(pressure_level)))
 
     def pressure_at(self, height_mm: float) -> float:
         """The effective pressure, MPa, of a skin height.
@@ -136,7 +136,7 @@ class Atlas:
 
     def _level(self, pressure: float) -> float:
         _inside("pressure_level", np.asarray(pressure), self.pressure_mpa, "MPa")
-        return pressure
+        return float(np.cbrt(pressure))
 
     def _values(
         self,
@@ -160,7 +160,7 @@ class Atlas:
             parts = spline(np.column_stack([x, y]))
         else:
             depth, level = np.broadcast_to(depth, x.shape), np.broadcast_to(level, x.shape)
-            parts = self._volume(wanted.start, wanted.stop)(np.column_stack([x, y, depth, level]))
+            parts = self._volume(wanted.start, wanted.stop)(np.column_stack([x, y, depth, np.cbrt(level)]))
         parts = np.asarray(parts)  # (n, 3, channels)
         values = parts[:, 0]
         if heading_deg is not None:
@@ -177,7 +177,7 @@ class Atlas:
         """Knots, coefficients (nx, ny, nd, np, 3, channels) and degrees of the tensor spline."""
         coefficients = np.moveaxis(self.parts, 0, -2).astype(float)
         knots, degrees = [], []
-        for axis, grid in enumerate((self.x_mm, self.y_mm, self.depth_mm, self.pressure_mpa)):
+        for axis, grid in enumerate((self.x_mm, self.y_mm, self.depth_mm, np.cbrt(self.pressure_mpa))):
             knot, coefficients, degree = _fit(grid, coefficients, axis)
             knots.append(knot)
             degrees.append(degree)
@@ -191,7 +191,7 @@ class Atlas:
         def plane(depth: float, level: float, start: int, stop: int | None) -> NdBSpline:
             knots, coefficients, degrees = self._coefficients
             values = coefficients[..., start:stop]
-            for axis, at in ((3, level), (2, depth)):
+            for axis, at in ((3, np.cbrt(level)), (2, depth)):
                 line = NdBSpline((knots[axis],), np.moveaxis(values, axis, 0), (degrees[axis],))
                 values = np.asarray(line(np.array([[at]])))[0]
             return NdBSpline(knots[:2], np.ascontiguousarray(values), degrees[:2])

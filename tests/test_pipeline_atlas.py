@@ -30,7 +30,9 @@ def quick() -> Atlas:
 def known(x, y, depth, level):
     """A smooth field that cubic splines follow well."""
     bump = np.exp(-((x / 12) ** 2) - ((y / 12) ** 2))
-    return np.stack([(x + 0.1 * depth) * bump * level * 1e3, y * bump * (1 + depth), bump * depth], axis=-1)
+    return np.stack(
+        [(x + 0.1 * depth) * bump * np.cbrt(1e3 * level) ** 2, y * bump * (1 + depth), bump * depth], axis=-1
+    )
 
 
 def made_atlas() -> Atlas:
@@ -283,17 +285,17 @@ def test_default_atlas_gives_more_signal_with_more_pressure(default):
 
 @pytest.mark.long
 @pytest.mark.parametrize(
-    ("start", "heading", "depth", "height", "limits"),
+    ("start", "heading", "depth", "height"),
     [
-        ((-30.0, 3.75), 0.0, 0.6, 7.0, (0.006, 0.03)),
-        ((-30.0, -3.75), 0.0, 0.5, 6.75, (0.006, 0.03)),
-        ((-30.0, 8.75), 0.0, 0.9, 8.5, (0.015, 0.06)),
-        ((1.25, 30.0), 270.0, 0.4, 6.0, (0.006, 0.03)),
-        ((-24.0, -20.0), 45.0, 0.6, 7.0, (0.008, 0.04)),
-        ((20.0, -23.0), 120.0, 0.5, 6.0, (0.008, 0.04)),
+        ((-30.0, 3.75), 0.0, 0.6, 7.0),
+        ((-30.0, -3.75), 0.0, 0.5, 6.75),
+        ((-30.0, 8.75), 0.0, 0.9, 8.5),
+        ((1.25, 30.0), 270.0, 0.4, 6.0),
+        ((-24.0, -20.0), 45.0, 0.6, 7.0),
+        ((20.0, -23.0), 120.0, 0.5, 6.0),
     ],
 )
-def test_default_atlas_answers_lines_it_was_not_solved_on(default, start, heading, depth, height, limits):
+def test_default_atlas_answers_lines_it_was_not_solved_on(default, start, heading, depth, height):
     """Root mean square and largest error in g against the solver, between lines, depths, levels, askew."""
     from pipeline.skin.survey import gravity, skin_of
 
@@ -313,5 +315,5 @@ def test_default_atlas_answers_lines_it_was_not_solved_on(default, start, headin
         f"{heading:g} deg, {depth} mm, {height} mm: {np.sqrt((error**2).mean()):.4f}, {np.abs(error).max():.4f} g"
     )
     assert np.ptp(solved[:, 0, 0]) > 0.2
-    assert np.sqrt((error**2).mean()) < limits[0]
-    assert np.abs(error).max() < limits[1]
+    assert np.sqrt((error**2).mean()) < 0.004
+    assert np.abs(error).max() < 0.02
