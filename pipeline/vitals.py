@@ -127,8 +127,8 @@ def _spectrum(volts: np.ndarray, rate_hz: float) -> tuple[np.ndarray, np.ndarray
     Welch's mean over seconds that overlap by half, Hann windows; the floor is the median over frequency. A
     recording of less than a quarter of a second has no spectrum: its floor is NaN.
     """
-    length = min(int(rate_hz), len(volts))
-    if length < 0.25 * rate_hz:
+    length = min(max(int(rate_hz), 64), len(volts))
+    if length < max(0.25 * rate_hz, 16):
         return np.full(volts.shape[1], np.nan), np.zeros(0), np.zeros((0, volts.shape[1]))
     window = np.hanning(length)[:, None]
     starts = range(0, len(volts) - length + 1, max(length // 2, 1))[:SECONDS]
@@ -139,8 +139,8 @@ def _spectrum(volts: np.ndarray, rate_hz: float) -> tuple[np.ndarray, np.ndarray
     power *= 2 / (rate_hz * (window**2).sum() * max(len(starts), 1))
     frequency = np.fft.rfftfreq(length, 1 / rate_hz)
     high = (frequency >= NOISE_FROM_HZ) & (frequency < 0.45 * rate_hz)
-    if not high.any():
-        high = frequency > 0
+    if high.sum() < 8:
+        high = frequency > frequency[-1] / 2
     return np.median(power[high], axis=0), frequency[high], power[high]
 
 
@@ -175,7 +175,7 @@ def _echo(volts: np.ndarray, rate_hz: float) -> np.ndarray:
     Noise forgets itself; noise that a program tiles does not. Mains and its harmonics are taken out first.
     """
     noise = np.diff(volts[:16_384], n=2, axis=0)
-    count, lag = len(noise), int(0.2 * rate_hz)
+    count, lag = len(noise), max(int(0.2 * rate_hz), 100)
     if count < 4 * lag:
         return np.zeros(volts.shape[1])
     length = 1 << (2 * count - 1).bit_length()

@@ -240,3 +240,15 @@ def test_short_and_constant_recordings_are_judged(sound, tmp_path: Path, samples
     findings = examine(write_folder(tmp_path / "lab", folder.sensor, manifest, cut))
     assert not constant or "dead" in {f.kind for f in findings}
     assert all(np.isfinite([f.figure, f.limit]).all() for f in findings)
+
+
+@pytest.mark.parametrize("rate_hz", [2.0, 10.0, 50.0, 20_000.0])
+def test_any_rate_is_judged(sound, tmp_path: Path, rate_hz: float) -> None:
+    sensor = replace(sound[0].sensor, sample_rate_hz=rate_hz)
+    count = max(60, int(rate_hz))
+    noise = [np.random.default_rng(n).normal([1.65, 1.65, 2.45], 0.006, (count, 3)) for n in range(6)]
+    slides = [Recording(f"r{n}", np.arange(count) / rate_hz, volts) for n, volts in enumerate(noise)]
+    manifest = pd.DataFrame({"recording": [s.name for s in slides], "split": "calibration"})
+    assert [
+        f for f in examine(write_folder(tmp_path / "lab", sensor, manifest, slides)) if f.level == "error"
+    ] == []
