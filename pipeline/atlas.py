@@ -6,8 +6,9 @@ At every grid point a mean over headings and two friction parts are kept,
     value(heading) = mean + cos(heading) fx + sin(heading) fy
 
 which is exact in the four headings along the axes when friction acts to first order. All parts are
-interpolated by tensor splines, cubic where there are four levels, the pressure's through its cube root, as which
-a membrane rises. A pressure level is the model's *effective* pressure in MPa, found from the skin's height; it is not the regulator's figure (see `pipeline.sensor.Skin`).
+interpolated by tensor splines, cubic where there are four levels, the pressure's through its cube root, as
+which a membrane rises. A pressure level is the model's *effective* pressure in MPa, found from the skin's
+height; it is not the regulator's figure (see `pipeline.sensor.Skin`).
 """
 
 import json
