@@ -6,6 +6,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+import onnx
 import pandas as pd
 from tqdm import tqdm
 
@@ -19,6 +20,10 @@ from models.fitted import FittedModel
 from pipeline.atlas import Atlas, check_atlas, read_atlas
 from pipeline.dataset import labelled_windows
 from pipeline.recordings import Folder, read_folder
+from pipeline.staging import check_replaceable
+from serve.localizer import Localizer
+
+BUNDLE_FILES = ("model.onnx", "model.json")
 
 
 @dataclass(frozen=True)
@@ -56,7 +61,8 @@ def train(
     folder = whole.select("calibration", "train").labelled()
     settings = configured(change(default_config(model)), config)
     design = _design(folder, atlas)
-    start = None if init is None else read_graph(init)
+    start = None if init is None else _graph_to_go_on_from(init)
+    check_replaceable(out, BUNDLE_FILES)
     configuration = {
         "model": model,
         "recordings": str(recordings),
@@ -89,6 +95,16 @@ def train(
         if len(folder):
             _log_fit(run, out, folder, logged)
     return Training(out, fitted, run, logged)
+
+
+def _graph_to_go_on_from(bundle: Path) -> onnx.ModelProto:
+    """The graph of a bundle that is whole.
+
+    Raises:
+        InputError: the bundle is missing or broken.
+    """
+    Localizer.load(bundle)
+    return read_graph(bundle)
 
 
 def _design(folder: Folder, atlas: Path | None) -> Atlas | None:

@@ -3,7 +3,7 @@
 import os
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -20,8 +20,7 @@ def staged(out: Path) -> Iterator[Path]:
     Raises:
         InputError: `out` is a file or holds other files, or its parent cannot be written.
     """
-    if out.exists() and not out.is_dir():
-        raise InputError(f"{out}: a file of this name is in the way; name a folder")
+    check_replaceable(out)
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         scratch = Path(tempfile.mkdtemp(prefix=f".{out.name}.", dir=out.parent))
@@ -31,10 +30,7 @@ def staged(out: Path) -> Iterator[Path]:
     try:
         yield scratch
         if out.exists():
-            # A folder that holds anything else was named by mistake: replacing it would lose that.
-            foreign = {path.name for path in out.iterdir()} - {path.name for path in scratch.iterdir()}
-            if foreign:
-                raise InputError(f"{out}: holds other files ({min(foreign)}); name a new folder")
+            check_replaceable(out, {path.name for path in scratch.iterdir()})
             retired = Path(tempfile.mkdtemp(prefix=f".{out.name}.old.", dir=out.parent))
             os.replace(out, retired / out.name)
             os.replace(scratch, out)
@@ -43,3 +39,17 @@ def staged(out: Path) -> Iterator[Path]:
             os.replace(scratch, out)
     finally:
         shutil.rmtree(scratch, ignore_errors=True)
+
+
+def check_replaceable(out: Path, names: Collection[str] | None = None) -> None:
+    """Sees that nothing would be lost if `out` became a folder of these names (of any, if None).
+
+    Raises:
+        InputError: `out` is a file, or a folder that holds anything else: it was named by mistake.
+    """
+    if out.exists() and not out.is_dir():
+        raise InputError(f"{out}: a file of this name is in the way; name a folder")
+    if names is not None and out.exists():
+        foreign = {path.name for path in out.iterdir()} - set(names)
+        if foreign:
+            raise InputError(f"{out}: holds other files ({min(foreign)}); name a new folder")
