@@ -272,7 +272,9 @@ print(int(status.split("VmHWM:")[1].split()[0]) / 1024)
 
 
 @pytest.mark.long
-@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="the peak of memory is read from Linux's /proc")
+@pytest.mark.skipif(
+    not Path("/proc/self/status").exists(), reason="the peak of memory is read from Linux's /proc"
+)
 @pytest.mark.parametrize("name", ["csv", "parquet", "hdf5", "tdms", "mat 7.3"])
 def test_a_large_file_needs_no_more_memory_than_a_chunk(tmp_path: Path, name: str) -> None:
     peaks = []

@@ -268,6 +268,15 @@ def test_two_topics_with_clocks_of_their_own_share_one(tmp_path: Path) -> None:
     np.testing.assert_allclose(np.diff(recording.time_s), 0.01, atol=1e-12)
 
 
+@pytest.mark.parametrize("place", ["map.toml", "map.toml/out"])
+def test_an_output_that_cannot_be_is_refused(tmp_path: Path, capsys, place: str) -> None:
+    map_path = write_lab(tmp_path, FORMATS["csv"])
+    arguments = ["import", str(tmp_path / "lab"), "--map", str(map_path), "--out", str(tmp_path / place)]
+    assert softslide.main(arguments) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+    assert map_path.read_text() == FORMATS["csv"].map_text()
+
+
 def test_usage_is_said(tmp_path: Path, capsys) -> None:
     for arguments in (["x"], ["x", "--out", "y"], ["--map-template", "xls"], []):
         assert softslide.main(["import", *arguments]) == 2
@@ -349,7 +358,7 @@ def test_a_stage_with_another_clock_is_aligned_on_the_onset(sample_as_csv: Path,
     text = (sample_as_csv / "map.toml").read_text().replace('column = "t"', 'column = "t"\nalign = "onset"')
     path = sample_as_csv / "late.toml"
     path.write_text(text.replace("sheet.csv", "late.csv"))
-    # The stage's clock runs from 1.5 s behind to 1.5 s ahead over the session.
+    # The stage's clock runs from 1.5 s behind to 1.5 s ahead over the day.
     drift = np.linspace(-1.5, 1.5, len(sheet))
     late = sheet.assign(motion_start_s=sheet.motion_start_s + drift, motion_end_s=sheet.motion_end_s + drift)
     late.to_csv(sample_as_csv / "late.csv", index=False)

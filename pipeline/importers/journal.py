@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from features.errors import InputError
 from pipeline.importers.mapping import Map
 from pipeline.importers.streams import Source
 
@@ -25,8 +26,13 @@ class Journal:
             self.entries = {entry["recording"]: entry for entry in map(json.loads, whole)}
         else:
             shutil.rmtree(partial, ignore_errors=True)
-            (partial / "raw").mkdir(parents=True)
-            self.path.write_text(head + "\n")
+            try:
+                (partial / "raw").mkdir(parents=True)
+                self.path.write_text(head + "\n")
+            except OSError as error:
+                raise InputError(
+                    f"{partial.parent}: cannot be written ({error.strerror}); name another --out"
+                ) from None
 
     def has(self, job: Source) -> bool:
         slide = self.path.parent / "raw" / f"{job.name}.parquet"

@@ -56,6 +56,8 @@ def import_recordings(sources: Sequence[Path], mapping: Map, out: Path) -> Impor
     Raises:
         InputError: a source, the map or a label is bad; nothing is left then.
     """
+    if out.exists() and not out.is_dir():
+        raise InputError(f"{out}: a file of this name is in the way; name a folder")
     jobs = find_sources(sources, mapping)
     sheet, to_volts = read_sheet(mapping), converter(mapping)
     partial = out.parent / f".{out.name}.partial"
