@@ -76,11 +76,15 @@ def _parser() -> argparse.ArgumentParser:
         "--sensor", type=Path, metavar="sensor.toml", help="the design (default: the article's sensor)"
     )
     simulate.add_argument("--out", type=Path, required=True, metavar="ATLAS", help="the .npz to write")
-    simulate.add_argument("--coarse", action="store_true", help="minutes instead of an hour, for a first look")
+    simulate.add_argument(
+        "--coarse", action="store_true", help="minutes instead of an hour, for a first look"
+    )
     simulate.add_argument(
         "--depth", type=float, nargs="+", metavar="MM", help="contact depths in mm (default: 0.2 0.6 1.2)"
     )
-    simulate.add_argument("--workers", type=int, default=2, metavar="N", help="processes (default: %(default)s)")
+    simulate.add_argument(
+        "--workers", type=int, default=2, metavar="N", help="processes (default: %(default)s)"
+    )
     simulate.add_argument(
         "--backend", choices=("loky", "dask"), default="loky", help="who runs them (default: %(default)s)"
     )
@@ -103,7 +107,9 @@ def _parser() -> argparse.ArgumentParser:
         metavar="NAME",
         help="interpolation, trees, mlp, gp or cnn (default: %(default)s)",
     )
-    train.add_argument("--config", type=Path, metavar="FILE", help="TOML with changes to the model's defaults")
+    train.add_argument(
+        "--config", type=Path, metavar="FILE", help="TOML with changes to the model's defaults"
+    )
     train.add_argument("--out", type=Path, required=True, metavar="BUNDLE", help="where the bundle goes")
     train.set_defaults(run=_train)
 
@@ -170,7 +176,9 @@ def _check(arguments: argparse.Namespace) -> int:
             print(finding.line())
         print(f"{len(recordings)} recordings, {len(errors)} errors, {len(findings) - len(errors)} warnings")
     if errors:
-        raise InputError(f"{arguments.folder}: {len(errors)} errors, first {errors[0].line()}; mend or drop these")
+        raise InputError(
+            f"{arguments.folder}: {len(errors)} errors, first {errors[0].line()}; mend or drop these"
+        )
     return 0
 
 
@@ -240,7 +248,12 @@ def _simulate(arguments: argparse.Namespace) -> int:
     from pipeline.solve import simulate
 
     simulate(
-        arguments.sensor, arguments.out, arguments.coarse, arguments.depth, arguments.workers, arguments.backend
+        arguments.sensor,
+        arguments.out,
+        arguments.coarse,
+        arguments.depth,
+        arguments.workers,
+        arguments.backend,
     )
     return 0
 
