@@ -33,6 +33,9 @@ PEAK_SHARE = 0.003  # what the map leaves over, as a share of the slide's larges
 LENGTH_MM = 10.0  # scale of offsets and places inside the network
 
 
+_Point = tuple[Tensor, Tensor, Tensor, Tensor, Tensor]  # cost, chi-square, state, normal matrix, right side
+
+
 @dataclass(frozen=True)
 class NetworkConfig:
     """Sizes of the CNN, and the refinement.
@@ -153,18 +156,16 @@ class Refinement(nn.Module):
             rows = rows * scale[:, None, :, None]
             rows = (rows - shrink[:, None, :, None] * rows.mean(3, keepdim=True)).flatten(2)
             cost = chi2[:, None] + (precision * trial * trial).sum(1, keepdim=True)
-            normal = rows @ rows.transpose(1, 2) + torch.diag_embed(precision)
-            right = (rows @ gap.flatten(1)[:, :, None])[:, :, 0] - precision * trial
+            exact = rows.double()
+            normal = exact @ exact.transpose(1, 2) + torch.diag_embed(precision).double()
+            right = (exact @ gap.flatten(1)[:, :, None].double())[:, :, 0] - precision * trial
             if step == 0:
                 held = (cost, chi2[:, None], best, normal, right)
             else:
                 # Levenberg-Marquardt: what did not help is taken back, and tried again with a shorter step.
                 better = cost < held[0]
                 fresh = (cost, chi2[:, None], trial, normal, right)
-                held = tuple(
-                    torch.where(better if new.dim() == 2 else better[:, :, None], new, old)
-                    for new, old in zip(fresh, held, strict=True)
-                )
+                held = _either(better, fresh, held)
                 damping = torch.where(better, damping * 0.1, damping * 30.0)
             if step < self.steps:
                 move, _ = solve(held[3], held[4], damping)
@@ -228,6 +229,15 @@ class Refinement(nn.Module):
         return gain * value, rows
 
 
+def _either(better: Tensor, fresh: _Point, held: _Point) -> _Point:
+    """For each window of the batch the fresh point where it is better (B, 1), else the one held."""
+    cost, chi2, state, normal, right = (
+        torch.where(better if new.dim() == 2 else better[:, :, None], new, old)
+        for new, old in zip(fresh, held, strict=True)
+    )
+    return cost, chi2, state, normal, right
+
+
 def splines(z: Tensor) -> tuple[Tensor, Tensor]:
     """Uniform cubic B-spline and its derivative at signed distances z from the centres, in spacings."""
     size = z.abs()
@@ -250,21 +260,22 @@ def solve(normal: Tensor, right: Tensor, damping: Tensor) -> tuple[Tensor, Tenso
     Written out because ONNX has no solver; with A scaled to a unit diagonal no pivoting is needed.
     """
     n = normal.shape[-1]
+    # Doubles, because partial strokes leave A nearly singular and nothing here is large.
     scale = normal.diagonal(dim1=1, dim2=2).rsqrt()
-    eye = torch.eye(n)
+    eye = torch.eye(n, dtype=normal.dtype)
     scaled = normal * scale[:, :, None] * scale[:, None, :] + eye * damping[:, :, None]
     work = torch.cat([scaled, eye.expand(normal.shape[0], n, n)], 2)
     for k in range(n):
         row = work[:, k : k + 1] / work[:, k : k + 1, k : k + 1]
         work = work - (work[:, :, k : k + 1] - eye[:, k : k + 1]) @ row
     inverse = work[:, :, n:] * scale[:, :, None] * scale[:, None, :]
-    return (inverse @ right[:, :, None])[:, :, 0], inverse
+    return (inverse @ right[:, :, None])[:, :, 0].float(), inverse.float()
 
 
 class SlideNetwork(nn.Module):
     """The exported graph: window, duration and weights in; the row of `OUTPUTS` out."""
 
-    def __init__(self, proposal: Proposal, refinement: Refinement) -> None:
+    def __init__(self, proposal: nn.Module, refinement: Refinement) -> None:
         super().__init__()
         self.proposal, self.refinement = proposal, refinement
 

@@ -1,0 +1,39 @@
+"""Intervals cover what they promise on errors they were not calibrated on."""
+
+import numpy as np
+import pytest
+
+from models.intervals import angle_error_deg, conformal_interval, line_folds
+
+
+@pytest.mark.parametrize("tail", [np.inf, 3.0])
+def test_ninety_percent_are_covered_whatever_the_tail(tail):
+    rng = np.random.default_rng(0)
+    sd = rng.uniform(0.1, 3.0, 8000)
+    noise = rng.standard_normal(8000) if tail == np.inf else rng.standard_t(tail, 8000)
+    errors = 1.7 * noise * np.hypot(sd, 0.4)
+    interval = conformal_interval(errors[:4000], sd[:4000])
+    half = np.array([interval.half_width(s) for s in sd[4000:]])
+    assert 0.88 < np.mean(np.abs(errors[4000:]) <= half) < 0.92
+
+
+def test_without_deviations_the_width_is_constant():
+    interval = conformal_interval(np.linspace(-1, 1, 1001), np.zeros(1001))
+    assert interval.half_width(0.0) == pytest.approx(0.9, abs=0.01)
+
+
+def test_no_errors_no_interval():
+    with pytest.raises(ValueError, match="no held-out errors"):
+        conformal_interval(np.array([]), np.array([]))
+
+
+def test_angles_have_no_seam():
+    np.testing.assert_allclose(
+        angle_error_deg(np.array([359.0, 1.0, 180.0]), np.array([1.0, 359.0, 0.0])), [-2, 2, 180]
+    )
+
+
+def test_slides_along_one_line_share_a_fold():
+    fold = line_folds(np.array([0.0, 0.0, 90.0, 0.0]), np.array([5.0, 5.0, 5.0, -5.0]), 4)
+    assert fold[0] == fold[1]
+    assert len(set(fold)) == 3

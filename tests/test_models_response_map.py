@@ -1,0 +1,125 @@
+"""Laws of the splines, and of a map's calibration on slides whose truth is known."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from bump_map import bump_map
+from hypothesis import given
+from hypothesis import strategies as st
+
+from models.calibration import CalibrationConfig, CalibrationSlide, calibrate
+from models.response_map import spline_basis, spline_coefficients
+
+HALF_MM = 30.0
+
+
+@given(st.floats(-HALF_MM, HALF_MM))
+def test_splines_sum_to_one_inside_and_reproduce_straight_lines(position):
+    basis = spline_basis(np.array([position]), HALF_MM)[0]
+    centres = -HALF_MM + 2.5 * (np.arange(len(basis)) - 1)
+    assert basis.sum() == pytest.approx(1.0, abs=1e-12)
+    assert basis @ centres == pytest.approx(position, abs=1e-10)
+
+
+def test_splines_vanish_beyond_their_range():
+    assert not spline_basis(np.array([-40.0, 37.6]), HALF_MM).any()
+
+
+def test_coefficients_give_back_a_smooth_surface():
+    grid = np.arange(-30.0, 30.1, 1.0)
+    x, y = np.meshgrid(grid, grid, indexing="ij")
+    values = np.stack([np.sin(x / 9) * np.cos(y / 11)], axis=2)
+    coefficients = spline_coefficients(values, grid, HALF_MM)
+    basis = spline_basis(grid, HALF_MM)
+    again = np.einsum("ni,ijc,mj->nmc", basis, coefficients, basis)
+    # Fourth order in the spacing: (2.5 / 9)^4 / 400.
+    np.testing.assert_allclose(again, values, atol=5e-5)
+
+
+def test_depth_acts_through_its_slope_alone():
+    response = bump_map()
+    x, y = np.array([2.0, -7.0]), np.array([4.0, 1.0])
+    shallow, deep = (response.response(x, y, 0.3, depth) for depth in (0.5, 1.0))
+    np.testing.assert_allclose(deep - shallow, 0.5 * (response.response(x, y, 0.3, 1.5) - shallow), rtol=1e-9)
+    assert np.abs(deep - shallow).max() > 1e-3
+
+
+def slides_of(response, lines, speeds, gains, noise_v=0.0, seed=0, lag_s=0.0):
+    """Labelled slides along (direction_deg, offset_mm) lines through the map's chamber."""
+    rng = np.random.default_rng(seed)
+    slides = []
+    for number, ((direction, offset), speed, gain) in enumerate(zip(lines, speeds, gains, strict=True)):
+        a = np.deg2rad(direction)
+        foot = np.array(response.reference_mm) + offset * np.array([-np.sin(a), np.cos(a)])
+        start = foot - 36.0 * np.array([np.cos(a), np.sin(a)])
+        travelled = np.arange(0.25, 72.0, 0.5)
+        blocks = max(1, round(0.5 / speed / 0.02))
+        s = travelled - speed * lag_s
+        clean = response.response(start[0] + s * np.cos(a), start[1] + s * np.sin(a), a)
+        volts = gain * clean + noise_v / np.sqrt(blocks) * rng.standard_normal(clean.shape)
+        slides.append(
+            CalibrationSlide(
+                recording=f"r{number}",
+                start_mm=(float(start[0]), float(start[1])),
+                direction_rad=a,
+                depth_mm=0.5,
+                travelled_mm=travelled,
+                speed_mm_s=np.full(len(travelled), speed),
+                volts=volts,
+                blocks=blocks,
+                rest_noise_v=np.full(2, 1.4e-3),
+            )
+        )
+    return slides
+
+
+LINES = [(d, o) for d in (0.0, 90.0, 180.0, 270.0, 37.0, 142.0, 255.0) for o in np.arange(-20.0, 21.0, 5.0)]
+
+
+def error_of(found, truth):
+    x, y = np.meshgrid(np.arange(-20.0, 21.0, 2.0), np.arange(-20.0, 21.0, 2.0))
+    gaps = [
+        found.response(x.ravel(), y.ravel(), a) - truth.response(x.ravel(), y.ravel(), a) for a in (0.7, 3.9)
+    ]
+    return float(np.sqrt(np.mean(np.square(gaps))))
+
+
+@pytest.fixture(scope="module")
+def calibrated():
+    truth = bump_map()
+    rng = np.random.default_rng(1)
+    speeds, gains = rng.uniform(0.5, 12.0, len(LINES)), 1 + 0.02 * rng.standard_normal(len(LINES))
+    slides = slides_of(truth, LINES, speeds, gains / gains.mean(), 1.4e-3, lag_s=0.02)
+    blank = replace(truth, coefficients=0 * truth.coefficients, depth_slope=0 * truth.depth_slope)
+    return truth, slides, calibrate(slides, blank, False, CalibrationConfig())
+
+
+def test_calibration_finds_the_map_the_lag_and_the_spread_of_gains(calibrated):
+    truth, _, (found, report) = calibrated
+    assert error_of(found, truth) < 1.5e-3  # of a largest output of 0.13 V
+    assert found.lag_s == pytest.approx(0.02, abs=0.004)
+    assert found.gain_sd == pytest.approx(0.02, rel=0.4)
+    assert report["outliers"] == 0
+
+
+def test_a_slide_with_a_wrong_label_is_left_out(calibrated):
+    truth, slides, _ = calibrated
+    wrong = replace(slides[3], direction_rad=slides[3].direction_rad + np.pi / 2)
+    blank = replace(truth, coefficients=0 * truth.coefficients)
+    found, report = calibrate([*slides[:3], wrong, *slides[4:]], blank, False, CalibrationConfig())
+    assert report["outliers"] == 1
+    assert error_of(found, truth) < 3e-3
+
+
+def test_a_good_prior_makes_up_for_recordings():
+    truth = bump_map()
+    few = slides_of(
+        truth, [(0.0, 5.0), (90.0, -5.0), (180.0, 10.0), (45.0, 0.0)], [1.0, 2.0, 3.0, 4.0], np.ones(4)
+    )
+    near = truth.scaled(0.95)
+    blank = truth.scaled(0.0)
+    informed, _ = calibrate(few, near, True, CalibrationConfig())
+    alone, _ = calibrate(few, blank, False, CalibrationConfig())
+    assert error_of(informed, truth) < 0.5 * error_of(alone, truth)
+    assert error_of(informed, truth) < error_of(near, truth)
