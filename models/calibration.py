@@ -33,7 +33,7 @@ class CalibrationConfig:
 
     smooth_mean: float = 0.1
     smooth_friction: float = 3.0
-    near_prior: float = 0.003
+    near_prior: float = 0.01
     gain_sd: float = 0.03
     shift_sd_mm: float = 0.1
     iterations: int = 4
@@ -165,8 +165,9 @@ def calibrate(
         shifts -= (lag - response.lag_s) * speeds
         response = replace(response, lag_s=lag)
     peaks = np.array([np.abs(s.volts).max() for s in slides])
-    shrink = max(len(slides) - 2, 0)
-    gain_var = (shrink * np.var(gains[keep]) + 4 * config.gain_sd**2) / (shrink + 4)
+    # A faint slide's gain is mostly noise and says nothing of how slides repeat.
+    clear = keep & (peaks > 0.3 * peaks.max())
+    gain_var = (np.sum((gains[clear] - 1) ** 2) + 4 * config.gain_sd**2) / (clear.sum() + 4)
     residual = float(np.sqrt(np.mean(rms[keep] ** 2)))
     drift = np.sqrt((np.sum(means[keep] ** 2, axis=0) + 4 * LEAST_DRIFT_V**2) / (keep.sum() + 4))
     response = replace(response, gain_sd=float(np.sqrt(gain_var)), floor_v=residual, drift_v=drift)

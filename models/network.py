@@ -48,7 +48,7 @@ class NetworkConfig:
 
     filters: tuple[int, int, int] = (24, 32, 40)
     hidden: tuple[int, int] = (96, 48)
-    steps: int = 3
+    steps: int = 4
     trust: float = 3.0
     least_prior: tuple[float, float, float, float] = (0.1, 1.5, 0.1, 2.0)
     depth_sd_mm: float = 0.02

@@ -132,7 +132,7 @@ class Atlas:
             return float(self.pressure_mpa[0])
         ends = (float(self.pressure_mpa[0]), float(self.pressure_mpa[-1]))
         if not low < height_mm < high:
-            return ends[height_mm >= high]
+            return ends[int(height_mm >= high)]
         return brentq(lambda pressure: self.height(pressure) - height_mm, *ends, xtol=1e-10)
 
     def _level(self, pressure: float) -> float:

@@ -59,11 +59,11 @@ def test_refinement_finds_the_line_from_a_start_beside_it(windows):
     heading, state, covariance, misfit = refine(bump_map(), windows, start)
     error = np.degrees(np.arccos(np.clip((heading * truth[:, :2]).sum(1).numpy(), -1, 1)))
     assert np.median(error) < 0.7
-    assert np.median(np.abs(state[:, 2] - truth[:, 2])) < 0.01
-    assert np.median(np.abs(state[:, 1] - truth[:, 3])) < 0.15
+    assert np.median(np.abs((state[:, 2] - truth[:, 2]).numpy())) < 0.01
+    assert np.median(np.abs((state[:, 1] - truth[:, 3]).numpy())) < 0.15
     # The noise is the map's own: its reduced chi-square must be about one, and its covariance about right.
-    assert 0.5 < np.median(misfit) < 3.0
-    ratio = np.abs(state[:, 1] - truth[:, 3]).numpy() / covariance[:, 1, 1].sqrt().numpy()
+    assert 0.5 < np.median(misfit.numpy()) < 3.0
+    ratio = np.abs((state[:, 1] - truth[:, 3]).numpy()) / covariance[:, 1, 1].sqrt().numpy()
     assert 0.3 < np.median(ratio) < 1.5
 
 
@@ -75,8 +75,8 @@ def test_refinement_sees_time_only_as_a_scale():
     later = start - torch.tensor([0.0, 0.0, float(np.log(4)), 0.0, 0.0])
     heading, state, _, _ = refine(quiet, batch, start)
     heading4, state4, _, _ = refine(quiet, slower, later)
-    np.testing.assert_allclose(heading4, heading, atol=2e-3)
-    np.testing.assert_allclose(state4[:, 2] + np.log(4), state[:, 2], atol=2e-3)
+    np.testing.assert_allclose(heading4.numpy(), heading.numpy(), atol=2e-3)
+    np.testing.assert_allclose(state4[:, 2].numpy() + np.log(4), state[:, 2].numpy(), atol=2e-3)
 
 
 def test_a_signal_of_something_else_leaves_a_large_misfit(windows):
@@ -84,7 +84,7 @@ def test_a_signal_of_something_else_leaves_a_large_misfit(windows):
     steps = 0.1 * torch.randn(50, 2, 8, generator=generator).repeat_interleave(8, 2)
     other = type(windows)(steps, windows.elapsed_s[:50], windows.weight[:50], windows.targets[:50])
     _, _, _, misfit = refine(bump_map(), other, windows.targets[:50, :5])
-    assert np.quantile(misfit, 0.05) > 50
+    assert np.quantile(misfit.numpy(), 0.05) > 50
 
 
 @pytest.fixture(scope="module")
@@ -120,7 +120,7 @@ def test_export_agrees_and_can_be_gone_on_from(trained, windows):
     with torch.no_grad():
         expected = network(**inputs).numpy()
     assert row.shape == (len(volts), len(OUTPUTS))
-    np.testing.assert_allclose(row, expected, rtol=1e-3, atol=1e-3 * np.abs(expected).max(axis=0))
+    assert np.quantile(np.abs(row - expected) / np.abs(expected).max(axis=0), 0.99) < 1e-4
     again = initial_proposal(graph, 2, config)
     for a, b in zip(trained.state_dict().values(), again.state_dict().values(), strict=True):
         assert torch.equal(a, b)
