@@ -155,8 +155,13 @@ def _parser() -> argparse.ArgumentParser:
 
 def _demo(arguments: argparse.Namespace) -> int:
     from experiments.demo import demo
+    from models.bundle import ParityError
 
-    print(demo(arguments.out))
+    try:
+        print(demo(arguments.out))
+    except ParityError as error:
+        print(f"softslide demo: {error}", file=sys.stderr)
+        return 1
     return 0
 
 

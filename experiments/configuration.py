@@ -4,7 +4,7 @@ import tomllib
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_args
 
 from features.errors import InputError
 
@@ -34,23 +34,29 @@ def changed(default: Config, table: Mapping[str, Any], place: str) -> Config:
     Raises:
         InputError: as in `configured`.
     """
-    known = [field.name for field in fields(default)]  # type: ignore[arg-type]
+    known = {field.name: field for field in fields(default)}  # type: ignore[arg-type]
     values: dict[str, Any] = {}
     for key, value in table.items():
         if key not in known:
             raise InputError(f"{place}: unknown key '{key}'; known are {', '.join(known) or 'none'}")
-        values[key] = _fitting(getattr(default, key), value, f"{place}: {key}")
+        any_length = Ellipsis in get_args(known[key].type)
+        values[key] = _fitting(getattr(default, key), value, f"{place}: {key}", any_length)
     try:
         return replace(default, **values)  # type: ignore[type-var]
     except ValueError as error:
         raise InputError(f"{place}: {error}") from None
 
 
-def _fitting(default: Any, value: Any, place: str) -> Any:
-    """The value, of the default's type; a whole number does for a float, a list for a tuple."""
+def _fitting(default: Any, value: Any, place: str, any_length: bool = False) -> Any:
+    """The value, of the default's type; a whole number does for a float, a list for a tuple.
+
+    any_length: a list need not be as long as the default, whose first item then says what it holds.
+    """
     if is_dataclass(default) and isinstance(value, Mapping):
         return changed(default, value, place)
     if isinstance(default, tuple) and isinstance(value, list):
+        if any_length:
+            return tuple(_fitting(default[0], v, place) for v in value)
         if len(value) != len(default):
             raise InputError(f"{place} holds {len(value)}, not {len(default)}; write as many as in {default}")
         return tuple(_fitting(d, v, place) for d, v in zip(default, value, strict=True))

@@ -62,13 +62,15 @@ def _table(evaluations: dict[str, Evaluation]) -> list[str]:
         "! beyond the article's bound, or without a valid estimate; - not tested: see the report",
         "",
     ]
-    lines.append(_row("mean error at the end", columns))
+    lines.append(_row("mean valid error at the end", columns))
     splits = next(iter(evaluations.values())).metrics["splits"]
     for split in splits:
         for quantity, title in MEANS.items():
             ends = [e.metrics["splits"][split]["1.0"][quantity] for e in evaluations.values()]
             cells = [number(end.get("mean")) for end in ends]
             lines.append(_row(f"{split}: {title}, {QUANTITIES[quantity]}", ["", *cells]))
+        shares = [e.metrics["splits"][split]["1.0"]["valid_share"] for e in evaluations.values()]
+        lines.append(_row(f"{split}: valid, %", ["", *(f"{100 * share:.0f}" for share in shares)]))
     return lines
 
 

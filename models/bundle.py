@@ -85,6 +85,9 @@ def read_graph(bundle: Path) -> onnx.ModelProto:
 
 
 def relative_difference(a: np.ndarray, b: np.ndarray) -> float:
-    """Largest |a - b| over the column's largest |b|."""
+    """Largest |a - b| over the column's largest |b|; infinite unless both are NaN at the same places."""
+    if not np.array_equal(np.isnan(a), np.isnan(b)):
+        return float("inf")
+    a, b = np.nan_to_num(a), np.nan_to_num(b)
     scale = np.maximum(np.abs(b).max(axis=0), 1e-6)
     return float((np.abs(a - b) / scale).max())

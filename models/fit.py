@@ -10,7 +10,7 @@ from models.fitted import FittedModel
 from pipeline.atlas import Atlas
 from pipeline.recordings import Folder
 
-MODELS = ("cnn",)
+MODELS = ("interpolation", "trees", "mlp", "gp", "cnn")
 
 
 def default_config(name: str) -> Any:
@@ -23,6 +23,10 @@ def default_config(name: str) -> Any:
         from models.cnn import CnnConfig
 
         return CnnConfig()
+    if name in MODELS:
+        from models.classical import CONFIGS
+
+        return CONFIGS[name]()
     raise InputError(f"no model '{name}'; name one of {', '.join(MODELS)}")
 
 
@@ -51,4 +55,10 @@ def fit_model(
             raise
         except ValueError as error:
             raise InputError(f"--init: {error}") from None
+    if name in MODELS:
+        from models.classical import fit_classical
+
+        if atlas is not None or init is not None:
+            raise InputError(f"{name} learns from recordings alone; leave --atlas and --init out, or use cnn")
+        return fit_classical(name, folder, config)
     raise InputError(f"no model '{name}'; name one of {', '.join(MODELS)}")

@@ -23,6 +23,7 @@ class Inner:
 class Outer:
     steps: int = 10
     name: str = "n"
+    layers: tuple[int, ...] = (64, 64)
     inner: Inner = field(default_factory=Inner)
 
 
@@ -33,17 +34,18 @@ def written(tmp_path: Path, text: str) -> Path:
 
 
 def test_a_file_changes_what_it_names(tmp_path: Path) -> None:
-    path = written(tmp_path, "steps = 7\n[inner]\nrate = 2\nsizes = [5, 6]\n")
-    assert configured(Outer(), path) == Outer(7, "n", Inner(2.0, (5, 6)))
+    path = written(tmp_path, "steps = 7\nlayers = [8]\n[inner]\nrate = 2\nsizes = [5, 6]\n")
+    assert configured(Outer(), path) == Outer(7, "n", (8,), Inner(2.0, (5, 6)))
     assert configured(Outer(), None) == Outer()
 
 
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("stepps = 7", "unknown key 'stepps'; known are steps, name, inner"),
+        ("stepps = 7", "unknown key 'stepps'; known are steps, name, layers, inner"),
         ("[inner]\nrat = 7", "inner: unknown key 'rat'"),
         ("steps = 0.5", "steps is 0.5; write one like 10"),
+        ("layers = [8, 'x']", "layers is 'x'"),
         ("steps = true", "steps is True"),
         ("name = 3", "name is 3"),
         ("inner = 3", "inner is 3"),
