@@ -1,5 +1,7 @@
 """Volts at the sample rate become block means at a rate that a decision needs."""
 
+import math
+from collections.abc import Iterator
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -13,6 +15,7 @@ class Conditioning:
         its harmonics (the first null of a boxcar lies at 1 / block_s).
     rest_blocks: memory of the static output in blocks: a mean at first, then an exponential average, so that
         the zero follows temperature and pressure while nothing touches.
+    calm_v: a mean further from the static output than this moves it at a tenth of the pace.
     trigger_v: a slide begins when the mean of `trigger_blocks` blocks of some V_x or V_y leaves the static
         output by this much, in V.
     release_v: a slide is over when every V_x and V_y has stayed this close to the static output, in V.
@@ -21,10 +24,15 @@ class Conditioning:
     still_peak_v: a stop on the dome is looked for only in slides that have reached this output in V: in
         weaker ones a slow slide and a stop look alike.
     least_blocks: blocks since the trigger before the first estimate.
+    touch_blocks: what changed only within this many blocks of the trigger, and then stood still, is no slide but
+        a touch: something set down or lifted off, or a jump of the zero.
+    longest_blocks: a slide that has not ended after so many blocks is none: slower than any that a model knows,
+        or a zero that has moved.
     """
 
     block_s: float = 0.02
-    rest_blocks: int = 150
+    rest_blocks: int = 1500
+    calm_v: float = 0.0015
     trigger_blocks: int = 5
     trigger_v: float = 0.005
     release_v: float = 0.0035
@@ -32,42 +40,54 @@ class Conditioning:
     still_change: float = 0.012
     still_peak_v: float = 0.04
     least_blocks: int = 8
+    touch_blocks: int = 12
+    longest_blocks: int = 15_000
 
     def __post_init__(self) -> None:
         for field in fields(self):
-            if not getattr(self, field.name) > 0:
-                raise ValueError(f"{field.name} is {getattr(self, field.name)}; it must be positive")
+            value = getattr(self, field.name)
+            if isinstance(value, bool) or not isinstance(value, int if field.type is int else int | float):
+                raise ValueError(f"{field.name} is {value!r}, not a number of its kind")
+            if not 0 < value < math.inf:
+                raise ValueError(f"{field.name} is {value}; it must be positive and finite")
         if self.release_v > self.trigger_v:
             raise ValueError("release_v exceeds trigger_v; a slide would end as it begins")
 
 
-class BlockMean:
-    """Anti-alias filter and decimator in one: the mean of each whole block of samples.
-
-    A block is averaged only once all its samples are there, so the numbers do not depend on how the samples
-    were cut into chunks.
-    """
+class Blocks:
+    """Cuts a stream into whole blocks of samples, the same ones however it comes in chunks."""
 
     def __init__(self, channels: int, samples_per_block: int) -> None:
-        self._pending = np.empty((samples_per_block, channels))
+        self._samples = np.empty((samples_per_block, channels))
         self._count = 0
 
     def reset(self) -> None:
         """Forgets the samples of an unfinished block."""
         self._count = 0
 
-    def push(self, volts: np.ndarray) -> np.ndarray:
-        """volts (n, C) V -> (m, C) V, the means of the m blocks that these samples finish."""
-        size = len(self._pending)
-        means = np.empty(((self._count + len(volts)) // size, self._pending.shape[1]))
+    def push(self, volts: np.ndarray) -> Iterator[np.ndarray]:
+        """volts (n, C) V -> each block (S, C) V float64 that these samples finish; overwritten by the next one."""
+        size = len(self._samples)
         taken = 0
-        for mean in means:
+        while len(volts) - taken >= size - self._count:
             part = size - self._count
-            self._pending[self._count :] = volts[taken : taken + part]
+            self._samples[self._count :] = volts[taken : taken + part]
             taken += part
             self._count = 0
-            self._pending.mean(axis=0, out=mean)
+            yield self._samples
         rest = len(volts) - taken
-        self._pending[self._count : self._count + rest] = volts[taken:]
+        self._samples[self._count : self._count + rest] = volts[taken:]
         self._count += rest
-        return means
+
+
+class BlockMean:
+    """Anti-alias filter and decimator in one: the mean of each whole block of samples."""
+
+    def __init__(self, channels: int, samples_per_block: int) -> None:
+        self._blocks = Blocks(channels, samples_per_block)
+        self._channels = channels
+
+    def push(self, volts: np.ndarray) -> np.ndarray:
+        """volts (n, C) V -> (m, C) V, the means of the m blocks that these samples finish."""
+        means = [samples.mean(axis=0) for samples in self._blocks.push(volts)]
+        return np.array(means).reshape(len(means), self._channels)

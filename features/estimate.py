@@ -16,6 +16,8 @@ class Estimate:
 
     time_s: of the samples seen so far. direction_deg in [0, 360); its lo and hi may pass that seam. offset_mm and
     the signs of x and y are the contract's. valid: false where the model abstains.
+    accelerometers: number of those that a slide is read from, 0 where none is. zero_shift_v, gain, turn_deg: the
+    device's drift (features/drift.py).
     """
 
     time_s: float
@@ -33,6 +35,10 @@ class Estimate:
     x_mm: float = math.nan
     y_mm: float = math.nan
     valid: bool = False
+    accelerometers: int = 0
+    zero_shift_v: float = math.nan
+    gain: float = math.nan
+    turn_deg: float = math.nan
 
 
 _NO_INTERVAL = Interval(math.nan, math.nan)

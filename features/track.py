@@ -14,6 +14,8 @@ from features.conditioning import Conditioning
 from features.window import WINDOW_BINS, Window
 
 KNOTS = 4 * WINDOW_BINS
+# Share of the largest output by which a slide's signal has to change after what a touch alone would show.
+TOUCH_CHANGE = 0.1
 
 
 class State(StrEnum):
@@ -28,6 +30,8 @@ class SlideTracker:
     """State of one stream, a block at a time.
 
     tilt: indices of the V_x and V_y channels, the only ones that trigger and release.
+    static: (C,) V, the static output, followed while nothing touches.
+    usable: (A,), the accelerometers that the slide at hand, or the last one, is read from.
     """
 
     def __init__(self, conditioning: Conditioning, channels: int) -> None:
@@ -39,49 +43,91 @@ class SlideTracker:
 
     def reset(self) -> None:
         """Back to an unknown static output."""
+        channels = self._recent.shape[1]
         self.state = State.REST
-        self.static = np.zeros(self._recent.shape[1])
+        self.static = np.zeros(channels)
         self.final: Window | None = None
-        self._rested = 0
-        self._filled = 0
+        self.usable = np.ones(channels // 3, dtype=bool)
+        self._rested = np.zeros(channels)
+        self._filled = np.zeros(channels)
         self._blocks = 0
+        self._moved = False
         self._stop_level: np.ndarray | None = None
 
     @property
     def known(self) -> bool:
-        """Whether the static output is known well enough to subtract it."""
-        return self._rested >= 2 * self.conditioning.trigger_blocks
+        """Whether some accelerometer's static output is known well enough to subtract it."""
+        return bool(self._rested.max() >= 2 * self.conditioning.trigger_blocks)
 
-    def push(self, block: np.ndarray) -> None:
-        """Takes one block's mean (C,) V."""
-        if self.state is State.SLIDE:
-            self._extend(block)
-            if self._blocks >= 2 * self.conditioning.least_blocks:
-                self._watch_end()
-            return
+    @property
+    def moved(self) -> bool:
+        """Whether the signal has gone on changing since the trigger, as a slide's does and a touch's does not."""
+        return self._moved
+
+    def push(self, block: np.ndarray, healthy: np.ndarray | None = None) -> None:
+        """Takes one block's mean (C,) V. healthy: (A,) bool, None: all.
+
+        An accelerometer that is not healthy leaves the slide at hand, and comes back once its static output is
+        known anew. A slide that none is left of is forgotten.
+        """
+        dead = None if healthy is None or healthy.all() else np.repeat(~healthy, 3)
+        if dead is not None:
+            self._drop(dead)
         oldest = self._recent[0].copy()
         self._recent[:-1] = self._recent[1:]
         self._recent[-1] = block
+        if self.state is State.SLIDE:
+            self._extend(block)
+            self._watch_motion()
+            if self._blocks >= 2 * self.conditioning.least_blocks:
+                self._watch_end()
+            return
+        memory = len(self._recent)
         self._filled += 1
-        level = self._recent.mean(axis=0)
+        if dead is not None:
+            self._filled[dead] = 0
+        ready = (self._filled >= memory) & (self._rested >= 2 * memory)
         zero = self.static if self._stop_level is None else self._stop_level
-        moved = np.abs((level - zero)[self.tilt]).max() > self.conditioning.trigger_v
-        if self.known and self._filled >= len(self._recent) and moved:
-            self._begin()
-        elif self._filled > len(self._recent) and self._stop_level is None:
-            self._rested += 1
-            self.static += (oldest - self.static) / min(self._rested, self.conditioning.rest_blocks)
+        away = np.abs(self._recent.mean(axis=0) - zero) > self.conditioning.trigger_v
+        if (away & ready)[self.tilt].any():
+            self._begin(ready)
+        elif self._stop_level is None:
+            resting = self._filled > memory
+            self._rested += resting
+            # The first rise of a slow slide must not pass for drift of the zero, or the zero runs after it.
+            calm = np.abs(self._recent.mean(axis=0) - self.static) <= self.conditioning.calm_v
+            pace = np.where(calm | (self._rested < 10 * memory), 1.0, 0.1)
+            step = pace * (oldest - self.static) / np.clip(self._rested, 1, self.conditioning.rest_blocks)
+            self.static += np.where(resting, step, 0.0)
+        else:
+            self._stopped += 1
+            if self._stopped > self.conditioning.longest_blocks:
+                self._learn_static()
 
-    def window(self, blocks: int | None = None) -> Window | None:
-        """The slide so far (or its first `blocks`) in equal bins; the last one when it has ended; else None."""
+    def window(self) -> Window | None:
+        """The slide so far in equal bins; the last one when it has ended; else None."""
         if self.state is not State.SLIDE:
             return self.final
         if self._blocks < self.conditioning.least_blocks:
             return None
-        return self._window(self._blocks if blocks is None else blocks)
+        return self._window(self._blocks)
 
-    def _begin(self) -> None:
+    def _drop(self, dead: np.ndarray) -> None:
+        """Takes the accelerometers of the dead channels (C,) out of use."""
+        self._rested[dead] = 0
+        if self.state is State.SLIDE:
+            self.usable = self.usable & ~dead[::3]
+            self._watched = self.tilt[self.usable[self.tilt // 3]]
+            if not self.usable.any():
+                self.reset()
+
+    def _begin(self, ready: np.ndarray) -> None:
+        self._before = (self.state, self.usable, self._moved)
         self.state = State.SLIDE
+        self.usable = ready[::3]
+        self._watched = self.tilt[self.usable[self.tilt // 3]]
+        self._moved = False
+        self._touched: np.ndarray | None = None
         self._blocks = 0
         self._stride = 1
         self._peak = 0.0
@@ -91,11 +137,11 @@ class SlideTracker:
         self._stop_level = None
         for block in self._recent:
             self._extend(block)
-        self._filled = 0
+        self._filled[:] = 0
 
     def _extend(self, block: np.ndarray) -> None:
         self._sum += block - self.static
-        self._peak = max(self._peak, float(np.abs((block - self.static)[self.tilt]).max()))
+        self._peak = max(self._peak, float(np.abs((block - self.static)[self._watched]).max()))
         self._blocks += 1
         if self._blocks % self._stride == 0:
             self._knots += 1
@@ -123,27 +169,65 @@ class SlideTracker:
     def _window(self, blocks: int) -> Window:
         edges = self._integral_at(np.arange(WINDOW_BINS + 1) * (blocks / WINDOW_BINS))
         means = np.diff(edges, axis=0) * (WINDOW_BINS / blocks)
+        means[:, ~np.repeat(self.usable, 3)] = 0.0
         return Window(means.T.astype(np.float32), blocks * self.conditioning.block_s)
+
+    def _watch_motion(self) -> None:
+        """Notes when the signal has changed beyond what it showed `touch_blocks` after the trigger."""
+        c = self.conditioning
+        if self._moved or self._blocks < c.touch_blocks:
+            return
+        level = self._recent.mean(axis=0)[self._watched]
+        if self._touched is None or len(self._touched) != len(level):
+            self._touched = level
+        self._moved = bool(np.abs(level - self._touched).max() > max(c.trigger_v, TOUCH_CHANGE * self._peak))
 
     def _watch_end(self) -> None:
         """Ends the slide when the contact has left the dome, or has come to a stop on it."""
         c = self.conditioning
+        if self._blocks > c.longest_blocks:
+            self.reset()
+            return
         span = max(2 * c.trigger_blocks, int(c.still_share * self._blocks))
         if self._blocks % max(1, span // 8) or span > self._blocks // 2:
             return
         # Four quarters, not two halves: over an extreme, halves agree by symmetry while the contact moves on.
         quarter = span // 4
         marks = self._integral_at(self._blocks - quarter * np.arange(4, -1, -1))
-        levels = np.diff(marks, axis=0)[:, self.tilt] / quarter
+        levels = np.diff(marks, axis=0)[:, self._watched] / quarter
         if np.abs(levels[2:]).max() < c.release_v:
             self._end(self._blocks, None)
         elif self._peak > c.still_peak_v and np.ptp(levels, axis=0).max() < c.still_change * self._peak:
-            self._end(self._blocks - 4 * quarter, (marks[4] - marks[3]) / quarter + self.static)
+            self._end(self._blocks - 4 * quarter, (marks[4] - marks[3]) / quarter)
 
-    def _end(self, blocks: int, stop_level: np.ndarray | None) -> None:
-        self.final = self._window(max(blocks, self.conditioning.least_blocks))
-        self.state = State.ENDED
-        self._stop_level = stop_level
+    def _end(self, blocks: int, level: np.ndarray | None) -> None:
+        """Ends the slide with its first `blocks`; level: (C,) V subtracted output at the stop, None: released."""
+        if self._moved:
+            self.final = self._window(max(blocks, self.conditioning.least_blocks))
+            self.state = State.ENDED
+        else:
+            jump = level is not None and self._jumped(level)
+            self.state, self.usable, self._moved = self._before
+            if jump:
+                self._learn_static()
+                return
+        self._stop_level = None if level is None else level + self.static
+        self._stopped = 0
+
+    def _jumped(self, level: np.ndarray) -> bool:
+        """Whether the output went to `level` (C,) V within a block: a zero does, a hand does not."""
+        if self._stride > 1:
+            return False
+        blocks = np.diff(self._integral[: self.conditioning.touch_blocks + 1], axis=0)[:, self._watched]
+        level = level[self._watched]
+        share = blocks @ level / (level @ level)
+        return bool(np.sum(np.abs(share - 0.5) < 0.35) <= 1)
+
+    def _learn_static(self) -> None:
+        """Awaits a new static output."""
+        self._rested[:] = 0
+        self._filled[:] = 0
+        self._stop_level = None
 
 
 def track(blocks: np.ndarray, conditioning: Conditioning, read_at: np.ndarray) -> list[Window | None]:

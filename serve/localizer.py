@@ -1,33 +1,56 @@
 """The device's runtime: load a bundle, push volts, read estimates. numpy and ONNX Runtime alone."""
 
-import hashlib
 import math
+from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import onnxruntime as ort
 
-from features.card import Card, read_card
-from features.conditioning import BlockMean
+from features.card import Card
+from features.conditioning import Blocks
+from features.drift import DriftWatch
 from features.energy import energy_width_s
 from features.errors import InputError
 from features.estimate import Estimate, decode
+from features.faults import BRIDGED_BLOCKS, SignalWatch
 from features.track import SlideTracker, State
 from features.vector import feature_vector
-from features.window import Window
+from features.window import WINDOW_BINS, Window
+from serve.bundle import open_bundle
+from serve.clock import SampleClock
 
-GOLDEN_TOLERANCE = 1e-3
+# Share of a slide's blocks that older ones may stand in for before it is not believed.
+BRIDGED_SHARE = 0.05
 
 
 class Localizer:
-    """One stream's state. The same samples give the same estimates however they are cut into chunks."""
+    """One stream's state. The same samples give the same estimates however they are cut into chunks.
+
+    A bad signal never raises: samples that are no numbers or beyond the supply count as lost; where too many are,
+    or a channel is frozen, the accelerometer is left out (of several) or the estimate is not valid. After that the
+    static output is learnt anew, which takes three times `trigger_blocks`.
+    """
 
     def __init__(self, card: Card, session: ort.InferenceSession) -> None:
         self.card = card
         self._session = session
-        self._blocks = BlockMean(len(card.channels), card.samples_per_block)
-        self._tracker = SlideTracker(card.conditioning, len(card.channels))
-        self._weight = np.ones((1, len(card.channels) // 3), dtype=np.float32)
+        channels, boards = len(card.channels), card.sensor["accelerometers"]
+        zero = np.repeat([float(board["zero_g_v"]) for board in boards], 3)
+        self._blocks = Blocks(channels, card.samples_per_block)
+        self._clock = SampleClock(card.sample_rate_hz, (BRIDGED_BLOCKS + 2) * card.samples_per_block)
+        # An accelerometer's output at no acceleration is half its supply, and cannot leave the supply.
+        self._watch = SignalWatch(
+            np.zeros(channels), 2.0 * zero, (np.arange(channels) % 3 < 2) | (card.input == "features")
+        )
+        self._tracker = SlideTracker(card.conditioning, channels)
+        self._drift = DriftWatch(boards)
+        self._inputs = {
+            "volts": np.zeros((1, channels, WINDOW_BINS), np.float32),
+            "elapsed_s": np.zeros(1, np.float32),
+            "weight": np.ones((1, len(boards)), np.float32),
+        }
         self.reset()
 
     @classmethod
@@ -37,111 +60,128 @@ class Localizer:
         Raises:
             InputError: the bundle is missing, altered, truncated, or does not compute what its card says.
         """
-        card = read_card(bundle / "model.json")
-        path = bundle / "model.onnx"
-        try:
-            graph = path.read_bytes()
-        except OSError:
-            raise InputError(f"{path}: cannot be read; a bundle holds model.onnx and model.json") from None
-        if hashlib.sha256(graph).hexdigest() != card.graph_sha256:
-            raise InputError(
-                f"{path}: not the graph that model.json describes; take the bundle from its source again"
-            )
-        localizer = cls(card, open_session(graph, path))
-        localizer._check_golden(path)
-        return localizer
+        return cls(*open_bundle(bundle))
 
     def reset(self) -> None:
         """Forgets the stream: a new static output is awaited."""
         self._blocks.reset()
+        self._clock.reset()
+        self._watch.reset()
         self._tracker.reset()
+        self._drift.reset()
         self._count = 0
-        self._held: Estimate | None = None
+        self._bridged = 0
+        self._slide_blocks = 0
+        self._whole = True
+        self._healthy = np.ones(len(self.card.channels) // 3, dtype=bool)
+        self._held: tuple[Window, Estimate] | None = None
 
-    def feed(self, volts: np.ndarray) -> None:
-        """Takes samples (n, C) V in the card's channel order without asking for estimates."""
-        for block in self._blocks.push(self._checked(volts)):
-            self._advance(block)
+    def feed(self, volts: np.ndarray, time_s: np.ndarray | None = None) -> None:
+        """Takes samples as `push` does, without asking for estimates."""
+        for samples in self._whole_blocks(volts, time_s):
+            self._advance(samples)
 
-    def push(self, volts: np.ndarray) -> list[Estimate]:
-        """Takes samples (n, C) V; one estimate for each block that they finish."""
+    def push(self, volts: np.ndarray, time_s: np.ndarray | None = None) -> list[Estimate]:
+        """Takes samples (n, C) V in the card's channel order; one estimate for each block that they finish.
+
+        time_s: (n,) s, each sample's own time; without it every sample is taken to follow the one before. With it
+        lost samples leave a hole; after a long one, or when time runs back, the stream begins anew, abstaining
+        until the static output is known. Estimates then tell time by this clock.
+
+        Raises:
+            InputError: not real numbers, another shape, a time that is no finite number; nothing was taken.
+        """
         estimates = []
-        for block in self._blocks.push(self._checked(volts)):
-            self._advance(block)
+        for samples in self._whole_blocks(volts, time_s):
+            self._advance(samples)
             estimates.append(self.read())
         return estimates
 
     def read(self) -> Estimate:
         """The estimate as it stands, from the samples up to now."""
-        state = self._tracker.state
-        time_s = self._count * self.card.conditioning.block_s
-        if self._held is not None:
-            return self._held
-        window = self._tracker.window()
+        tracker = self._tracker
+        time_s = self._clock.start_s + self._count * self.card.conditioning.block_s
+        window = tracker.window()
         if window is None:
-            return Estimate(time_s=time_s, state=state)
+            drift = self._drift.read(tracker.static, self._healthy & tracker.known)
+            return Estimate(time_s=time_s, state=tracker.state, **vars(drift))
+        if tracker.state is not State.ENDED:
+            return self._estimate(window, time_s)
+        assert self._held is not None
+        return replace(self._held[1], time_s=time_s)
+
+    def inputs(self, window: Window) -> dict[str, np.ndarray]:
+        """The graph's inputs for one window; overwritten by the next."""
+        if self.card.input == "features":
+            return {"features": feature_vector(window.volts, window.elapsed_s)[None].astype(np.float32)}
+        self._inputs["volts"][0] = window.volts
+        self._inputs["elapsed_s"][0] = window.elapsed_s
+        self._inputs["weight"][0] = self._tracker.usable
+        return self._inputs
+
+    def _estimate(self, window: Window, time_s: float) -> Estimate:
+        tracker = self._tracker
         row = self._session.run(None, self.inputs(window))[0][0]
         width = (
-            energy_width_s(window.volts, window.elapsed_s)
+            float(energy_width_s(window.volts, np.asarray(window.elapsed_s)))
             if "log_speed_width" in self.card.outputs
             else math.nan
         )
-        estimate = decode(row, self.card, window, state, time_s, width)
-        if state is State.ENDED:
-            self._held = estimate
-        return estimate
+        estimate = decode(row, self.card, window, tracker.state, time_s, width)
+        believed = (
+            estimate.valid
+            and self._whole
+            and tracker.moved
+            and (self.card.input == "window" or bool(tracker.usable.all()))
+        )
+        drift = self._drift.read(tracker.static, tracker.usable)
+        return replace(estimate, valid=believed, accelerometers=int(tracker.usable.sum()), **vars(drift))
 
-    def inputs(self, window: Window) -> dict[str, np.ndarray]:
-        """The graph's inputs for one window."""
-        if self.card.input == "features":
-            return {"features": feature_vector(window.volts, window.elapsed_s)[None].astype(np.float32)}
-        return {
-            "volts": window.volts[None],
-            "elapsed_s": np.array([window.elapsed_s], dtype=np.float32),
-            "weight": self._weight,
-        }
+    def _whole_blocks(self, volts: np.ndarray, time_s: np.ndarray | None) -> Iterator[np.ndarray]:
+        volts, time_s = self._checked(volts, time_s)
+        for piece in self._clock.place(volts, time_s):
+            yield from self._blocks.push(piece)
 
-    def _advance(self, block: np.ndarray) -> None:
-        self._tracker.push(block)
+    def _advance(self, samples: np.ndarray) -> None:
+        tracker = self._tracker
+        sliding = tracker.state is State.SLIDE
+        judged = self._watch.push(samples)
+        tracker.push(judged.mean, judged.healthy)
         self._count += 1
-        if self._tracker.state is not State.ENDED:
+        self._healthy = judged.healthy
+        if tracker.state is State.SLIDE:
+            if not sliding:
+                self._bridged = self._slide_blocks = 0
+            self._slide_blocks += 1
+            bridged = bool((judged.bridged & tracker.usable).any())
+            self._bridged += bridged
+            self._whole = not bridged and self._bridged <= BRIDGED_SHARE * self._slide_blocks
+        elif tracker.final is None:
             self._held = None
+        elif self._held is None or self._held[0] is not tracker.final:
+            # Worked out as the slide ends, so that it does not matter when it is read.
+            self._held = tracker.final, self._estimate(tracker.final, 0.0)
 
-    def _checked(self, volts: np.ndarray) -> np.ndarray:
-        volts = np.asarray(volts)
-        if volts.ndim != 2 or volts.shape[1] != len(self.card.channels) or volts.dtype.kind not in "fiu":
+    def _checked(self, volts: np.ndarray, time_s: np.ndarray | None) -> tuple[np.ndarray, np.ndarray | None]:
+        channels = len(self.card.channels)
+        volts = _numbers(volts, "a chunk")
+        if volts.ndim != 2 or volts.shape[1] != channels:
+            raise InputError(f"a chunk has shape {volts.shape}; push (n, {channels}) volts")
+        if time_s is None:
+            return volts, None
+        time_s = _numbers(time_s, "time_s").astype(float)
+        if time_s.shape != volts.shape[:1] or not np.isfinite(time_s).all():
             raise InputError(
-                f"a chunk is {volts.dtype} of shape {volts.shape}; "
-                f"push real numbers of shape (n, {len(self.card.channels)}) in volts"
+                f"time_s of shape {time_s.shape} for {len(volts)} samples; push a finite time in s for each"
             )
-        return volts
-
-    def _check_golden(self, path: Path) -> None:
-        golden = self.card.golden
-        try:
-            inputs = {k: np.array(v, dtype=np.float32) for k, v in golden["inputs"].items()}
-            row = self._session.run(None, inputs)[0][0]
-        except Exception as error:  # ONNX Runtime raises types of its own
-            raise InputError(
-                f"{path}: the card's example does not run ({error}); export the bundle again"
-            ) from None
-        wanted = np.array(golden["estimate"], dtype=np.float32)
-        if row.shape != wanted.shape or not np.allclose(
-            row, wanted, rtol=GOLDEN_TOLERANCE, atol=GOLDEN_TOLERANCE
-        ):
-            raise InputError(
-                f"{path}: the graph does not compute its card's example; export the bundle again"
-            )
+        return volts, time_s
 
 
-def open_session(graph: bytes, path: Path) -> ort.InferenceSession:
-    """One thread, no spinning: a small graph is slower on several."""
-    options = ort.SessionOptions()
-    options.intra_op_num_threads = options.inter_op_num_threads = 1
-    options.execution_mode = ort.ExecutionMode.ORT_SEQUENTIAL
-    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
-    options.log_severity_level = 3
+def _numbers(values: np.ndarray, name: str) -> np.ndarray:
     try:
-        return ort.InferenceSession(graph, options, providers=["CPUExecutionProvider"])
-    except Exception as error:  # ONNX Runtime raises types of its own
-        raise InputError(f"{path}: no graph that ONNX Runtime can load ({error}); export again") from None
+        array = np.asarray(values)
+    except ValueError:
+        raise InputError(f"{name} is ragged; push an array of real numbers") from None
+    if array.dtype.kind not in "fiu":
+        raise InputError(f"{name} is {array.dtype}; push real numbers")
+    return array

@@ -2,6 +2,7 @@
 
 import hashlib
 import math
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -70,7 +71,7 @@ def write_small_bundle(
         model="small",
         input="window",
         outputs=outputs,
-        sensor={"name": sensor.name},
+        sensor=asdict(sensor),
         channels=sensor.channels,
         sample_rate_hz=sensor.sample_rate_hz,
         reference_mm=sensor.reference_mm,

@@ -1,0 +1,81 @@
+"""Which samples and which accelerometers may be believed, a block at a time.
+
+A sample that is no number, or that lies beyond what the supply lets an accelerometer say, is lost; a block's mean
+is that of the others. While a block has lost more than half of its samples, the one before stands in for it, for a
+tenth of a second; after that the accelerometer is at fault. So it is when one of its channels stands still to the
+last bit though another channel moves: noise never lets a live one do that.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+# Blocks that may go by without a believable mean before an accelerometer is at fault.
+BRIDGED_BLOCKS = 5
+# Blocks that a channel may stand still while others move.
+FROZEN_BLOCKS = 25
+
+
+@dataclass(frozen=True)
+class Judged:
+    """One block: mean (C,) V, always finite; healthy (A,) and bridged (A,), those whose mean is an old one."""
+
+    mean: np.ndarray
+    healthy: np.ndarray
+    bridged: np.ndarray
+
+
+class SignalWatch:
+    """Judges one stream's blocks.
+
+    low_v, high_v: (C,) V, bounds of what a channel can show. read: (C,) bool, the channels that a model reads;
+    the others count for nothing.
+    """
+
+    def __init__(self, low_v: np.ndarray, high_v: np.ndarray, read: np.ndarray) -> None:
+        self._low, self._high, self._read = low_v, high_v, read
+        self.reset()
+
+    def reset(self) -> None:
+        """Forgets the stream."""
+        channels = len(self._read)
+        self._missed = np.zeros(channels, dtype=np.intp)
+        self._still = np.zeros(channels, dtype=np.intp)
+        self._level = np.full(channels, np.nan)
+        self._mean = np.zeros(channels)
+        self._fine = Judged(self._mean, np.ones(channels // 3, bool), np.zeros(channels // 3, bool))
+        self._clear = True
+
+    def push(self, samples: np.ndarray) -> Judged:
+        """samples: (S, C) V, one block."""
+        low, high = samples.min(axis=0), samples.max(axis=0)
+        inside = bool(((low >= self._low) & (high <= self._high)).all())
+        still = (low == high) & (high == self._level)
+        self._level = high
+        if inside and self._clear and not still.any():
+            self._mean = samples.mean(axis=0)
+            return Judged(self._mean, self._fine.healthy, self._fine.bridged)
+        missed = np.zeros_like(still)
+        if inside:
+            self._mean = samples.mean(axis=0)
+        else:
+            self._mean, missed = self._mean_of_good(samples)
+        # A whole stream that stands still shows nothing, and claims nothing.
+        self._still = np.where(still, self._still + (not still[self._read].all()), 0)
+        self._missed = np.where(missed, self._missed + 1, 0)
+        self._clear = not (missed.any() or still.any())
+        bad = (self._missed > BRIDGED_BLOCKS) | (self._still >= FROZEN_BLOCKS)
+        return Judged(self._mean, ~self._any(bad), self._any(missed))
+
+    def _mean_of_good(self, samples: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Means (C,) V of the believable samples, the last ones where too few are left, and where that is (C,)."""
+        # NaN compares false, and infinities are beyond any bound.
+        good = (samples >= self._low) & (samples <= self._high)
+        count = good.sum(axis=0)
+        missed = 2 * count < len(samples)
+        mean = np.where(good, samples, 0.0).sum(axis=0) / np.maximum(count, 1)
+        return np.where(missed, self._mean, mean), missed
+
+    def _any(self, channels: np.ndarray) -> np.ndarray:
+        """Channels (C,) -> accelerometers (A,): whether one of its channels that are read is so."""
+        return (channels & self._read).reshape(-1, 3).any(axis=1)

@@ -1,0 +1,74 @@
+"""Puts samples with times of their own into even slots, so that lost ones leave a hole and not a shorter slide."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+# Samples that a clock may run ahead of the nominal rate before the difference is put down to the rate.
+AHEAD = 2.0
+
+
+class SampleClock:
+    """One stream's clock.
+
+    longest: samples; a longer gap, or time that runs back or stands still, breaks the stream: as many lost samples
+    stand for it. start_s: time of the first slot, moved at a break so that slots after it tell their true time.
+    """
+
+    def __init__(self, rate_hz: float, longest: int) -> None:
+        self._rate, self._longest = rate_hz, longest
+        self.reset()
+
+    def reset(self) -> None:
+        """Forgets the stream."""
+        self.start_s = 0.0
+        self._last: float | None = None
+        self._late = 0.0
+        self._slots = 0
+
+    def place(self, volts: np.ndarray, time_s: np.ndarray | None) -> Iterator[np.ndarray]:
+        """volts (n, C) V at times (n,) s -> the same in slots, piece by piece; a lost sample is a row of NaN.
+
+        Without times each sample follows the one before.
+        """
+        if time_s is None or not len(volts):
+            self._last = None
+            self._slots += len(volts)
+            yield volts
+            return
+        if self._last is None:
+            self.start_s = float(time_s[0]) - self._slots / self._rate
+            self._last, self._late = float(time_s[0]) - 1.0 / self._rate, 0.0
+        steps = np.diff(time_s, prepend=self._last) * self._rate
+        # Summed in the samples' order, as one by one, so that chunks do not matter.
+        late = np.cumsum(np.concatenate([[self._late], steps - 1.0]))[1:]
+        self._last = float(time_s[-1])
+        if (np.abs(late) < 0.5).all() and (steps > 0).all():
+            self._late = float(late[-1])
+            self._slots += len(volts)
+            yield volts
+            return
+        begun = 0
+        for n, step in enumerate(steps.tolist()):
+            if lost := self._lost(step, float(time_s[n])):
+                yield volts[begun:n]
+                begun = n
+                yield np.full((lost, volts.shape[1]), np.nan)
+            self._slots += 1
+        yield volts[begun:]
+
+    def _lost(self, step: float, time_s: float) -> int:
+        """Number of slots to leave empty before a sample that comes `step` sample times after the last one."""
+        self._late += step - 1.0
+        broken = step < 0 or (step < 0.5 and self._late < -AHEAD - 1)
+        lost = 0 if self._late < 0.5 else round(self._late)
+        if broken or lost > self._longest:
+            lost, self._late = self._longest, 0.0
+            self.start_s = time_s - (self._slots + lost) / self._rate
+        elif self._late < -AHEAD:
+            self.start_s += (self._late + AHEAD) / self._rate
+            self._late = -AHEAD
+        else:
+            self._late -= lost
+        self._slots += lost
+        return lost
