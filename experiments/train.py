@@ -14,10 +14,12 @@ from experiments import figures, tracking
 from experiments.configuration import configured
 from experiments.readout import predictions
 from experiments.scoring import score, summary
+from features.errors import InputError
 from models.bundle import read_graph, write_bundle
 from models.fit import default_config, fit_model
 from models.fitted import FittedModel
-from pipeline.atlas import Atlas, check_atlas, read_atlas
+from pipeline.atlas import Atlas
+from pipeline.atlas_library import atlas_of
 from pipeline.dataset import labelled_windows
 from pipeline.recordings import Folder, read_folder
 from pipeline.staging import check_replaceable
@@ -108,16 +110,18 @@ def _graph_to_go_on_from(bundle: Path) -> onnx.ModelProto:
 
 
 def _design(folder: Folder, atlas: Path | None) -> Atlas | None:
-    """The atlas named, or the default one if the folder holds nothing to learn from; None otherwise.
+    """The atlas of the sensor's design; None if it cannot be had and there are recordings to go on.
 
     Raises:
-        InputError: no such atlas, or one that was solved for another design.
+        InputError: the atlas named is none, or of another design; or nothing else is there to learn from.
     """
-    if atlas is None and len(folder):
+    try:
+        return atlas_of(folder.sensor, atlas)
+    except InputError as error:
+        if atlas is not None or not len(folder):
+            raise
+        print(f"no atlas ({error}); from recordings alone", file=sys.stderr)
         return None
-    design = read_atlas() if atlas is None else read_atlas(atlas)
-    check_atlas(design, folder.sensor, "the default atlas" if atlas is None else str(atlas))
-    return design
 
 
 def _log_fit(run: tracking.Run, bundle: Path, folder: Folder, logged: str) -> None:

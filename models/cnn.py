@@ -74,7 +74,7 @@ def fit_cnn(
     return FittedModel(
         name="cnn",
         input="window",
-        outputs=OUTPUTS,
+        outputs=network.outputs,
         graph=export_graph(network, len(folder.sensor.accelerometers)),
         original=lambda inputs: _run(network, **inputs),
         intervals=intervals,
@@ -127,7 +127,8 @@ def _held_out(
         if mask.any():
             weight = np.ones((int(mask.sum()), windows.volts.shape[1] // 3))
             network = _network(proposal, response, config)
-            rows[mask] = _run(network, windows.volts[mask], windows.elapsed_s[mask], weight)
+            found = _run(network, windows.volts[mask], windows.elapsed_s[mask], weight)
+            rows[mask] = found[:, : len(OUTPUTS)]
     known = np.isfinite(rows[:, 0])
     return rows[known], windows[known]
 

@@ -46,8 +46,13 @@ def device_maps(
     """
     depth = float(np.median([s.depth_mm for s in slides])) if slides else 0.5
 
+    blank = blank_map(sensor, depth)
+    if atlas is not None and slides:
+        # Recordings of one depth say nothing of others: that part is the design's in any case.
+        blank = replace(blank, depth_slope=device_map(atlas, sensor, slides, depth, spread)[0].depth_slope)
+
     def alone(part: list[CalibrationSlide], iterations: int) -> tuple[ResponseMap, dict[str, float]]:
-        return calibrate(part, blank_map(sensor, depth), False, replace(config, iterations=iterations))
+        return calibrate(part, blank, False, replace(config, iterations=iterations))
 
     def informed(part: list[CalibrationSlide], iterations: int) -> tuple[ResponseMap, dict[str, float]]:
         assert atlas is not None

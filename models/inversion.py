@@ -23,10 +23,9 @@ MISFIT = OUTPUTS.index("misfit")
 class Inversion:
     """Least squares over direction, offset, speed, place, gain and depth from a fan of starts; the best fit wins."""
 
-    outputs = OUTPUTS
-
     def __init__(self, response: ResponseMap, block_s: float, config: NetworkConfig = STARTS) -> None:
         self._network = SlideNetwork(_Starts(), Refinement(response, block_s, config)).eval()
+        self.outputs = self._network.outputs
 
     def predict(self, volts: np.ndarray, elapsed_s: np.ndarray) -> np.ndarray:
         """Rows (n, K) of `OUTPUTS` for windows volts (n, 3 A, 64) V, elapsed_s (n,) s."""

@@ -10,6 +10,7 @@ looks alike.
 import math
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
@@ -23,13 +24,15 @@ OUTPUTS = (
     "log_speed",
     "offset_mm",
     "along_mm",
-    "depth_mm",
     "direction_sd_deg",
     "log_speed_sd",
     "offset_sd_mm",
     "misfit",
 )
+DEPTH_OUTPUT = "depth_mm"  # a further column where an atlas says how depth shows
 PEAK_SHARE = 0.003  # what the map leaves over, as a share of the slide's largest output
+DOUBT = 9.0  # variance of the depth's error over the one that noise explains, on held-out lines
+DEPTH = 5  # place of the depth in the refinement's state
 LENGTH_MM = 10.0  # scale of offsets and places inside the network
 
 
@@ -43,7 +46,8 @@ class NetworkConfig:
     filters: of the three strided convolutions; hidden: of the two dense layers.
     steps: Levenberg-Marquardt steps. trust: the proposal's standard deviations times this are the refinement's
         prior, but never less than least_prior (rad, mm, log, mm): a proposal that is wrong must not hold it back.
-    depth_sd_mm: prior on the contact depth about the calibration's.
+    same_depth: prior probability that a slide has the calibration's contact depth; depth_sd_mm: standard deviation
+        about it of those that do not.
     """
 
     filters: tuple[int, int, int] = (24, 32, 40)
@@ -51,7 +55,8 @@ class NetworkConfig:
     steps: int = 4
     trust: float = 3.0
     least_prior: tuple[float, float, float, float] = (0.1, 1.5, 0.1, 2.0)
-    depth_sd_mm: float = 0.02
+    same_depth: float = 0.9
+    depth_sd_mm: float = 0.35
 
 
 class Proposal(nn.Module):
@@ -104,6 +109,7 @@ class Refinement(nn.Module):
     """
 
     coefficients: Tensor
+    depth_slope: Tensor
     centres: Tensor
     noise: Tensor
     drift: Tensor
@@ -117,27 +123,34 @@ class Refinement(nn.Module):
         assert response.noise_v is not None
         assert response.drift_v is not None
         k = response.coefficients.shape[1]
-        # (K, parts K C) so that one product with the x-splines serves every part.
         stacked = torch.tensor(response.coefficients, dtype=torch.float32)
         depth = torch.tensor(response.depth_slope, dtype=torch.float32)
-        self.register_buffer("coefficients", torch.cat([stacked, depth[None]]))
+        self.register_buffer("coefficients", stacked)
+        self.register_buffer("depth_slope", depth.reshape(k, -1))
         self.register_buffer("centres", -response.half_mm + SPACING_MM * (torch.arange(k) - 1.0))
         self.register_buffer("noise", torch.tensor(response.noise_v, dtype=torch.float32))
         self.register_buffer("drift", torch.tensor(response.drift_v, dtype=torch.float32))
         self.register_buffer("bins", (torch.arange(WINDOW_BINS) + 0.5) / WINDOW_BINS)
         self.reference = response.reference_mm
         self.block_s, self.lag_s, self.floor_v = block_s, response.lag_s, response.floor_v
-        self.depth_mm = response.depth_mm
+        self.depth_mm, self.same_depth = response.depth_mm, config.same_depth
+        self.knows_depth = bool(np.any(response.depth_slope))
         self.register_buffer("nuisance_sd", torch.tensor([response.gain_sd, config.depth_sd_mm]))
         self.register_buffer("least_prior", torch.tensor(config.least_prior))
         self.register_buffer("longest_step", torch.tensor([0.3, 5.0, 0.4, 6.0, 0.1, 0.5]))
         self.steps, self.trust = config.steps, config.trust
+        # In doubles: partial strokes leave the normal matrix nearly singular, and whether a step is taken back
+        # must not hang on a rounding error that another runtime makes differently.
+        self.double()
 
     def forward(
         self, volts: Tensor, elapsed_s: Tensor, weight: Tensor, proposal: Tensor, log_sd: Tensor
     ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """-> heading (B, 2: cos, sin), state (B, 6: -, offset mm, log speed, along mm, log gain, depth mm off the
         map's), its covariance (B, 6, 6), misfit (B,)."""
+        volts, elapsed_s, weight, proposal, log_sd = (
+            given.double() for given in (volts, elapsed_s, weight, proposal, log_sd)
+        )
         norm = (proposal[:, :2] ** 2).sum(1, keepdim=True).clamp(min=1e-12).sqrt()
         start = proposal[:, :2] / norm
         # State, relative to the proposal: turn rad, offset mm, log speed, along mm, log gain, depth mm.
@@ -156,9 +169,8 @@ class Refinement(nn.Module):
             rows = rows * scale[:, None, :, None]
             rows = (rows - shrink[:, None, :, None] * rows.mean(3, keepdim=True)).flatten(2)
             cost = chi2[:, None] + (precision * trial * trial).sum(1, keepdim=True)
-            exact = rows.double()
-            normal = exact @ exact.transpose(1, 2) + torch.diag_embed(precision).double()
-            right = (exact @ gap.flatten(1)[:, :, None].double())[:, :, 0] - precision * trial
+            normal = rows @ rows.transpose(1, 2) + torch.diag_embed(precision)
+            right = (rows @ gap.flatten(1)[:, :, None])[:, :, 0] - precision * trial
             if step == 0:
                 held = (cost, chi2[:, None], best, normal, right)
             else:
@@ -172,9 +184,33 @@ class Refinement(nn.Module):
                 trial = held[2] + torch.maximum(torch.minimum(move, self.longest_step), -self.longest_step)
         _, chi2, best, normal, right = held
         _, covariance = solve(normal, right, torch.zeros_like(damping))
+        best, covariance = self._same_depth(best, covariance)
         heading, state = turned(start, best[:, :1]), centre + best
         misfit = chi2[:, 0] / (weight.sum(1) * WINDOW_BINS).clamp(min=1.0)
-        return heading, state, covariance, misfit
+        return heading.float(), state.float(), covariance.float(), misfit.float()
+
+    def _same_depth(self, state: Tensor, covariance: Tensor) -> tuple[Tensor, Tensor]:
+        """Averages two hypotheses: the calibration's depth, or one of its own. -> state (B, 6), covariance.
+
+        The odds are prior odds times the Savage-Dickey ratio, posterior over prior density at no difference; the
+        state under "the same depth" is the free one conditioned on it.
+        """
+        variance = covariance[:, DEPTH, DEPTH].clamp(min=1e-8)
+        off = state[:, DEPTH]
+        # The covariance knows nothing of the map's own error; the evidence must stand above that as well.
+        doubtful = DOUBT * variance
+        log_odds = (
+            math.log(self.same_depth / (1 - self.same_depth))
+            + self.nuisance_sd[1].log()
+            - 0.5 * doubtful.log()
+            - 0.5 * off * off / doubtful
+        )
+        same = torch.sigmoid(log_odds)[:, None]
+        gain = covariance[:, :, DEPTH] / variance[:, None]
+        shift = gain * off[:, None]
+        reduction = gain[:, :, None] * covariance[:, None, DEPTH]
+        between = (same * (1 - same))[:, :, None] * shift[:, :, None] * shift[:, None]
+        return state - same * shift, covariance - same[:, :, None] * reduction + between
 
     def _whitening(self, volts: Tensor, elapsed_s: Tensor, weight: Tensor) -> tuple[Tensor, Tensor]:
         """Weights (B, C) of the residuals, and the share (B, C) of a channel's mean residual that its zero explains."""
@@ -198,7 +234,7 @@ class Refinement(nn.Module):
         y = self.reference[1] + offset * cos + s * sin
         basis, slope = splines((torch.stack([x, y], 1)[..., None] - self.centres) / SPACING_MM)
         turn = torch.cat([torch.ones_like(cos), cos, sin], 1)
-        surface = torch.einsum("bp,pijc->bijc", turn, self.coefficients[:3])
+        surface = torch.einsum("bp,pijc->bijc", turn, self.coefficients)
         b, k, channels = s.shape[0], surface.shape[1], surface.shape[3]
         flat = surface.reshape(b, k, k * channels)
         across = torch.stack([basis[:, 0], slope[:, 0]], 1) @ flat[:, None]
@@ -207,7 +243,7 @@ class Refinement(nn.Module):
         volts = (across[:, 0] * by).sum(2).transpose(1, 2)
         along_x = (across[:, 1] * by).sum(2).transpose(1, 2) / SPACING_MM
         along_y = (across[:, 0] * dy).sum(2).transpose(1, 2) / SPACING_MM
-        deep = (basis[:, 0] @ self.coefficients[3].reshape(k, k * channels)).reshape(
+        deep = (basis[:, 0] @ self.depth_slope).reshape(
             b, WINDOW_BINS, k, channels
         )
         deep = (deep * by).sum(2).transpose(1, 2)
@@ -260,7 +296,6 @@ def solve(normal: Tensor, right: Tensor, damping: Tensor) -> tuple[Tensor, Tenso
     Written out because ONNX has no solver; with A scaled to a unit diagonal no pivoting is needed.
     """
     n = normal.shape[-1]
-    # Doubles, because partial strokes leave A nearly singular and nothing here is large.
     scale = normal.diagonal(dim1=1, dim2=2).rsqrt()
     eye = torch.eye(n, dtype=normal.dtype)
     scaled = normal * scale[:, :, None] * scale[:, None, :] + eye * damping[:, :, None]
@@ -269,7 +304,7 @@ def solve(normal: Tensor, right: Tensor, damping: Tensor) -> tuple[Tensor, Tenso
         row = work[:, k : k + 1] / work[:, k : k + 1, k : k + 1]
         work = work - (work[:, :, k : k + 1] - eye[:, k : k + 1]) @ row
     inverse = work[:, :, n:] * scale[:, :, None] * scale[:, None, :]
-    return (inverse @ right[:, :, None])[:, :, 0].float(), inverse.float()
+    return (inverse @ right[:, :, None])[:, :, 0], inverse
 
 
 class SlideNetwork(nn.Module):
@@ -279,25 +314,29 @@ class SlideNetwork(nn.Module):
         super().__init__()
         self.proposal, self.refinement = proposal, refinement
 
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """Names of the graph's columns."""
+        return (*OUTPUTS, DEPTH_OUTPUT) if self.refinement.knows_depth else OUTPUTS
+
     def forward(self, volts: Tensor, elapsed_s: Tensor, weight: Tensor) -> Tensor:
-        """volts (B, 3 A, 64) V, elapsed_s (B,) s, weight (B, A) -> (B, 10)."""
+        """volts (B, 3 A, 64) V, elapsed_s (B,) s, weight (B, A) -> (B, K), the columns that `outputs` names."""
         b, accelerometers = weight.shape
         weight = weight.repeat_interleave(2, 1)
         tilt = volts.reshape(b, accelerometers, 3, WINDOW_BINS)[:, :, :2].flatten(1, 2) * weight[:, :, None]
         proposal, log_sd = self.proposal(tilt, elapsed_s, weight)
         heading, state, covariance, misfit = self.refinement(tilt, elapsed_s, weight, proposal, log_sd)
         sd = covariance.diagonal(dim1=1, dim2=2).clamp(min=0).sqrt()
-        return torch.cat(
-            [
-                heading,
-                state[:, 2:3],
-                state[:, 1:2],
-                state[:, 3:4],
-                state[:, 5:6] + self.refinement.depth_mm,
-                sd[:, :1] * (180 / math.pi),
-                sd[:, 2:3],
-                sd[:, 1:2],
-                misfit[:, None],
-            ],
-            1,
-        )
+        columns = [
+            heading,
+            state[:, 2:3],
+            state[:, 1:2],
+            state[:, 3:4],
+            sd[:, :1] * (180 / math.pi),
+            sd[:, 2:3],
+            sd[:, 1:2],
+            misfit[:, None],
+        ]
+        if self.refinement.knows_depth:
+            columns.append(state[:, DEPTH : DEPTH + 1] + self.refinement.depth_mm)
+        return torch.cat(columns, 1)

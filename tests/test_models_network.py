@@ -8,7 +8,7 @@ from bump_map import bump_map
 
 from models.cnn import initial_proposal
 from models.export import export_graph
-from models.network import OUTPUTS, NetworkConfig, Proposal, Refinement, SlideNetwork, solve, splines
+from models.network import NetworkConfig, Proposal, Refinement, SlideNetwork, solve, splines
 from models.response_map import spline_basis
 from models.synthetic_windows import SynthesisConfig, WindowSource
 from models.training import TrainingConfig, likelihood_loss, train_proposal
@@ -120,7 +120,7 @@ def test_export_agrees_and_can_be_gone_on_from(trained, windows):
     (row,) = session.run(None, {k: v.numpy() for k, v in inputs.items()})
     with torch.no_grad():
         expected = network(**inputs).numpy()
-    assert row.shape == (len(volts), len(OUTPUTS))
+    assert row.shape == (len(volts), len(network.outputs))
     assert np.quantile(np.abs(row - expected) / np.abs(expected).max(axis=0), 0.99) < 1e-4
     again = initial_proposal(graph, 2, config)
     for a, b in zip(trained.state_dict().values(), again.state_dict().values(), strict=True):
