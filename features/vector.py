@@ -2,7 +2,8 @@
 
 Suffixes: `_v` volts; `_s` seconds since the trigger or between two moments; `_fraction` of the window's length;
 `_widths` of the energy's width in time, counted from its centre; `_share` of rms_v, so that what a slide's
-strength is (depth, gain) and what its shape is stand apart; none: a sign or a zone.
+strength is (depth, gain) and what its shape is stand apart; `_cos`, `_sin` of a bearing, the angle from an output
+at its extreme to the other one: where the board leans to then, whatever the strength; none: a sign or a zone.
 """
 
 import numpy as np
@@ -81,6 +82,7 @@ def _names_of_one() -> tuple[str, ...]:
         *(f"{extreme}_share" for extreme in EXTREMES),
         *(f"{others[extreme[:2]][0]}_at_{extreme}_share" for extreme in EXTREMES),
         *(f"{output}_arc_{k:02d}_share" for output in ("vx", "vy") for k in range(ARC_POINTS)),
+        *(f"{extreme}_bearing_{part}" for extreme in EXTREMES for part in ("cos", "sin")),
     )
 
 
@@ -126,6 +128,15 @@ def _features_of_one(
             extremes / unit,
             others[:, :, 0] / unit,
             points / unit,
+            _bearings(extremes, others[:, :, 0]),
         ],
         axis=-1,
     )
+
+
+def _bearings(extremes: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """cos, sin (B, 8) of the angle of (extreme, other output then), from (B, 4) V each; (1, 0) without output."""
+    size = np.sqrt(np.square(extremes) + np.square(others))
+    some = size > 0
+    unit = np.where(some, size, 1.0)
+    return np.stack([np.where(some, extremes / unit, 1.0), others / unit], axis=-1).reshape(len(extremes), -1)
