@@ -78,7 +78,8 @@ def _windows_of(
     folder: Folder, name: str, conditioning: Conditioning, fractions: Sequence[float]
 ) -> list[dict[str, object]]:
     recording = folder.load(name)
-    labels = {label: float(folder.manifest.at[name, label]) for label in LABELS}
+    row = folder.manifest.loc[[name], list(LABELS)].to_numpy(float)[0]
+    labels = dict(zip(LABELS, row.tolist(), strict=True))
     rate = folder.sensor.sample_rate_hz
     samples = max(1, round(conditioning.block_s * rate))
     blocks = BlockMean(recording.volts.shape[1], samples).push(recording.volts)
