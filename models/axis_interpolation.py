@@ -8,7 +8,7 @@ from sklearn.utils import Tags
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from features.errors import InputError
-from features.vector import feature_matrix
+from features.vector import feature_matrix, feature_names
 from models.interpolation import (
     DIRECTIONS_DEG,
     SPEED_FORMS,
@@ -24,6 +24,8 @@ from models.window_features import split_rows
 from pipeline.dataset import LabelledWindows
 
 QUANTITIES = ("speed", "distance")
+_CENTRE_S = feature_names(1).index("energy_centre_s")
+_UNDER_WAY = 0.75
 # A slide this close to an axis counts as along it, deg.
 _AXIS_DEG = 1.0
 # The article's detectable area reaches this far on either side of the accelerometer, mm. Weaker slides trigger
@@ -46,7 +48,7 @@ def fit_interpolation(windows: LabelledWindows, form: str = "reciprocal") -> Int
     if not rows.any():
         raise InputError("the interpolation needs slides along x or y, over the whole stroke; record some")
     features = feature_matrix(windows.volts, windows.elapsed_s).astype(np.float32).astype(np.float64)
-    speed, elapsed = windows.speed_mm_s, windows.elapsed_s
+    speed = windows.speed_mm_s
     polynomials = {}
     for quantity, target, weight in (
         ("speed", speed, 1.0 / speed if form == "reciprocal" else np.ones(len(speed))),
@@ -57,11 +59,19 @@ def fit_interpolation(windows: LabelledWindows, form: str = "reciprocal") -> Int
         polynomials[quantity] = fit_polynomials(
             abscissa, usable, target[rows], degree(quantity, form), weight[rows]
         )
-    # Before its end a slide's position is where it triggered plus v t.
-    start = windows.along_mm - speed * elapsed
-    early = windows.stroke_fraction < 0.75
-    start_mm = [float(np.median(start[s])) if (s := axis[:, k] & early).any() else np.nan for k in range(4)]
-    return Interpolation(form, polynomials["speed"], polynomials["distance"], np.array(start_mm))
+    start_mm = np.array([_start_mm(windows[axis[:, k]], features[axis[:, k]]) for k in range(4)])
+    return Interpolation(form, polynomials["speed"], polynomials["distance"], start_mm)
+
+
+def _start_mm(windows: LabelledWindows, features: np.ndarray) -> float:
+    """Where along its line a slide triggers, mm from the foot of the perpendicular; NaN if no slide says."""
+    start = windows.along_mm - windows.speed_mm_s * windows.elapsed_s
+    # A slide that is over stands still while its label moves on.
+    under_way = (windows.stroke_fraction < _UNDER_WAY) & np.isfinite(start)
+    if under_way.any():
+        return float(np.median(start[under_way]))
+    # Without a record of the motion: the energy is centred near the foot, where the contact is nearest.
+    return float(np.median(-windows.speed_mm_s * features[:, _CENTRE_S])) if len(windows) else np.nan
 
 
 class AxisInterpolation(RegressorMixin, BaseEstimator):

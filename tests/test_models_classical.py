@@ -1,0 +1,170 @@
+"""One list of contract checks for every model on features; the interpolation by the polynomials it is made of."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import onnxruntime as ort
+import pytest
+from slide_windows import labelled_slides
+
+from features.energy import energy_width_s
+from models import baselines, classical, interpolation
+from models.axis_interpolation import fit_interpolation
+from models.baselines import float_features
+from models.between_lines import with_lines_between
+from models.classical import GpConfig, InterpolationConfig, MlpConfig, TreesConfig
+from pipeline.dataset import labelled_windows
+from pipeline.recordings import SAMPLE, read_folder
+
+OFFSETS = np.array([-15.0, -12.5, -10.0, -7.5, -5.0, -2.5, 2.5, 5.0, 7.5, 10.0, 12.5, 15.0])
+SLIDES = labelled_slides(interpolation.DIRECTIONS_DEG, OFFSETS)
+UNSEEN = labelled_slides(interpolation.DIRECTIONS_DEG, np.array([-8.4, 6.0, 11.0]), seed=1)
+CONFIGS = {
+    "interpolation": InterpolationConfig(),
+    "interpolation as published": InterpolationConfig(form="quadratic"),
+    "trees": TreesConfig(trees=20),
+    "mlp": MlpConfig(members=2, hidden=(16,), iterations=60),
+    "gp": GpConfig(search_rows=60),
+}
+BENCH = Path(__file__).parents[1].parent / "shared" / "recordings" / "bench-a"
+
+
+@pytest.fixture(scope="module", params=CONFIGS)
+def case(request):
+    config = CONFIGS[request.param]
+    features = float_features(SLIDES)
+    return config, classical._fit(SLIDES, config), features
+
+
+def test_seeded_to_the_last_byte(case):
+    config, model, features = case
+    assert classical._fit(SLIDES, config).predict(features).tobytes() == model.predict(features).tobytes()
+
+
+def test_pure(case):
+    _, model, features = case
+    before = features.copy()
+    assert model.predict(features).tobytes() == model.predict(features).tobytes()
+    np.testing.assert_array_equal(features, before)
+
+
+def test_independent_of_batch_size(case):
+    _, model, features = case
+    whole = model.predict(features)
+    parts = np.concatenate([model.predict(features[k : k + 1]) for k in range(20)])
+    np.testing.assert_allclose(parts, whole[:20], rtol=1e-12, atol=1e-12)
+
+
+def test_the_graph_says_the_same(case):
+    _, model, features = case
+    graph = classical._graph(model, features.shape[1])
+    session = ort.InferenceSession(graph.SerializeToString(), providers=["CPUExecutionProvider"])
+    # Noise too, so that every branch is taken.
+    noise = np.random.default_rng(0).normal(0, 0.1, features.shape).astype(np.float32)
+    for rows in (features, features[:1], features + noise):
+        exported, original = session.run(None, {"features": rows})[0], model.predict(rows)
+        np.testing.assert_array_equal(np.isnan(exported), np.isnan(original))
+        scale = np.nanmax(np.abs(original), axis=0, initial=1e-6)
+        assert np.nanmax(np.abs(exported - original) / scale, initial=0.0) < 1e-4
+
+
+def test_labels_cannot_be_seen_when_predicting(case):
+    _, model, _ = case
+    scrambled = {
+        name: np.random.default_rng(0).permutation(getattr(UNSEEN, name))
+        for name in ("direction_deg", "speed_mm_s", "offset_mm", "along_mm", "stroke_fraction", "recording")
+    }
+    told, untold = float_features(UNSEEN), float_features(replace(UNSEEN, **scrambled))
+    assert model.predict(told).tobytes() == model.predict(untold).tobytes()
+
+
+@pytest.mark.parametrize("name", ["interpolation", "trees", "gp"])
+def test_lines_between_the_known_ones_are_found(name):
+    rows = classical._fit(SLIDES, CONFIGS[name]).predict(float_features(UNSEEN))
+    config_outputs = interpolation.OUTPUTS if name == "interpolation" else baselines.OUTPUTS
+    column = dict(zip(config_outputs, rows.T, strict=True))
+    log_speed = column.get("log_speed")
+    if log_speed is None:
+        log_speed = column["log_speed_width"] - np.log(energy_width_s(UNSEEN.volts, UNSEEN.elapsed_s))
+    turned = np.angle(
+        (column["direction_cos"] + 1j * column["direction_sin"])
+        * np.exp(-1j * np.deg2rad(UNSEEN.direction_deg))
+    )
+    assert np.abs(np.rad2deg(turned)).max() < 15
+    assert np.abs(np.exp(log_speed) / UNSEEN.speed_mm_s - 1).mean() < 0.04
+    assert np.abs(column["offset_mm"] - UNSEEN.offset_mm).mean() < 0.5
+
+
+def test_interpolation_abstains_on_a_diagonal_and_on_silence():
+    model = fit_interpolation(SLIDES)
+    assert np.isnan(
+        model.predict(float_features(labelled_slides(np.array([45.0, 225.0]), np.array([0.5]))))
+    ).all()
+    silent = replace(UNSEEN, volts=np.zeros_like(UNSEEN.volts))
+    assert np.isnan(model.predict(float_features(silent))).all()
+
+
+def test_interpolation_returns_the_polynomials_it_was_given():
+    t = np.linspace(2.0, 40.0, 30)
+    abscissa = np.broadcast_to(t[:, None, None], (30, 4, 2))
+    seen = np.ones((30, 4, 2), bool)
+    published = 0.008 * t**2 - 0.4331 * t + 7.4336
+    fitted = interpolation.fit_polynomials(abscissa, seen, published, 2, np.ones(30))
+    np.testing.assert_allclose(fitted.coefficients[0, 1], [7.4336, -0.4331, 0.008], rtol=1e-9)
+    value = interpolation.evaluate_polynomials(fitted, abscissa, seen)
+    np.testing.assert_allclose(value, np.broadcast_to(published[:, None], (30, 4)), rtol=1e-9)
+
+
+def test_an_extreme_that_has_not_passed_is_not_used():
+    polynomials = interpolation.Polynomials(np.array([[[0.0, 1.0], [100.0, 0.0]]] * 4), np.ones((4, 2)))
+    abscissa = np.full((1, 4, 2), 3.0)
+    only_first = np.zeros((1, 4, 2), bool)
+    only_first[..., 0] = True
+    np.testing.assert_array_equal(interpolation.evaluate_polynomials(polynomials, abscissa, only_first), 3.0)
+    assert np.isnan(
+        interpolation.evaluate_polynomials(polynomials, abscissa, np.zeros_like(only_first))
+    ).all()
+
+
+def test_lines_between_lie_between():
+    features, target = float_features(SLIDES), baselines.targets(SLIDES)
+    rows, goals = with_lines_between(SLIDES, features, target)
+    added = goals[len(target) :]
+    assert rows.dtype == features.dtype
+    # 10 gaps of 2.5 mm (the one over the middle is 5 mm), 3 shares, 4 directions, 2 fractions.
+    assert len(added) == 11 * 3 * 4 * 2
+    np.testing.assert_allclose(np.hypot(added[:, 0], added[:, 1]), 1.0, atol=1e-12)
+    assert np.abs(added[:, 3]).max() < 15.0
+
+
+def test_windows_of_the_sample_hold_no_label():
+    folder = read_folder(SAMPLE).select("calibration")
+    some = replace(folder, manifest=folder.manifest.iloc[:4])
+    windows = labelled_windows(some, fractions=(0.5, 1.0))
+    assert windows.volts.dtype == np.float32
+    assert len(windows) == len(windows[windows.elapsed_s > 0])
+    lied = some.manifest.assign(direction_deg=1.0, speed_mm_s=9.0, offset_mm=0.0, travel_mm=1.0)
+    blind = labelled_windows(replace(some, manifest=lied), fractions=(0.5, 1.0))
+    assert blind.volts.tobytes() == windows.volts.tobytes()
+    assert blind.elapsed_s.tobytes() == windows.elapsed_s.tobytes()
+
+
+def test_position_along_the_line_follows_the_motion():
+    folder = read_folder(SAMPLE).select("calibration")
+    windows = labelled_windows(replace(folder, manifest=folder.manifest.iloc[:3]), fractions=(0.5, 1.0))
+    for name in np.unique(windows.recording):
+        half, whole = windows[windows.recording == name].along_mm
+        assert whole - half == pytest.approx(0.5 * folder.manifest.at[name, "travel_mm"])
+
+
+@pytest.mark.long
+@pytest.mark.skipif(not BENCH.is_dir(), reason="the bench recordings are not here")
+def test_trees_on_the_bench_reach_half_a_percent_and_a_fifth_of_a_millimetre():
+    folder = read_folder(BENCH)
+    model = baselines.fit_trees(labelled_windows(folder.select("calibration")))
+    test = replace(folder, manifest=folder.manifest[folder.manifest["split"].isin(["test", "test-fast"])])
+    windows = labelled_windows(test, fractions=(1.0,))
+    error = model.predict(float_features(windows)) - baselines.targets(windows)
+    assert np.abs(np.expm1(error[:, 2])).mean() < 0.005
+    assert np.abs(error[:, 3]).mean() < 0.2
