@@ -52,7 +52,7 @@ class NetworkConfig:
 
     filters: tuple[int, int, int] = (24, 32, 40)
     hidden: tuple[int, int] = (96, 48)
-    steps: int = 4
+    steps: int = 3
     trust: float = 3.0
     least_prior: tuple[float, float, float, float] = (0.1, 1.5, 0.1, 2.0)
     same_depth: float = 0.9

@@ -101,7 +101,7 @@ def device_map(
             scale = spread.misfit * peak * np.sqrt(sum(len(v) for v in left) / (8.0 * len(slides)))
             return np.concatenate([*[v / scale for v in left], p / sd])
 
-        start = least_squares(gaps, start, x_scale=sd, method="trf", max_nfev=25).x
+        start = least_squares(gaps, start, x_scale=sd, method="trf", max_nfev=12).x
     height = float(np.clip(middle + start[0], heights[0], heights[-1]))
     moved = _warped(levels, heights, height, start)
     report = {"height_mm": height, "friction": 1 + float(start[1]), "lag_s": float(max(start[2], 0.0))}
