@@ -90,6 +90,31 @@ def _parser() -> argparse.ArgumentParser:
     )
     simulate.set_defaults(run=_simulate)
 
+    synthesize = commands.add_parser(
+        "synthesize",
+        help="write a folder of recordings from an atlas",
+        description="Slides along straight lines at any angle, offset (mm), speed (mm/s), depth (mm) and pressure "
+        "(MPa) over one device drawn from the seed: volts with the accelerometer's noise and bandwidth, mains, "
+        "vibration, the skin's lag. Of every ten slides, five are of split calibration (along x and y), two of "
+        "calibration-diagonal (any direction), two of test and one of test-diagonal, on lines that are not taught. "
+        "The same seed writes the same files; synthesis.json says what they were drawn from.",
+    )
+    synthesize.add_argument(
+        "--atlas", type=Path, metavar="ATLAS", help="from 'simulate' (default: the article's sensor's)"
+    )
+    synthesize.add_argument(
+        "--sensor",
+        type=Path,
+        metavar="sensor.toml",
+        help="names, places and electronics of the atlas's design (default: the article's electronics)",
+    )
+    synthesize.add_argument("--slides", type=int, required=True, metavar="N", help="how many recordings")
+    synthesize.add_argument(
+        "--seed", type=int, default=0, metavar="S", help="of all that is random (default: %(default)s)"
+    )
+    synthesize.add_argument("--out", type=Path, required=True, metavar="DIR", help="the folder to write")
+    synthesize.set_defaults(run=_synthesize)
+
     train = commands.add_parser(
         "train",
         help="train a model, tracked in MLflow, and export it",
@@ -260,6 +285,15 @@ def _simulate(arguments: argparse.Namespace) -> int:
         arguments.workers,
         arguments.backend,
     )
+    return 0
+
+
+def _synthesize(arguments: argparse.Namespace) -> int:
+    from pipeline.synthesis import synthesize
+
+    folder = synthesize(arguments.atlas, arguments.sensor, arguments.slides, arguments.seed, arguments.out)
+    counts = folder.manifest["split"].value_counts(sort=False)
+    print(f"{folder.root}: {', '.join(f'{count} {split}' for split, count in counts.items())}")
     return 0
 
 

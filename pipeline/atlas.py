@@ -19,12 +19,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.interpolate import NdBSpline, make_interp_spline
+from scipy.interpolate import NdBSpline
 from scipy.optimize import brentq
 
 from features.errors import InputError
 from pipeline.sensor import Sensor, design_hash, design_of
 from pipeline.skin.survey import PER_BOARD
+from pipeline.splines import along, check_inside, fit_axis
 
 VERSION = 1
 DEFAULT_ATLAS = Path(__file__).parent / "default_atlas.npz"
@@ -111,11 +112,11 @@ class Atlas:
 
     def static(self, pressure_level: float) -> np.ndarray:
         """(boards, 3) g: what the accelerometers read when nothing touches the skin."""
-        return _along(np.cbrt(self.pressure_mpa), self.statics, self._level(pressure_level))
+        return along(np.cbrt(self.pressure_mpa), self.statics, self._level(pressure_level))
 
     def height(self, pressure_level: float) -> float:
         """The inflated skin's height in mm."""
-        return float(_along(np.cbrt(self.pressure_mpa), self.height_mm, self._level(pressure_level)))
+        return float(along(np.cbrt(self.pressure_mpa), self.height_mm, self._level(pressure_level)))
 
     def pressure_at(self, height_mm: float) -> float:
         """The effective pressure, MPa, of a skin height.
@@ -136,8 +137,44 @@ class Atlas:
         return brentq(lambda pressure: self.height(pressure) - height_mm, *ends, xtol=1e-10)
 
     def _level(self, pressure: float) -> float:
-        _inside("pressure_level", np.asarray(pressure), self.pressure_mpa, "MPa")
+        check_inside("pressure_level", np.asarray(pressure), self.pressure_mpa, "MPa")
         return float(np.cbrt(pressure))
+
+    def friction_parts(
+        self,
+        x_mm: np.ndarray,
+        y_mm: np.ndarray,
+        depth_mm: np.ndarray | float,
+        pressure_level: np.ndarray | float,
+        wanted: slice = slice(None),
+    ) -> np.ndarray:
+        """Mean, fx and fy (n, 3, channels) of the wanted channels, ordered as in `parts`.
+
+        Zero where the indenter cannot touch, nan next to a position that was not solved.
+
+        Raises:
+            InputError: a depth or a pressure lies outside the atlas.
+        """
+        x, y = (np.atleast_1d(np.asarray(v, float)) for v in (x_mm, y_mm))
+        depth, level = (np.atleast_1d(np.asarray(v, float)) for v in (depth_mm, pressure_level))
+        check_inside("depth_mm", depth, self.depth_mm, "mm")
+        check_inside("pressure_level", level, self.pressure_mpa, "MPa")
+        reach = self.meta["reach_mm"]
+        out = (np.abs(x) > reach[0]) | (np.abs(y) > reach[1])
+        x, y, out = np.broadcast_arrays(np.where(out, 0.0, x), np.where(out, 0.0, y), out)
+        # To make the plane costs as much as some hundred queries of the volume.
+        if len(x) > 400 and np.ptp(depth) == 0 and np.ptp(level) == 0:
+            spline = self._plane(float(depth[0]), float(level[0]), wanted.start, wanted.stop)
+            parts = np.asarray(spline(np.column_stack([x, y])))
+        else:
+            depth, level = np.broadcast_to(depth, x.shape), np.broadcast_to(level, x.shape)
+            spline = self._volume(wanted.start, wanted.stop)
+            parts = np.asarray(spline(np.column_stack([x, y, depth, np.cbrt(level)])))
+        parts[out] = 0.0
+        if not self.valid.all():
+            cells = np.broadcast_arrays(x, y, depth, level)
+            parts[self._near_failure(*cells) & ~out] = np.nan
+        return parts
 
     def _values(
         self,
@@ -149,29 +186,11 @@ class Atlas:
         wanted: slice,
     ) -> np.ndarray:
         """(n, channels) at the queries."""
-        x, y = (np.atleast_1d(np.asarray(v, float)) for v in (x_mm, y_mm))
-        depth, level = (np.atleast_1d(np.asarray(v, float)) for v in (depth_mm, pressure))
-        _inside("depth_mm", depth, self.depth_mm, "mm")
-        _inside("pressure_level", level, self.pressure_mpa, "MPa")
-        reach = self.meta["reach_mm"]
-        out = (np.abs(x) > reach[0]) | (np.abs(y) > reach[1])
-        x, y, out = np.broadcast_arrays(np.where(out, 0.0, x), np.where(out, 0.0, y), out)
-        if np.ptp(depth) == 0 and np.ptp(level) == 0:
-            spline = self._plane(float(depth[0]), float(level[0]), wanted.start, wanted.stop)
-            parts = spline(np.column_stack([x, y]))
-        else:
-            depth, level = np.broadcast_to(depth, x.shape), np.broadcast_to(level, x.shape)
-            parts = self._volume(wanted.start, wanted.stop)(np.column_stack([x, y, depth, np.cbrt(level)]))
-        parts = np.asarray(parts)  # (n, 3, channels)
-        values = parts[:, 0]
-        if heading_deg is not None:
-            heading = np.broadcast_to(np.deg2rad(heading_deg), x.shape)[:, None]
-            values = values + np.cos(heading) * parts[:, 1] + np.sin(heading) * parts[:, 2]
-        values[out] = 0.0
-        if not self.valid.all():
-            cells = np.broadcast_arrays(x, y, depth, level)
-            values[self._near_failure(*cells) & ~out] = np.nan
-        return values
+        parts = self.friction_parts(x_mm, y_mm, depth_mm, pressure, wanted)
+        if heading_deg is None:
+            return parts[:, 0]
+        heading = np.broadcast_to(np.deg2rad(heading_deg), len(parts))[:, None]
+        return parts[:, 0] + np.cos(heading) * parts[:, 1] + np.sin(heading) * parts[:, 2]
 
     @cached_property
     def _coefficients(self) -> tuple[tuple[np.ndarray, ...], np.ndarray, tuple[int, ...]]:
@@ -179,7 +198,7 @@ class Atlas:
         coefficients = np.moveaxis(self.parts, 0, -2).astype(float)
         knots, degrees = [], []
         for axis, grid in enumerate((self.x_mm, self.y_mm, self.depth_mm, np.cbrt(self.pressure_mpa))):
-            knot, coefficients, degree = _fit(grid, coefficients, axis)
+            knot, coefficients, degree = fit_axis(grid, coefficients, axis)
             knots.append(knot)
             degrees.append(degree)
         return tuple(knots), coefficients, tuple(degrees)
@@ -279,27 +298,3 @@ def read_atlas(path: Path = DEFAULT_ATLAS) -> Atlas:
     except (OSError, KeyError, ValueError, TypeError, IndexError, EOFError, zipfile.BadZipFile) as error:
         raise InputError(f"{path}: not an atlas or damaged ({error}); run softslide simulate again") from None
     return atlas
-
-
-def _fit(grid: np.ndarray, values: np.ndarray, axis: int) -> tuple[np.ndarray, np.ndarray, int]:
-    """Knots, coefficients and degree of the interpolating spline along an axis; constant over one point."""
-    if len(grid) == 1:
-        return np.array([grid[0] - 1e6, grid[0] + 1e6]), values, 0
-    spline = make_interp_spline(grid, values, k=min(3, len(grid) - 1), axis=axis)
-    return spline.t, np.moveaxis(spline.c, 0, axis), spline.k
-
-
-def _along(grid: np.ndarray, values: np.ndarray, at: float) -> np.ndarray:
-    """One-dimensional spline through values (n, ...), at one place."""
-    if len(grid) == 1:
-        return values[0]
-    return make_interp_spline(grid, values, k=min(3, len(grid) - 1))(at)
-
-
-def _inside(name: str, values: np.ndarray, grid: np.ndarray, unit: str) -> None:
-    """Raises InputError where a value lies outside a grid; a grid of one point admits that point alone."""
-    margin = 1e-6 * max(1.0, abs(grid[-1])) if unit == "mm" else 1e-6 * grid[-1]
-    low, high = float(np.min(values, initial=np.inf)), float(np.max(values, initial=-np.inf))
-    if values.size and not (low >= grid[0] - margin and high <= grid[-1] + margin):
-        wrong = low if not low >= grid[0] - margin else high
-        raise InputError(f"{name} {wrong:g} lies outside the atlas's {grid[0]:.4g}..{grid[-1]:.4g} {unit}")

@@ -5,7 +5,7 @@ Rows in messages are counted from 1 and leave the header out, in tables and in s
 
 import difflib
 import warnings
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -114,12 +114,16 @@ def read_folder(root: Path) -> Folder:
 
 
 def write_folder(
-    out: Path, sensor: Sensor, manifest: pd.DataFrame, recordings: Iterable[Recording]
+    out: Path,
+    sensor: Sensor,
+    manifest: pd.DataFrame,
+    recordings: Iterable[Recording],
+    notes: Mapping[str, str] | None = None,
 ) -> Folder:
     """Writes a folder whole or not at all; the recordings may come from a generator, one at a time.
 
     manifest: as in `Folder`, or with a `recording` column; its `file` column is set here. Each row needs its
-    recording and the other way round.
+    recording and the other way round. notes: further files by name, such as where it all comes from.
 
     Raises:
         InputError: the manifest holds what `read_folder` would refuse, or `out` cannot be written.
@@ -133,6 +137,8 @@ def write_folder(
         (scratch / "slides").mkdir()
         write_sensor(scratch / "sensor.toml", sensor)
         write_manifest(scratch / "manifest.csv", table)
+        for name, text in (notes or {}).items():
+            (scratch / name).write_text(text, encoding="utf-8")
         written = []
         for recording in recordings:
             if recording.name not in table.index:
