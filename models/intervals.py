@@ -1,8 +1,8 @@
 """Intervals that hold: a model's own standard deviations, corrected on lines that it has not seen.
 
 Split conformal prediction on the ratio |error| / sqrt(sd^2 + floor^2): its 90 % quantile over held-out windows is the
-interval's scale, whatever the errors' distribution. The floor is what a Gaussian with that deviation makes likeliest:
-the part of the error that the model does not know of.
+interval's scale, whatever the errors' distribution. The floor, the part of the error that the model does not know of,
+is the one that spreads this coverage most evenly over confident and doubtful windows.
 """
 
 import math
@@ -12,6 +12,7 @@ import numpy as np
 from features.card import Interval
 
 COVERAGE = 0.9
+GROUPS = 5  # of equally many windows, by their deviation
 
 
 def conformal_interval(errors: np.ndarray, sd: np.ndarray, coverage: float = COVERAGE) -> Interval:
@@ -23,15 +24,18 @@ def conformal_interval(errors: np.ndarray, sd: np.ndarray, coverage: float = COV
     errors, sd = np.abs(np.asarray(errors, float)), np.asarray(sd, float)
     if not errors.size:
         raise ValueError("no held-out errors to calibrate an interval on")
-    typical = max(float(np.median(errors)), 1e-9)
-    floors = typical * np.geomspace(0.02, 5.0, 40)
-    variance = sd[:, None] ** 2 + floors**2
-    # Heavy tails must not set the floor: errors count up to four times their median.
-    clipped = np.minimum(errors, 4 * typical)[:, None]
-    floor = float(floors[np.argmin((np.log(variance) + clipped**2 / variance).mean(axis=0))])
-    ratios = np.sort(errors / np.hypot(sd, floor))
-    rank = min(math.ceil(coverage * (len(ratios) + 1)), len(ratios)) - 1
-    return Interval(scale=float(ratios[rank]), floor=floor)
+    rank = min(math.ceil(coverage * (len(errors) + 1)), len(errors)) - 1
+    floors = max(float(np.median(errors)), 1e-9) * np.geomspace(0.02, 5.0, 60)
+    groups = np.array_split(np.argsort(sd, kind="stable"), min(GROUPS, len(errors)))
+    best: tuple[float, Interval] | None = None
+    for floor in floors:
+        ratios = errors / np.hypot(sd, floor)
+        scale = float(np.sort(ratios)[rank])
+        uneven = sum((float(np.mean(ratios[group] <= scale)) - coverage) ** 2 for group in groups)
+        if best is None or uneven < best[0] - 1e-12:
+            best = uneven, Interval(scale=scale, floor=float(floor))
+    assert best is not None
+    return best[1]
 
 
 def angle_error_deg(estimate_deg: np.ndarray, truth_deg: np.ndarray) -> np.ndarray:

@@ -37,3 +37,12 @@ def test_slides_along_one_line_share_a_fold():
     fold = line_folds(np.array([0.0, 0.0, 90.0, 0.0]), np.array([5.0, 5.0, 5.0, -5.0]), 4)
     assert fold[0] == fold[1]
     assert len(set(fold)) == 3
+
+
+def test_confident_and_doubtful_windows_are_covered_alike():
+    rng = np.random.default_rng(1)
+    sd = rng.choice([0.1, 2.0], 6000)
+    errors = rng.standard_normal(6000) * np.hypot(1.5 * sd, 0.5)
+    interval = conformal_interval(errors, sd)
+    for value in (0.1, 2.0):
+        assert 0.88 < np.mean(np.abs(errors[sd == value]) <= interval.half_width(value)) < 0.92
