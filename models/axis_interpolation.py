@@ -10,6 +10,7 @@ from sklearn.utils.validation import check_is_fitted, validate_data
 from features.errors import InputError
 from features.vector import feature_matrix, feature_names
 from models.interpolation import (
+    DETECTABLE_MM,
     DIRECTIONS_DEG,
     SPEED_FORMS,
     Interpolation,
@@ -28,9 +29,6 @@ _CENTRE_S = feature_names(1).index("energy_centre_s")
 _UNDER_WAY = 0.75
 # A slide this close to an axis counts as along it, deg.
 _AXIS_DEG = 1.0
-# The article's detectable area reaches this far on either side of the accelerometer, mm. Weaker slides trigger
-# late and would bend the polynomials of all others.
-DETECTABLE_MM = 17.5
 
 
 def fit_interpolation(windows: LabelledWindows, form: str = "reciprocal") -> Interpolation:
@@ -42,9 +40,9 @@ def fit_interpolation(windows: LabelledWindows, form: str = "reciprocal") -> Int
         InputError: no whole slides along an axis.
     """
     turned = np.abs(angle_error_deg(DIRECTIONS_DEG, windows.direction_deg[:, None]))
-    axis = turned < _AXIS_DEG
+    axis = (turned < _AXIS_DEG) & (np.abs(windows.offset_mm)[:, None] <= DETECTABLE_MM)
     whole = windows.stroke_fraction >= windows.stroke_fraction.max()
-    rows = axis.any(axis=1) & whole & (np.abs(windows.offset_mm) <= DETECTABLE_MM)
+    rows = axis.any(axis=1) & whole
     if not rows.any():
         raise InputError("the interpolation needs slides along x or y, over the whole stroke; record some")
     features = feature_matrix(windows.volts, windows.elapsed_s).astype(np.float32).astype(np.float64)

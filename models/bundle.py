@@ -54,11 +54,13 @@ def write_bundle(
     # Where the model abstains (too little of the stroke to tell one line from another), its iteration may end in
     # either of two minima, and rounding decides: such rows are no estimates and nothing to compare.
     stands = believed(original, fitted)
+    if not stands.any():
+        raise ParityError(f"the trained {fitted.name} answers none of the windows it was given; nothing to compare")
     difference = relative_difference(exported[stands], original[stands])
     if not difference <= PARITY:
         raise ParityError(f"ONNX Runtime and the trained {fitted.name} differ by {difference:.1e} relative")
-    # The middle of the latest windows: a whole slide, and no extreme one.
-    golden = int(np.flatnonzero(windows.stroke_fraction == windows.stroke_fraction.max())[0])
+    # A whole slide, if there is one, that the model answers: JSON has no NaN.
+    golden = int(np.flatnonzero(stands)[windows.stroke_fraction[stands].argmax()])
     card = Card(
         model=fitted.name,
         input=fitted.input,

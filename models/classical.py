@@ -13,7 +13,7 @@ from features.energy import energy_width_s
 from features.errors import InputError
 from features.vector import feature_names
 from models import baselines, interpolation
-from models.axis_interpolation import DETECTABLE_MM, fit_interpolation
+from models.axis_interpolation import fit_interpolation
 from models.baseline_graphs import gp_graph, mlp_graph, trees_graph
 from models.baselines import float_features, taught
 from models.fitted import FittedModel
@@ -110,7 +110,7 @@ def fit_classical(name: str, folder: Folder, config: ClassicalConfig) -> FittedM
         graph=_graph(model, len(feature_names(boards))),
         original=lambda inputs: model.predict(inputs["features"]),
         intervals=intervals,
-        validity=Validity(offset_mm=DETECTABLE_MM + 1.5 if name == "interpolation" else reach),
+        validity=Validity(offset_mm=reach),
         summary=summary,
     )
 

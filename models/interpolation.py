@@ -23,6 +23,10 @@ DIRECTIONS_DEG = np.array([0.0, 90.0, 180.0, 270.0])
 OUTPUTS = ("direction_cos", "direction_sin", "log_speed", "offset_mm", "along_mm")
 # "quadratic" is the published form; "reciprocal", v = a / t + b, is the kinder one: a distance over a time.
 SPEED_FORMS = ("quadratic", "reciprocal")
+# The article's detectable area: this far on either side of the accelerometer, mm. Farther slides are weak, trigger
+# late and would bend the polynomials of all others: they are not fitted, nor answered with a margin for error.
+DETECTABLE_MM = np.array([17.5, 25.0, 17.5, 25.0])
+_MARGIN_MM = 1.5
 # An extreme in the last twentieth of the window may still be rising.
 PASSED = 0.95
 
@@ -156,6 +160,7 @@ class Interpolation:
         angle = np.deg2rad(DIRECTIONS_DEG)
         speed = evaluate_polynomials(self.speed, *abscissas(features, "speed", self.form))
         distance = evaluate_polynomials(self.distance, *abscissas(features, "distance"))
+        distance = np.where(distance <= DETECTABLE_MM + _MARGIN_MM, distance, np.nan)
         along = speed * features[:, [_ELAPSED]] + self.start_mm
         each = np.stack(
             np.broadcast_arrays(
@@ -186,6 +191,8 @@ class Interpolation:
             time = g.op("Reciprocal", g.op("Where", passed, time, g.constant(1.0)))
         speed = _polynomial_nodes(g, self.speed, time, passed)
         distance = _polynomial_nodes(g, self.distance, g.columns(features, _VALUES), passed)
+        near = g.op("LessOrEqual", distance, g.constant(DETECTABLE_MM + _MARGIN_MM))
+        distance = g.op("Where", near, distance, g.constant(np.nan))
         elapsed = g.columns(features, np.array([_ELAPSED]))
         along = g.op("Add", g.op("Mul", speed, elapsed), g.constant(self.start_mm))
         lean = g.total(g.columns(features, _ACROSS_VALUES), -1)

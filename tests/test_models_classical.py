@@ -105,6 +105,14 @@ def test_interpolation_abstains_on_a_diagonal_and_on_silence():
     assert np.isnan(model.predict(float_features(silent))).all()
 
 
+def test_interpolation_abstains_beyond_the_detectable_area():
+    wide = labelled_slides(interpolation.DIRECTIONS_DEG, np.linspace(-24.0, 24.0, 17))
+    rows = fit_interpolation(wide).predict(float_features(wide))
+    assert np.isfinite(rows[np.abs(wide.offset_mm) < 15]).all()
+    across_x = (wide.direction_deg % 180 == 0) & (np.abs(wide.offset_mm) > 20)
+    assert not (np.abs(rows[across_x, 3]) > 19.0).any()
+
+
 def test_interpolation_returns_the_polynomials_it_was_given():
     t = np.linspace(2.0, 40.0, 30)
     abscissa = np.broadcast_to(t[:, None, None], (30, 4, 2))
