@@ -55,7 +55,9 @@ def write_bundle(
     # either of two minima, and rounding decides: such rows are no estimates and nothing to compare.
     stands = believed(original, fitted)
     if not stands.any():
-        raise ParityError(f"the trained {fitted.name} answers none of the windows it was given; nothing to compare")
+        raise ParityError(
+            f"the trained {fitted.name} answers none of the windows it was given; nothing to compare"
+        )
     difference = relative_difference(exported[stands], original[stands])
     if not difference <= PARITY:
         raise ParityError(f"ONNX Runtime and the trained {fitted.name} differ by {difference:.1e} relative")
