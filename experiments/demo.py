@@ -6,8 +6,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import torch
-
 from experiments.evaluate import Evaluation, evaluate
 from experiments.report import number
 from experiments.scoring import QUANTITIES
@@ -32,8 +30,6 @@ def demo(out: Path) -> str:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"{out}: cannot be written ({error.strerror}); name another folder") from None
-    # Batches this small gain nothing from a second thread, and on busy cores threads that wait for each other spin.
-    torch.set_num_threads(1)
     evaluations = {}
     for model in DEMO_MODELS:
         print(f"softslide demo: training and evaluating {model}", file=sys.stderr)

@@ -58,6 +58,8 @@ def fit_cnn(
     Raises:
         InputError: neither slides nor an atlas.
     """
+    # At this size threads wait for each other more than they work.
+    torch.set_num_threads(1)
     slides = calibration_slides(folder, config.conditioning)
     maps = device_maps(slides, folder.sensor, atlas, config.calibration, config.spread)
     response = maps.response
