@@ -43,14 +43,21 @@ class DriftWatch:
     def reset(self) -> None:
         """Forgets the stream."""
         self._first = np.full((len(self._zero), 3), np.nan)
+        self._awaited = np.ones(len(self._zero), dtype=bool)
+
+    def note(self, static_v: np.ndarray, known: np.ndarray) -> None:
+        """Keeps the first static output (C,) V of each accelerometer that is known (A,)."""
+        fresh = known & self._awaited
+        if fresh.any():
+            self._first[fresh] = static_v.reshape(-1, 3)[fresh]
+            self._awaited = self._awaited & ~fresh
 
     def read(self, static_v: np.ndarray, usable: np.ndarray) -> Drift:
-        """static_v: (C,) V; usable: (A,), the accelerometers whose static output is known."""
+        """static_v: (C,) V; usable: (A,), the accelerometers to read it from."""
+        usable = usable & ~self._awaited
         if not usable.any():
             return UNKNOWN
         static = static_v.reshape(-1, 3)
-        fresh = usable & np.isnan(self._first[:, 0])
-        self._first[fresh] = static[fresh]
         gravity = ((static - self._zero) / self._sensitivity)[usable]
         length = np.sqrt(np.square(gravity).sum(axis=1))
         across = np.hypot(gravity[:, 0], gravity[:, 1])

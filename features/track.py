@@ -16,6 +16,10 @@ from features.window import WINDOW_BINS, Window
 KNOTS = 4 * WINDOW_BINS
 # Share of the largest output by which a slide's signal has to change after what a touch alone would show.
 TOUCH_CHANGE = 0.1
+# Blocks that a lost stream has to stand still for its output to be taken for the static one.
+LOST_BLOCKS = 300
+# Triggers that a signal has to reach to be called strong.
+TOUCH_TRIGGERS = 4.0
 
 
 class State(StrEnum):
@@ -53,11 +57,13 @@ class SlideTracker:
         self._blocks = 0
         self._moved = False
         self._stop_level: np.ndarray | None = None
+        self._lost = False
+        self._anchor: np.ndarray | None = None
 
     @property
-    def known(self) -> bool:
-        """Whether some accelerometer's static output is known well enough to subtract it."""
-        return bool(self._rested.max() >= 2 * self.conditioning.trigger_blocks)
+    def known(self) -> np.ndarray:
+        """(A,): the accelerometers whose static output is known well enough to subtract it."""
+        return self._rested[::3] >= 2 * self.conditioning.trigger_blocks
 
     @property
     def moved(self) -> bool:
@@ -68,7 +74,8 @@ class SlideTracker:
         """Takes one block's mean (C,) V. healthy: (A,) bool, None: all.
 
         An accelerometer that is not healthy leaves the slide at hand, and comes back once its static output is
-        known anew. A slide that none is left of is forgotten.
+        known anew. When none is left the slide is forgotten, and no other begins before the output is back at
+        what was known, or has stood still for long: something may have come to rest on the skin meanwhile.
         """
         dead = None if healthy is None or healthy.all() else np.repeat(~healthy, 3)
         if dead is not None:
@@ -79,7 +86,7 @@ class SlideTracker:
         if self.state is State.SLIDE:
             self._extend(block)
             self._watch_motion()
-            if self._blocks >= 2 * self.conditioning.least_blocks:
+            if self.state is State.SLIDE and self._blocks >= 2 * self.conditioning.least_blocks:
                 self._watch_end()
             return
         memory = len(self._recent)
@@ -89,7 +96,9 @@ class SlideTracker:
         ready = (self._filled >= memory) & (self._rested >= 2 * memory)
         zero = self.static if self._stop_level is None else self._stop_level
         away = np.abs(self._recent.mean(axis=0) - zero) > self.conditioning.trigger_v
-        if (away & ready)[self.tilt].any():
+        if self._lost:
+            self._find_rest(ready & ~away)
+        elif (away & ready)[self.tilt].any():
             self._begin(ready)
         elif self._stop_level is None:
             resting = self._filled > memory
@@ -114,12 +123,30 @@ class SlideTracker:
 
     def _drop(self, dead: np.ndarray) -> None:
         """Takes the accelerometers of the dead channels (C,) out of use."""
+        if dead.all():
+            self._lost = bool(self.known.any())
+            self._anchor, self._stood = None, 0
+            self.state, self.final, self._moved = State.REST, None, False
+            self._stop_level = None
+            return
         self._rested[dead] = 0
         if self.state is State.SLIDE:
             self.usable = self.usable & ~dead[::3]
             self._watched = self.tilt[self.usable[self.tilt // 3]]
             if not self.usable.any():
                 self.reset()
+
+    def _find_rest(self, near: np.ndarray) -> None:
+        """Ends the search for the static output; near: (C,), whether a channel is back at it."""
+        if near[self.tilt].all():
+            self._lost = False
+            return
+        level = self._recent.mean(axis=0)[self.tilt]
+        if self._anchor is None or np.abs(level - self._anchor).max() > self.conditioning.release_v:
+            self._anchor, self._stood = level, 0
+        self._stood += 1
+        if self._stood > LOST_BLOCKS:
+            self._learn_static()
 
     def _begin(self, ready: np.ndarray) -> None:
         self._before = (self.state, self.usable, self._moved)
@@ -173,14 +200,22 @@ class SlideTracker:
         return Window(means.T.astype(np.float32), blocks * self.conditioning.block_s)
 
     def _watch_motion(self) -> None:
-        """Notes when the signal has changed beyond what it showed `touch_blocks` after the trigger."""
+        """Notes when the signal has changed beyond what it showed `touch_blocks` after the trigger.
+
+        A strong signal that has not by four times as long is a touch; a slow slide's signal is weak by then.
+        """
         c = self.conditioning
         if self._moved or self._blocks < c.touch_blocks:
             return
-        level = self._recent.mean(axis=0)[self._watched]
+        level = self._recent.mean(axis=0)[self._watched] - self.static[self._watched]
         if self._touched is None or len(self._touched) != len(level):
             self._touched = level
-        self._moved = bool(np.abs(level - self._touched).max() > max(c.trigger_v, TOUCH_CHANGE * self._peak))
+        # Lifting off shrinks every output alike; that is no motion over the skin either.
+        shrunk = self._touched * np.clip(level @ self._touched / (self._touched @ self._touched), 0.0, 1.0)
+        self._moved = bool(np.abs(level - shrunk).max() > max(c.trigger_v, TOUCH_CHANGE * self._peak))
+        strong = np.abs(self._touched).max() > TOUCH_TRIGGERS * c.trigger_v
+        if not self._moved and strong and self._blocks >= 4 * c.touch_blocks:
+            self._end(self._blocks, self._recent.mean(axis=0) - self.static)
 
     def _watch_end(self) -> None:
         """Ends the slide when the contact has left the dome, or has come to a stop on it."""
@@ -228,6 +263,7 @@ class SlideTracker:
         self._rested[:] = 0
         self._filled[:] = 0
         self._stop_level = None
+        self._lost = False
 
 
 def track(blocks: np.ndarray, conditioning: Conditioning, read_at: np.ndarray) -> list[Window | None]:

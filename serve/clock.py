@@ -31,7 +31,9 @@ class SampleClock:
 
         Without times each sample follows the one before.
         """
-        if time_s is None or not len(volts):
+        if not len(volts):
+            return
+        if time_s is None:
             self._last = None
             self._slots += len(volts)
             yield volts
@@ -50,25 +52,28 @@ class SampleClock:
             return
         begun = 0
         for n, step in enumerate(steps.tolist()):
-            if lost := self._lost(step, float(time_s[n])):
+            lost, start_s = self._lost(step, float(time_s[n]))
+            if lost or start_s != self.start_s:
+                # What came before is still told by the old clock.
                 yield volts[begun:n]
-                begun = n
+                begun, self.start_s = n, start_s
                 yield np.full((lost, volts.shape[1]), np.nan)
             self._slots += 1
         yield volts[begun:]
 
-    def _lost(self, step: float, time_s: float) -> int:
-        """Number of slots to leave empty before a sample that comes `step` sample times after the last one."""
+    def _lost(self, step: float, time_s: float) -> tuple[int, float]:
+        """Slots to leave empty before a sample that comes `step` sample times after the last, and the new start_s."""
         self._late += step - 1.0
         broken = step < 0 or (step < 0.5 and self._late < -AHEAD - 1)
         lost = 0 if self._late < 0.5 else round(self._late)
+        start_s = self.start_s
         if broken or lost > self._longest:
             lost, self._late = self._longest, 0.0
-            self.start_s = time_s - (self._slots + lost) / self._rate
+            start_s = time_s - (self._slots + lost) / self._rate
         elif self._late < -AHEAD:
-            self.start_s += (self._late + AHEAD) / self._rate
+            start_s += (self._late + AHEAD) / self._rate
             self._late = -AHEAD
         else:
             self._late -= lost
         self._slots += lost
-        return lost
+        return lost, start_s

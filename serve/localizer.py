@@ -103,7 +103,7 @@ class Localizer:
         time_s = self._clock.start_s + self._count * self.card.conditioning.block_s
         window = tracker.window()
         if window is None:
-            drift = self._drift.read(tracker.static, self._healthy & tracker.known)
+            drift = self._drift.read(tracker.static, self._healthy)
             return Estimate(time_s=time_s, state=tracker.state, **vars(drift))
         if tracker.state is not State.ENDED:
             return self._estimate(window, time_s)
@@ -149,6 +149,7 @@ class Localizer:
         tracker.push(judged.mean, judged.healthy)
         self._count += 1
         self._healthy = judged.healthy
+        self._drift.note(tracker.static, tracker.known)
         if tracker.state is State.SLIDE:
             if not sliding:
                 self._bridged = self._slide_blocks = 0

@@ -1,0 +1,349 @@
+"""The runtime on good and bad signals: the same to the last bit however cut, and never wrong and valid."""
+
+import json
+import math
+from dataclasses import astuple
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from small_bundle import write_small_bundle
+from streams import RATE_HZ, a_sensor, pass_over, still, stream
+
+from features.errors import InputError
+from features.estimate import Estimate
+from features.track import State
+from serve.localizer import Localizer
+
+TWO_SLIDES = stream(still(0.6), pass_over(1.2), still(0.8), pass_over(0.7), still(0.5))
+
+
+@pytest.fixture(scope="module")
+def localizer(tmp_path_factory: pytest.TempPathFactory) -> Localizer:
+    """An offset that depends on what the window holds, so that a wrong window shows."""
+    folder = tmp_path_factory.mktemp("bundles") / "one"
+    return Localizer.load(write_small_bundle(folder, a_sensor(), offset_mm_per_v=50.0))
+
+
+@pytest.fixture(scope="module")
+def pair(tmp_path_factory: pytest.TempPathFactory) -> Localizer:
+    folder = tmp_path_factory.mktemp("bundles") / "two"
+    return Localizer.load(write_small_bundle(folder, a_sensor(2), offset_mm_per_v=50.0))
+
+
+def answers(
+    localizer: Localizer, volts: np.ndarray, cuts: list[int], time_s: np.ndarray | None = None
+) -> list[tuple]:
+    """Every estimate of a fresh stream that comes in the pieces between the cuts, as tuples of texts."""
+    localizer.reset()
+    estimates: list[Estimate] = []
+    edges = [0, *sorted(cuts), len(volts)]
+    for begin, end in pairwise(edges):
+        estimates += localizer.push(volts[begin:end], None if time_s is None else time_s[begin:end])
+    return [tuple(map(repr, astuple(estimate))) for estimate in estimates]
+
+
+def valid(estimates: list[Estimate]) -> np.ndarray:
+    return np.array([estimate.valid for estimate in estimates])
+
+
+@settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data())
+def test_answers_do_not_depend_on_the_chunks(localizer: Localizer, data: st.DataObject) -> None:
+    volts = TWO_SLIDES.copy()
+    time_s = None
+    if data.draw(st.booleans(), label="damaged"):
+        generator = np.random.default_rng(data.draw(st.integers(0, 99)))
+        volts[generator.random(volts.shape) < 0.02] = np.nan
+        volts[1500:1580, 0] = 9.0
+    if data.draw(st.booleans(), label="with a clock"):
+        generator = np.random.default_rng(data.draw(st.integers(0, 99)))
+        time_s = np.arange(len(volts)) / RATE_HZ * 1.0005 + generator.uniform(0, 4e-4, len(volts)) + 100.0
+        time_s[2500:] += data.draw(st.sampled_from([0.0, 0.003, 0.05, 4.0, -1.0]))
+    cuts = data.draw(st.lists(st.integers(0, len(volts)), max_size=12))
+    assert answers(localizer, volts, cuts, time_s) == answers(localizer, volts, [], time_s)
+
+
+def test_single_samples_and_other_layouts_give_the_same(localizer: Localizer) -> None:
+    whole = answers(localizer, TWO_SLIDES, [])
+    assert answers(localizer, TWO_SLIDES, list(range(1, len(TWO_SLIDES)))) == whole
+    assert answers(localizer, np.asfortranarray(TWO_SLIDES), [777]) == whole
+
+
+def test_feeding_and_reading_is_pushing(localizer: Localizer) -> None:
+    localizer.reset()
+    pushed = localizer.push(TWO_SLIDES)[-1]
+    localizer.reset()
+    localizer.feed(TWO_SLIDES[:1234])
+    localizer.feed(TWO_SLIDES[1234:])
+    assert repr(localizer.read()) == repr(pushed)
+
+
+def test_each_of_two_slides_is_told(localizer: Localizer) -> None:
+    localizer.reset()
+    estimates = localizer.push(TWO_SLIDES)
+    states = [estimate.state for estimate in estimates]
+    changes = [a for a, b in zip(states, [None, *states], strict=False) if a is not b]
+    assert changes == [State.REST, State.SLIDE, State.ENDED, State.SLIDE, State.ENDED]
+    assert estimates[-1].valid
+    assert estimates[-1].accelerometers == 1
+    assert [e.time_s for e in estimates] == pytest.approx(0.02 * (1 + np.arange(len(estimates))))
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf, 3.4, -0.1, 1e308])
+def test_lost_samples_are_left_out_and_a_long_loss_abstains(localizer: Localizer, bad: float) -> None:
+    clean = stream(still(0.6), pass_over(1.2), still(0.6))
+    few = clean.copy()
+    few[np.random.default_rng(1).random(len(few)) < 0.05] = bad
+    localizer.reset()
+    whole, told = localizer.push(clean)[-1], None
+    localizer.reset()
+    told = localizer.push(few)[-1]
+    assert told.valid
+    assert told.offset_mm == pytest.approx(whole.offset_mm, abs=0.1)
+
+    many = clean.copy()
+    many[1000:1400, 1] = bad
+    localizer.reset()
+    estimates = localizer.push(many)
+    assert not valid(estimates)[50:].any()
+    after = localizer.push(stream(still(0.6), pass_over(1.2), still(0.6), seed=2))
+    assert after[-1].valid
+
+
+def test_a_short_hole_abstains_until_it_is_a_small_part(localizer: Localizer) -> None:
+    volts = stream(still(0.6), pass_over(2.0), still(0.6))
+    volts[1600:1660] = math.nan
+    localizer.reset()
+    told = valid(localizer.push(volts))
+    assert told[75]
+    assert not told[80:83].any()
+    assert told[-1]
+
+
+def test_a_frozen_channel_abstains_and_comes_back(localizer: Localizer) -> None:
+    volts = stream(still(1.2), pass_over(1.2), still(0.6))
+    volts[:, 1] = volts[0, 1]
+    localizer.reset()
+    assert not valid(localizer.push(volts)).any()
+    assert localizer.push(stream(still(0.6), pass_over(1.2), still(0.6), seed=3))[-1].valid
+
+
+def test_a_frozen_stream_shows_nothing(localizer: Localizer) -> None:
+    localizer.reset()
+    assert not valid(localizer.push(np.full((5000, 3), 1.7))).any()
+
+
+@pytest.mark.parametrize("level_v", [1.2, 0.0, 3.3, math.nan])
+def test_a_dead_accelerometer_is_left_out(pair: Localizer, level_v: float) -> None:
+    volts = stream(still(1.2), pass_over(1.2), still(0.6), accelerometers=2)
+    pair.reset()
+    assert pair.push(volts)[-1].accelerometers == 2
+    volts[:, 3:] = level_v
+    pair.reset()
+    last = pair.push(volts)[-1]
+    assert last.valid
+    assert last.accelerometers == 1
+    pair.reset()
+    volts[:, 3:] = volts[:, :3] * 0.5
+    assert pair.push(volts)[-1].accelerometers == 2
+
+
+def test_one_that_dies_in_a_slide_leaves_it(pair: Localizer) -> None:
+    volts = stream(still(0.6), pass_over(2.0), still(1.0), pass_over(1.2), still(0.6), accelerometers=2)
+    volts[1200:3300, 3:] = math.nan
+    pair.reset()
+    estimates = pair.push(volts)
+    assert [estimates[n].accelerometers for n in (55, 90, 160, -1)] == [2, 1, 1, 2]
+    assert estimates[-1].valid
+
+
+@pytest.mark.parametrize("level_v", [[0.12, 0.05, 0.0], [0.05, -0.02, 0.0]])
+def test_a_touch_is_no_slide(localizer: Localizer, level_v: list[float]) -> None:
+    """Something is set down, rests, and is lifted off."""
+    level = np.array(level_v)
+    down = np.linspace(0, 1, 80)[:, None] * level
+    volts = stream(still(0.6), down, still(1.5, level), down[::-1], still(0.8))
+    localizer.reset()
+    estimates = localizer.push(volts)
+    assert not valid(estimates).any()
+    assert State.ENDED not in {estimate.state for estimate in estimates}
+
+
+def test_lifting_after_a_stop_holds_the_estimate(localizer: Localizer) -> None:
+    slide = pass_over(1.6)[:900]
+    lift = np.linspace(1, 0, 120)[:, None] * slide[-1]
+    volts = stream(still(0.6), slide, still(1.0, slide[-1]), lift, still(1.0))
+    localizer.reset()
+    estimates = localizer.push(volts)
+    ended = [e for e in estimates if e.state is State.ENDED]
+    assert estimates[-1].valid
+    assert len({e.offset_mm for e in ended}) == 1
+
+
+def test_a_jump_of_the_zero_is_followed(localizer: Localizer) -> None:
+    jump = np.array([0.05, -0.05, 0.02])
+    volts = stream(still(0.6), still(1.5, jump), pass_over(1.2) + jump, still(0.6, jump))
+    localizer.reset()
+    estimates = localizer.push(volts)
+    assert not valid(estimates)[:100].any()
+    assert estimates[-1].valid
+    assert estimates[-1].zero_shift_v == pytest.approx(0.05, abs=0.003)
+    localizer.reset()
+    clean = localizer.push(stream(still(2.1), pass_over(1.2), still(0.6)))[-1]
+    assert estimates[-1].offset_mm == pytest.approx(clean.offset_mm, abs=0.1)
+
+
+def test_gravity_tells_gain_and_turn(localizer: Localizer) -> None:
+    turn = math.radians(5.0)
+    gravity = 1.05 * 0.8 * np.array([math.sin(turn), 0.0, math.cos(turn)]) - [0.0, 0.0, 0.8]
+    localizer.reset()
+    last = localizer.push(stream(still(2.0, gravity)))[-1]
+    assert last.gain == pytest.approx(1.05, abs=0.002)
+    assert last.turn_deg == pytest.approx(5.0, abs=0.1)
+
+
+def test_a_gap_in_time_begins_anew_and_a_lost_sample_does_not(localizer: Localizer) -> None:
+    volts = stream(still(0.6), pass_over(1.2), still(0.6))
+    time_s = 50.0 + np.arange(len(volts)) / RATE_HZ
+    kept = np.random.default_rng(0).random(len(volts)) > 0.05
+    localizer.reset()
+    whole = localizer.push(volts, time_s)[-1]
+    localizer.reset()
+    holes = localizer.push(volts[kept], time_s[kept])[-1]
+    assert holes.valid
+    assert holes.time_s == pytest.approx(whole.time_s, abs=0.03) == pytest.approx(52.4, abs=0.03)
+    assert holes.offset_mm == pytest.approx(whole.offset_mm, abs=0.1)
+
+    for jump_s in (5.0, -5.0):
+        time_s = 50.0 + np.arange(len(volts)) / RATE_HZ
+        time_s[1200:] += jump_s
+        localizer.reset()
+        estimates = localizer.push(volts, time_s)
+        assert not valid(estimates)[62:].any()
+        assert estimates[-1].time_s == pytest.approx(52.4 + jump_s, abs=0.03)
+
+
+@pytest.mark.parametrize(
+    "chunk",
+    [
+        np.zeros(3),
+        np.zeros((2, 4)),
+        np.zeros((1, 2, 3)),
+        np.zeros((2, 3), dtype=complex),
+        np.zeros((2, 3), dtype=bool),
+        np.array([["1", "2", "3"]]),
+        [[1.0, 2.0, 3.0], [1.0]],
+        None,
+    ],
+    ids=str,
+)
+def test_what_is_no_chunk_is_refused_and_changes_nothing(localizer: Localizer, chunk: object) -> None:
+    localizer.reset()
+    localizer.feed(TWO_SLIDES[:1000])
+    before = repr(localizer.read())
+    with pytest.raises(InputError, match="push"):
+        localizer.push(chunk)  # type: ignore[arg-type]
+    for times in (np.zeros(4), np.full(5, math.nan), ["a"] * 5):
+        with pytest.raises(InputError, match="time_s"):
+            localizer.push(TWO_SLIDES[:5], times)  # type: ignore[arg-type]
+    assert repr(localizer.read()) == before
+
+
+def fuzzed(localizer: Localizer, chunks: int, seed: int) -> None:
+    """Chunks of anything: no crash, nothing valid but finite."""
+    generator = np.random.default_rng(seed)
+    odd = [math.nan, math.inf, -math.inf, 1e308, -1e308, 0.0, 3.3, 5e-324]
+    for _ in range(chunks):
+        chunk = generator.normal(
+            1.65, generator.choice([0.0, 0.01, 0.3, 10.0]), (generator.integers(0, 60), 3)
+        )
+        hit = generator.random(chunk.shape) < generator.choice([0.0, 0.01, 0.5])
+        chunk[hit] = generator.choice(odd, int(hit.sum()))
+        time_s = None
+        if generator.random() < 0.3:
+            time_s = np.cumsum(
+                generator.choice([0.001, 0.0, 5.0, -3.0], len(chunk), p=[0.97, 0.01, 0.01, 0.01])
+            )
+        for estimate in localizer.push(chunk, time_s):
+            numbers = [v for v in astuple(estimate)[2:13] if not math.isnan(v)]
+            assert not estimate.valid or all(map(math.isfinite, numbers))
+            assert math.isfinite(estimate.time_s)
+
+
+def test_fuzzed_chunks_never_crash(localizer: Localizer) -> None:
+    localizer.reset()
+    fuzzed(localizer, 2000, 0)
+
+
+@pytest.mark.long
+def test_a_million_fuzzed_chunks(localizer: Localizer) -> None:
+    localizer.reset()
+    fuzzed(localizer, 1_000_000, 1)
+
+
+def damaged(bundle: Path, **changes: object) -> Path:
+    card = json.loads((bundle / "model.json").read_text())
+    (bundle / "model.json").write_text(json.dumps(card | changes))
+    return bundle
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"format": "other"},
+        {"version": 2},
+        {"more": 1},
+        {"channels": ["a0_vx", "a0_vz", "a0_vy"]},
+        {"channels": [f"a{n}_v{axis}" for n in range(2) for axis in "xyz"]},
+        {"outputs": ["direction_cos", "direction_sin", "log_speed", "offset_mm"]},
+        {"outputs": ["direction_cos", "direction_sin", "log_speed", "log_speed", "along_mm"]},
+        {"outputs": ["direction_cos", "direction_sin", "depth_mm", "offset_mm", "along_mm"]},
+        {"input": "features"},
+        {"sensor": {}},
+        {"sample_rate_hz": 10.0},
+        {"sample_rate_hz": -1},
+        {"reference_mm": [1.0]},
+        {"conditioning": {"trigger_blocks": 2.5}},
+        {"conditioning": {"block_s": True}},
+        {"validity": {"speed_mm_s": ["0", "1"]}},
+        {"intervals": {"offset_mm": {"scale": "1", "floor": 0.0}}},
+        {"golden": {"inputs": {}, "estimate": []}},
+        {"golden": 3},
+        {"graph_sha256": "0" * 64},
+    ],
+    ids=str,
+)
+def test_an_altered_card_is_refused(tmp_path: Path, changes: dict) -> None:
+    bundle = damaged(write_small_bundle(tmp_path / "b", a_sensor()), **changes)
+    with pytest.raises(InputError) as refusal:
+        Localizer.load(bundle)
+    assert "\n" not in str(refusal.value)
+    assert str(bundle) in str(refusal.value)
+
+
+@pytest.mark.parametrize("size", [0, 1, 100, -1])
+@pytest.mark.parametrize("name", ["model.json", "model.onnx"])
+def test_a_truncated_bundle_is_refused(tmp_path: Path, name: str, size: int) -> None:
+    path = write_small_bundle(tmp_path / "b", a_sensor()) / name
+    # The card's last bytes are a brace and an end of line.
+    path.write_bytes(path.read_bytes()[: size if size >= 0 else -2])
+    with pytest.raises(InputError, match=name):
+        Localizer.load(path.parent)
+
+
+def test_another_graph_with_a_fitting_hash_is_refused(tmp_path: Path) -> None:
+    bundle = write_small_bundle(tmp_path / "b", a_sensor())
+    other = write_small_bundle(tmp_path / "c", a_sensor(2))
+    (bundle / "model.onnx").write_bytes((other / "model.onnx").read_bytes())
+    card = json.loads((other / "model.json").read_text())
+    with pytest.raises(InputError, match="its card says"):
+        Localizer.load(damaged(bundle, graph_sha256=card["graph_sha256"]))
+
+
+def test_no_bundle_at_all(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no such file"):
+        Localizer.load(tmp_path / "nothing")
