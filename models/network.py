@@ -243,9 +243,7 @@ class Refinement(nn.Module):
         volts = (across[:, 0] * by).sum(2).transpose(1, 2)
         along_x = (across[:, 1] * by).sum(2).transpose(1, 2) / SPACING_MM
         along_y = (across[:, 0] * dy).sum(2).transpose(1, 2) / SPACING_MM
-        deep = (basis[:, 0] @ self.depth_slope).reshape(
-            b, WINDOW_BINS, k, channels
-        )
+        deep = (basis[:, 0] @ self.depth_slope).reshape(b, WINDOW_BINS, k, channels)
         deep = (deep * by).sum(2).transpose(1, 2)
         gain = state[:, 4:5, None].exp()
         value = volts + state[:, 5:6, None] * deep
