@@ -6,9 +6,9 @@ import numpy as np
 def upright(tilt_deg: tuple[float, float]) -> np.ndarray:
     """Where up is, (3,) in the device's frame, of a device tilted towards x and towards y by these angles."""
     x, y = np.sin(np.deg2rad(tilt_deg))
-    if x**2 + y**2 >= 1:
+    if (left := 1 - x**2 - y**2) < 0:
         raise ValueError(f"tilts of {tilt_deg[0]:g} and {tilt_deg[1]:g} degrees are none together")
-    return np.array([-x, -y, np.sqrt(1 - x**2 - y**2)])
+    return np.array([-x, -y, np.sqrt(left)])
 
 
 def in_tilted_device(tilt_g: np.ndarray, yaw_rad: np.ndarray, up: np.ndarray) -> np.ndarray:

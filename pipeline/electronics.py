@@ -145,7 +145,7 @@ def digitized(output_v: np.ndarray, step_v: float) -> np.ndarray:
     """The nearest multiples of the ADC's step between the supply's rails; 0 for no ADC."""
     if step_v == 0:
         return np.clip(output_v, 0, SUPPLY_V)
-    codes = np.clip(np.rint(output_v * np.float32(1 / step_v)), 0, np.floor(SUPPLY_V / step_v))
+    codes = np.clip(np.rint(output_v * np.float32(1 / step_v)), 0, np.floor(SUPPLY_V / step_v + 1e-6))
     return (codes * step_v).astype(np.float32)
 
 

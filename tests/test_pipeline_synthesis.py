@@ -1,0 +1,369 @@
+"""Synthetic slides: what they show is what their labels, the atlas and the laws of their parts say."""
+
+import json
+from dataclasses import replace
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+import softslide
+from features.errors import InputError
+from pipeline.atlas import Atlas, read_atlas, write_atlas
+from pipeline.board_gravity import in_tilted_device, upright
+from pipeline.distribution import SPLITS, Distribution
+from pipeline.health import examine
+from pipeline.lag import standard_solid
+from pipeline.motion import Stroke
+from pipeline.recordings import read_folder
+from pipeline.sensor import Accelerometer, design_hash, design_of
+from pipeline.skin.survey import gravity
+from pipeline.slide_plan import Slide, crossing
+from pipeline.synthesis import (
+    Device,
+    ideal_device,
+    noise_of,
+    plan,
+    record,
+    sensor_of,
+    synthesize,
+    synthetic_slides,
+)
+from pipeline.upsampling import upsampled
+from pipeline.wiring import sign_agreement
+
+ATLAS = read_atlas()
+SENSOR = sensor_of(ATLAS)
+HEIGHT = 7.0
+
+
+def exact(**changes) -> Device:
+    """A device that adds nothing, not even the ADC's step."""
+    device = ideal_device(SENSOR)
+    return replace(device, electronics=replace(device.electronics, adc_step_v=0.0), **changes)
+
+
+def slide_over(
+    direction: float, offset: float, speed: float, stroke: dict | None = None, depth: float = 0.5, **changes
+) -> Slide:
+    line = crossing(direction, offset, SENSOR)
+    assert line is not None
+    start, way, _ = line
+    motion = Stroke(**{"travel_mm": way, "speed_mm_s": speed, "ramp_s": 0.05, **(stroke or {})})
+    return Slide(direction, offset, start, motion, depth, 0.035, HEIGHT, **changes)
+
+
+def grams(slide: Slide, device: Device | None = None, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """Time (n,) s and the only board's readings (n, 3) g."""
+    recording = record(slide, device or exact(), ATLAS, np.random.default_rng(seed))
+    return recording.time_s, (recording.volts - 1.65) / 0.8
+
+
+def test_a_stroke_ramps_goes_and_turns():
+    stroke = Stroke(40.0, 8.0, 0.3, back_mm=25.0, dwell_s=0.7)
+    time = np.arange(-1, stroke.duration_s + 1, 1e-3)
+    way = stroke.forth(time) - stroke.back(time)
+    assert stroke.forth_s == pytest.approx(5.3)
+    assert stroke.duration_s == pytest.approx(5.3 + 0.7 + 25 / 8 + 0.3)
+    assert (way[time <= 0] == 0).all()
+    assert way.max() == pytest.approx(40.0)
+    assert way[-1] == pytest.approx(15.0)
+    speed = np.abs(np.gradient(way, 1e-3))
+    assert speed.max() == pytest.approx(8.0, rel=1e-6)
+    assert np.abs(speed - stroke.speed(time)).max() < 0.03
+    assert np.abs(np.diff(speed)).max() / 1e-3 < 8.0 / 0.3 + 1e-6
+    sudden = Stroke(40.0, 8.0, 0.0)
+    assert sudden.forth(np.array([0.0, 2.5, 5.0, 9.0])) == pytest.approx([0, 20, 40, 40])
+
+
+def test_the_lag_is_a_standard_solid_and_has_its_limits():
+    time = np.arange(0, 4, 0.01)
+    step = (time >= 1.0).astype(float)[:, None] + 2
+    assert np.array_equal(standard_solid(step, 0.01, 0.0, 0.3), step)
+    assert np.array_equal(standard_solid(step, 0.01, 0.4, 0.0), step)
+    assert standard_solid(step, 0.01, 0.4, 1e-9) == pytest.approx(step)
+    assert standard_solid(step, 0.01, 0.4, 1e9) == pytest.approx(2 + 0.6 * (step - 2), abs=1e-6)
+    crept = standard_solid(step, 0.01, 0.4, 0.3)
+    since = time - 0.995  # the jump is a straight line between two samples
+    wanted = 3 - 0.4 * np.exp(-since / 0.3)
+    assert crept[time >= 1, 0] == pytest.approx(wanted[time >= 1], abs=1e-4)
+    ramp = standard_solid(time[:, None], 0.01, 0.4, 0.3)
+    assert ramp[:, 0] == pytest.approx(time - 0.4 * 0.3 * (1 - np.exp(-time / 0.3)), abs=1e-12)
+
+
+def test_a_tilted_device_turns_every_board_s_gravity():
+    random = np.random.default_rng(1)
+    boards = Rotation.from_euler("ZYX", random.uniform(-0.6, 0.6, (40, 3)))
+    matrices = boards.as_matrix()
+    level = gravity(matrices)
+    yaw = np.arctan2(matrices[:, 1, 0], matrices[:, 0, 0])
+    for tilt in ((0.0, 0.0), (30.0, -20.0), (-70.0, 10.0)):
+        up = upright(tilt)
+        found = in_tilted_device(level[:, :2, None], yaw[:, None], up)[:, :, 0]
+        wanted = np.einsum("bij,i->bj", matrices, up) * [-1, -1, 1]
+        assert found == pytest.approx(wanted, abs=1e-12)
+    assert in_tilted_device(np.zeros((1, 2, 1)), np.zeros((1, 1)), upright((90.0, 0.0))).ravel() == (
+        pytest.approx([1, 0, 0], abs=1e-12)
+    )
+    with pytest.raises(ValueError, match="none together"):
+        upright((60.0, 60.0))
+
+
+def test_cubic_convolution_is_of_third_order():
+    errors = []
+    for factor in (4, 8, 16, 32):
+        step = factor / 320
+        slow = np.arange(-1, 320 // factor + 2) * step
+        fast = upsampled(np.sin(2 * np.pi * slow)[None], factor)[0]
+        errors.append(np.abs(fast - np.sin(2 * np.pi * np.arange(320) / 320)).max())
+    rates = np.diff(np.log(errors)) / np.log(2)
+    assert (rates > 2.7).all()
+    assert np.array_equal(upsampled(np.array([[5.0, 1.0, 2.0, 7.0, 0.0]]), 3)[0, ::3], [1, 2])
+
+
+@pytest.mark.parametrize("speed", [0.5, 4.0, 13.0, 60.0])
+@pytest.mark.parametrize(("direction", "offset"), [(0.0, 3.0), (270.0, -9.0), (37.0, 6.0)])
+def test_what_a_slide_shows_is_the_atlas_at_the_labelled_place(speed, direction, offset):
+    slide = slide_over(direction, offset, speed, depth_slope=0.003)
+    time, found = grams(slide)
+    time, found = time[::7], found[::7]
+    way = slide.stroke.forth(time - slide.motion_start_s)
+    assert np.ptp(slide.depths(way)) > 0.1
+    level = ATLAS.pressure_at(HEIGHT)
+    wanted = (
+        ATLAS.static(level) + ATLAS.response(*slide.places(way), direction, slide.depths(way), level)[:, 0]
+    )
+    assert np.ptp(wanted[:, 0]) > 0.1
+    assert np.abs(found - wanted)[:, :2].max() < 3e-4
+    assert np.linalg.norm(found, axis=1) == pytest.approx(1, abs=1e-4)
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    direction=st.floats(0, 359.9),
+    offset=st.floats(-15, 15),
+    speed=st.floats(1, 30),
+    depth=st.floats(0.3, 1.1),
+)
+def test_zones_and_signs_are_the_article_s_on_every_line(direction, offset, speed, depth):
+    slide = slide_over(direction, offset, speed, depth=depth)
+    recording = record(slide, exact(), ATLAS, np.random.default_rng(0))
+    labels = pd.Series(slide.labels())
+    assert labels["motion_start_s"] + slide.stroke.forth_s == labels["motion_end_s"]
+    agreement = sign_agreement(recording, labels, SENSOR)[0].diagonal()[:2]
+    assert (agreement[~np.isnan(agreement)] > 0.5).all()
+    angle = np.deg2rad(direction)
+    for way in (0.0, slide.stroke.travel_mm):
+        x, y = slide.places(np.array([way]))
+        line = -np.sin(angle) * (x - 5.0) + np.cos(angle) * y
+        assert line == pytest.approx(offset, abs=1e-9)
+
+
+def test_a_slide_begins_and_ends_at_rest_and_one_that_stops_stays():
+    _, through = grams(slide_over(0.0, 5.0, 10.0))
+    assert through[-1] == pytest.approx(through[0], abs=1e-5)
+    whole = crossing(0.0, 5.0, SENSOR)[1]
+    _, stopped = grams(slide_over(0.0, 5.0, 10.0, {"travel_mm": 0.6 * whole}))
+    assert np.abs(stopped[-1] - stopped[0]).max() > 0.05
+    assert stopped[-1000:] == pytest.approx(np.broadcast_to(stopped[-1], (1000, 3)), abs=1e-5)
+
+
+def test_friction_turns_with_the_motion():
+    stroke = {"travel_mm": 40.0, "back_mm": 40.0, "dwell_s": 0.5}
+    slide = slide_over(0.0, 5.0, 10.0, stroke, rest_after_s=0.5)
+    time, found = grams(slide)
+    way_back = slide.stroke.back(time - slide.motion_start_s)
+    late = (way_back > 3) & (way_back < 40)
+    x, y = slide.places(slide.stroke.travel_mm - way_back[late][::20])
+    level = ATLAS.pressure_at(HEIGHT)
+    forth, back = (ATLAS.response(x, y, a, 0.5, level)[:, 0] + ATLAS.static(level)[0] for a in (0.0, 180.0))
+    assert np.abs(found[late][::20] - back)[:, :2].max() < 5e-4
+    assert np.abs(forth - back).max() > 0.01
+    turn = (way_back > 0) & (way_back < 0.05)
+    assert np.abs(np.diff(found[turn], axis=0)).max() < 1e-3
+
+
+def test_lag_ripple_posture_and_vibration_each_leave_their_mark():
+    slide = slide_over(0.0, 5.0, 10.0)
+    time, plain = grams(slide)
+    late = grams(slide, exact(delayed=1.0, tau_s=0.1))[1][:, 0]
+    # A first-order lag is a delay of tau for what is slow.
+    shifted = np.interp(time - 0.1, time, plain[:, 0])
+    assert np.abs(late - plain[:, 0]).max() > 5 * np.abs(late - shifted).max()
+    rippled = grams(slide, exact(ripple=0.01, ripple_hz=2.0))[1]
+    rest = time < slide.motion_start_s
+    level = ATLAS.pressure_at(HEIGHT)
+    per_ripple = (ATLAS.static(1.01 * level) - ATLAS.static(level))[0, 0]
+    assert np.ptp(rippled[rest, 0]) == pytest.approx(2 * per_ripple, rel=0.05)
+    tilted = grams(replace(slide, posture_deg=(10.0, -5.0)))[1]
+    assert tilted[0, 0] == pytest.approx(np.sin(np.arcsin(plain[0, 0]) + np.deg2rad(10)), abs=0.003)
+    assert tilted[0, 1] == pytest.approx(np.sin(np.deg2rad(-5)), abs=0.001)
+    shaken = grams(slide, exact(vibration_g=0.01, vibration_hz=100.0))[1] - plain
+    rubbing = (time > 4) & (time < 6)
+    assert np.abs(shaken[rest]).max() < 1e-6
+    assert 0.001 < shaken[rubbing].std() < 0.1
+    spectrum = np.abs(np.fft.rfft(shaken[rubbing, 2])) ** 2
+    frequency = np.fft.rfftfreq(rubbing.sum(), 1e-3)
+    assert (spectrum * frequency).sum() / spectrum.sum() == pytest.approx(100, abs=35)
+
+
+def test_a_seed_is_one_folder_and_more_slides_begin_with_the_same():
+    short, long = list(synthetic_slides(3, 7)), list(islice(synthetic_slides(99, 7), 3))
+    for (one, samples), (other, again) in zip(short, long, strict=True):
+        assert one == other
+        assert np.array_equal(samples.volts, again.volts)
+    assert not np.array_equal(short[0][1].volts[:500], next(synthetic_slides(1, 8))[1].volts[:500])
+
+
+def test_plans_keep_to_the_distribution_and_test_no_line_that_is_taught():
+    d = Distribution(height_mm=6.0, depth_mm=0.25)
+    slides = [plan(n, 5, ATLAS, SENSOR, d) for n in range(200)]
+    assert [s.split for s in slides[:10]] == list(SPLITS)
+    assert all(0.5 <= s.stroke.speed_mm_s <= 13 and -17.5 <= s.offset_mm <= 17.5 for s in slides)
+    assert all(0.5 <= rest <= 20 for s in slides for rest in (s.motion_start_s, s.rest_after_s))
+    ends = np.array([s.depths(np.array([0, s.stroke.travel_mm])) for s in slides])
+    assert 0.2 - 1e-9 <= ends.min() < ends.max() < 0.6
+    assert 0.2 < np.mean(np.abs(np.diff(ends)) > 1e-6) < 0.6
+    assert 0.02 < np.mean([s.stroke.back_mm > 0 for s in slides]) < 0.1
+    assert all(s.height_mm == pytest.approx(6.0 * np.cbrt(s.pressure_mpa / 0.035)) for s in slides)
+    angles = {split: {s.direction_deg for s in slides if s.split == split} for split in set(SPLITS)}
+    assert angles["calibration"] == angles["test"] == {0.0, 90.0, 180.0, 270.0}
+    assert len(angles["test-diagonal"]) == 20
+    taught = np.array([s.offset_mm for s in slides if s.split == "calibration"])
+    asked = np.array([s.offset_mm for s in slides if s.split == "test"])
+    assert np.abs(taught[:, None] - asked).min() >= 0.1 - 1e-9
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    out = tmp_path_factory.mktemp("made") / "d"
+    assert softslide.main(["synthesize", "--slides", "10", "--seed", "7", "--out", str(out)]) == 0
+    return out
+
+
+def test_a_folder_is_what_the_contract_says_and_what_was_yielded(folder):
+    read = read_folder(folder)
+    assert read.manifest["split"].tolist() == list(SPLITS)
+    for slide, recording in synthetic_slides(3, 7):
+        again = read.load(slide.name)
+        assert np.array_equal(again.volts, recording.volts)
+        assert np.allclose(again.time_s, recording.time_s)
+        row = read.manifest.loc[slide.name]
+        labels = {k: v for k, v in slide.labels().items() if isinstance(v, float)}
+        assert all(float(row[k]) == pytest.approx(v) for k, v in labels.items())
+    origin = json.loads((folder / "synthesis.json").read_text())
+    assert origin["seed"] == 7
+    assert origin["atlas_design"] == design_hash(read.sensor)
+    assert "never measured" in origin["what"]
+    assert "synthetic" in read.sensor.name
+
+
+def test_check_finds_no_error_in_a_folder(folder):
+    assert [finding for finding in examine(read_folder(folder)) if finding.level == "error"] == []
+
+
+def test_the_same_seed_writes_the_same_files(folder, tmp_path):
+    synthesize(None, None, 10, 7, tmp_path / "again")
+    files = sorted(path.relative_to(folder) for path in folder.rglob("*") if path.is_file())
+    assert len(files) == 13
+    assert all((folder / file).read_bytes() == (tmp_path / "again" / file).read_bytes() for file in files)
+
+
+def two_boards(valid: bool = True) -> Atlas:
+    """The article's board twice, at (-5, 0) and (5, 0), which the default atlas and its mirror image show."""
+    sensor = replace(SENSOR, accelerometers=(Accelerometer("a0", -5.0, 0.0), Accelerometer("a1", 5.0, 0.0)))
+    one, force = ATLAS.parts[..., :7], ATLAS.parts[..., 7:]
+    sign = np.array([-1, 1, 1, -1, 1, 1, -1]) * np.array([1, -1, 1])[:, None, None, None, None, None]
+    parts = np.concatenate([one[:, ::-1] * sign, one, force], axis=-1)
+    statics = np.concatenate([ATLAS.statics * [-1, 1, 1], ATLAS.statics], axis=1)
+    design = json.loads(json.dumps(design_of(sensor)))
+    meta = {**ATLAS.meta, "design": design, "design_hash": design_hash(sensor)}
+    solved = ATLAS.valid.copy()
+    if not valid:
+        solved[10:40, 24] = False
+    return replace(ATLAS, parts=parts, statics=statics, meta=meta, valid=solved)
+
+
+def test_several_boards_and_another_design(tmp_path):
+    atlas = two_boards()
+    sensor = sensor_of(atlas)
+    assert [a.x_mm for a in sensor.accelerometers] == [-5.0, 5.0]
+    assert sensor.reference_mm == (0.0, 0.0)
+    write_atlas(atlas, tmp_path / "two.npz")
+    made = synthesize(tmp_path / "two.npz", None, 2, 1, tmp_path / "d")
+    recording = read_folder(made.root).load("s00000")
+    assert recording.volts.shape[1] == 6
+    slide = replace(plan(0, 1, atlas, sensor, Distribution()), gain=1.0, posture_deg=(0.0, 0.0))
+    quiet = record(slide, ideal_device(sensor), atlas, noise_of(0, 1)).volts
+    assert quiet[0, 0] - 1.65 == pytest.approx(1.65 - quiet[0, 3], abs=1e-3)
+    assert np.corrcoef(recording.volts[:, 3], quiet[:, 3])[0, 1] > 0.8
+
+
+def test_lines_that_were_not_solved_are_left_out():
+    atlas = two_boards(valid=False)
+    slides = [plan(n, 2, atlas, sensor_of(atlas), Distribution()) for n in range(20)]
+    for n, slide in enumerate(slides):
+        assert np.isfinite(record(slide, ideal_device(sensor_of(atlas)), atlas, noise_of(n, 2)).volts).all()
+    unsolved = replace(atlas, valid=np.zeros_like(atlas.valid))
+    with pytest.raises(InputError, match="over solved positions"):
+        plan(0, 2, unsolved, sensor_of(atlas), Distribution())
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--slides", "0"], "--slides 0: at least one"),
+        (["--slides", "1", "--seed", "-1"], "--seed -1"),
+        (["--slides", "1", "--atlas", "no.npz"], "no.npz: no such file"),
+        (["--slides", "1", "--sensor", "no.toml"], "no.toml: no such file"),
+    ],
+)
+def test_bad_arguments_are_one_line(arguments, words, tmp_path, capsys):
+    out = tmp_path / "d"
+    assert softslide.main(["synthesize", *arguments, "--out", str(out)]) == 2
+    said = capsys.readouterr().err
+    assert words in said
+    assert len(said.strip().splitlines()) == 1
+    assert not out.exists()
+
+
+def test_an_atlas_of_another_version_or_design_and_an_unwritable_out_are_one_line(tmp_path, capsys):
+    old, other, file = tmp_path / "old.npz", tmp_path / "other.npz", tmp_path / "file"
+    small = replace(ATLAS, parts=np.zeros((3, 2, 2, 1, 1, 10)), valid=np.ones((2, 2, 1, 1), bool))
+    small = replace(small, x_mm=np.arange(2.0), y_mm=np.arange(2.0), depth_mm=np.ones(1))
+    small = replace(small, pressure_mpa=np.ones(1), height_mm=np.ones(1), statics=np.ones((1, 1, 3)))
+    write_atlas(replace(small, meta={**ATLAS.meta, "version": 99}), old)
+    write_atlas(replace(small, meta=two_boards().meta), other)
+    file.write_text("")
+    sensor = str(Path("pipeline/default_sensor.toml").resolve())
+    for arguments, words in (
+        (["--atlas", str(old), "--out", str(tmp_path / "d")], "version 99"),
+        (["--atlas", str(other), "--sensor", sensor, "--out", str(tmp_path / "d")], "another design"),
+        (["--out", str(file)], "a file of this name is in the way"),
+        (["--out", str(file / "d")], "cannot be written"),
+    ):
+        assert softslide.main(["synthesize", "--slides", "1", *arguments]) == 2
+        said = capsys.readouterr().err
+        assert words in said
+        assert len(said.strip().splitlines()) == 1
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["file", "old.npz", "other.npz"]
+
+
+def test_a_distribution_that_cannot_be_is_refused():
+    for change, words in (
+        ({"speed_mm_s": (5.0, 1.0)}, "must rise"),
+        ({"rest_s": (0.0, 1.0)}, "must be positive"),
+        ({"stopping": 0.8, "turning": 0.3}, "at most 1"),
+        ({"stop_share": (0.0, 0.5)}, "stop_share"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            Distribution(**change)
+    with pytest.raises(InputError, match=r"outside the atlas's 5..9\.6 mm"):
+        plan(0, 0, ATLAS, SENSOR, Distribution(height_mm=12.0))
+    with pytest.raises(InputError, match="no line of offset"):
+        plan(0, 0, ATLAS, SENSOR, Distribution(chord_mm=80.0))
