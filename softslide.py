@@ -175,6 +175,36 @@ def _parser() -> argparse.ArgumentParser:
     )
     predict.set_defaults(run=_predict)
 
+    serve = commands.add_parser(
+        "serve",
+        help="stream estimates from a live source",
+        description="Estimates of a live stream, one every 20 ms: angles in degrees (deg), lengths in mm, speed in "
+        "mm/s, time in s; lo and hi bound a 90 % interval; null where nothing is estimated. Ends with the source, "
+        "or on SIGINT or SIGTERM. Nothing is listened to from other machines unless HOST says so.",
+    )
+    serve.add_argument("--model", type=Path, required=True, metavar="BUNDLE", help="a bundle from 'train'")
+    serve.add_argument(
+        "--source",
+        required=True,
+        help="FILE.csv or FILE.parquet (needs the io extra) plays a recording; '-' reads standard input; "
+        "udp://HOST:PORT; serial:///dev/PORT?BAUD (needs the live extra); ros2://TOPIC (needs rclpy)",
+    )
+    serve.add_argument(
+        "--sink",
+        action="append",
+        help="'-' writes JSON lines on standard output (default); udp://HOST:PORT one JSON object a datagram; "
+        "ros2://TOPIC positions in m and estimates; may be given again",
+    )
+    serve.add_argument(
+        "--format",
+        choices=("csv", "f32"),
+        default="csv",
+        help="of bytes from outside: csv, lines of volts (V) with a time (s) before them or none; f32, little-endian "
+        "float32 frames, one number a channel (default: %(default)s)",
+    )
+    serve.add_argument("--fast", action="store_true", help="play a recording as fast as it goes")
+    serve.set_defaults(run=_serve)
+
     return parser
 
 
@@ -271,6 +301,17 @@ def _predict(arguments: argparse.Namespace) -> int:
 
     for line in predict(arguments.model, arguments.files):
         print(json.dumps(line, allow_nan=False), flush=True)
+    return 0
+
+
+def _serve(arguments: argparse.Namespace) -> int:
+    from serve.live import serve
+
+    print(f"softslide serve: {arguments.source}; stop with Ctrl-C", file=sys.stderr)
+    written = serve(
+        arguments.model, arguments.source, arguments.sink or ["-"], arguments.format, arguments.fast
+    )
+    print(f"softslide serve: {written} estimates", file=sys.stderr)
     return 0
 
 

@@ -1,13 +1,12 @@
 """One estimate for each recording in a file: what `softslide predict` prints."""
 
-import math
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from serve.files import read_recording
 from serve.localizer import Localizer
+from serve.records import record
 
 
 def predict(bundle: Path, paths: Sequence[Path]) -> Iterator[dict[str, Any]]:
@@ -22,13 +21,4 @@ def predict(bundle: Path, paths: Sequence[Path]) -> Iterator[dict[str, Any]]:
         volts = read_recording(path, card.channels, card.sample_rate_hz)
         localizer.reset()
         localizer.feed(volts)
-        estimate = asdict(localizer.read())
-        yield {"recording": path.stem, "file": str(path), **{k: _json(v) for k, v in estimate.items()}}
-
-
-def _json(value: Any) -> Any:
-    """JSON knows no NaN, and numpy's numbers are not its own."""
-    if isinstance(value, str | bool):
-        return value
-    number = float(value)
-    return number if math.isfinite(number) else None
+        yield {"recording": path.stem, "file": str(path), **record(localizer.read())}
