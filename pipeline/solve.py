@@ -2,7 +2,8 @@
 
 import math
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import ExitStack
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -208,21 +209,25 @@ def _solve(task: Task, call: tuple) -> tuple[Task, np.ndarray, dict[str, float]]
     return task, values, asdict(statistics)
 
 
-def _parallel(jobs: list[tuple[Task, tuple]], workers: int, backend: str) -> Iterable[Any]:
+def _parallel(jobs: list[tuple[Task, tuple]], workers: int, backend: str) -> Iterator[Any]:
     """Results as they come; in this process when one worker is asked for."""
     if workers == 1 and backend == "loky":
-        return (_solve(*job) for job in jobs)
+        yield from (_solve(*job) for job in jobs)
+        return
     from joblib import Parallel, delayed, parallel_config
 
-    if backend == "dask":
-        from distributed import Client, get_client
+    with ExitStack() as stack:
+        if backend == "dask":
+            from distributed import Client, get_client
 
-        try:
-            get_client()
-        except ValueError:
-            Client(n_workers=workers, threads_per_worker=1)
-    with parallel_config(backend=backend, n_jobs=workers):
-        return Parallel(batch_size=1, return_as="generator_unordered")(delayed(_solve)(*job) for job in jobs)
+            try:
+                get_client()
+            except ValueError:
+                stack.enter_context(Client(n_workers=workers, threads_per_worker=1))
+        with parallel_config(backend=backend, n_jobs=workers):
+            pool = Parallel(batch_size=1, return_as="generator_unordered")
+            results = pool(delayed(_solve)(*job) for job in jobs)
+        yield from results
 
 
 def _gather(

@@ -275,7 +275,9 @@ def test_default_atlas_extremes_fall_with_distance_and_stay_in_place(default):
     assert (np.diff(rows[:, 0]) > 0).all()
     assert (np.diff(rows[:, 1]) < 0).all()
     assert np.ptp(rows[:, 3]) < 2.0
-    assert np.ptp(rows[:3, 2]) < 2.5
+    # The minimum's place keeps to 2 mm up to 10 mm off; at 15 mm, where it is a seventh as strong, it is 2.3 mm away.
+    assert np.ptp(rows[:3, 2]) < 2.0
+    assert np.ptp(rows[:, 2]) < 2.5
 
 
 def test_default_atlas_gives_more_signal_with_more_pressure(default):
