@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import onnxruntime as ort
+from onnxruntime.capi.onnxruntime_pybind11_state import NotImplemented as MissingOperator
 
 from features.card import Card, read_card
 from features.errors import InputError
@@ -48,17 +49,23 @@ def open_session(graph: bytes, path: Path) -> ort.InferenceSession:
     Raises:
         InputError: ONNX Runtime cannot load it: damaged, of a newer opset, or with unknown operators.
     """
-    options = ort.SessionOptions()
-    options.intra_op_num_threads = options.inter_op_num_threads = 1
-    options.execution_mode = ort.ExecutionMode.ORT_SEQUENTIAL
-    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
-    options.log_severity_level = 4
-    try:
-        return ort.InferenceSession(graph, options, providers=["CPUExecutionProvider"])
-    except Exception as error:  # ONNX Runtime raises types of its own
-        raise InputError(
-            f"{path}: no graph that ONNX Runtime can load ({_line(error)}); export again"
-        ) from None
+    for level in (ort.GraphOptimizationLevel.ORT_ENABLE_ALL, ort.GraphOptimizationLevel.ORT_ENABLE_BASIC):
+        options = ort.SessionOptions()
+        options.graph_optimization_level = level
+        options.intra_op_num_threads = options.inter_op_num_threads = 1
+        options.execution_mode = ort.ExecutionMode.ORT_SEQUENTIAL
+        options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+        options.log_severity_level = 4
+        try:
+            return ort.InferenceSession(graph, options, providers=["CPUExecutionProvider"])
+        except MissingOperator:
+            # Some releases (1.22) fuse products of doubles into an operator that they then lack.
+            continue
+        except Exception as error:  # ONNX Runtime raises types of its own
+            raise InputError(
+                f"{path}: no graph that ONNX Runtime can load ({_line(error)}); export again"
+            ) from None
+    raise InputError(f"{path}: needs an operator that this ONNX Runtime lacks; install a newer one")
 
 
 def _check_card(card: Card, path: Path) -> None:

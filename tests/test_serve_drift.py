@@ -1,0 +1,34 @@
+"""A trained bundle on drifted devices: errors stay within twice the clean ones."""
+
+from pathlib import Path
+
+import pytest
+
+from experiments.injection import study
+from models.bundle import write_bundle
+from models.cnn import CnnConfig, fit_cnn
+from models.training import TrainingConfig
+from pipeline.dataset import labelled_windows
+from pipeline.recordings import read_folder
+
+BENCH = Path(__file__).parents[1].parent / "shared" / "recordings" / "bench-a"
+
+
+@pytest.mark.long
+@pytest.mark.skipif(
+    not BENCH.is_dir(), reason="the bench recordings lie beside the project's folder only at times"
+)
+def test_drift_at_most_doubles_the_errors(tmp_path: Path) -> None:
+    folder = read_folder(BENCH)
+    learning = folder.select("calibration")
+    config = CnnConfig(training=TrainingConfig(steps=1500, batch=192))
+    fitted = fit_cnn(learning, config)
+    windows = labelled_windows(learning, config.conditioning)
+    write_bundle(fitted, folder.sensor, config.conditioning, windows, {}, tmp_path / "bundle")
+    figures = study(tmp_path / "bundle", folder.select("test"))
+    clean = figures.pop("clean")
+    assert clean["valid"] > 0.95
+    for label, drifted in figures.items():
+        assert drifted["valid"] > 0.95, label
+        for error in ("direction_deg", "speed_percent", "offset_mm"):
+            assert drifted[error] <= 2 * clean[error], (label, error)
