@@ -79,7 +79,8 @@ def train(
     }
     tags = {f"data.{name}": digest for name, digest in provenance["data"].items()}
     with tracking.tracked(f"{model} on {folder.sensor.name}", configuration, tags, store) as run:
-        run.data(folder, "training")
+        if len(folder):
+            run.data(folder, "training")
         losses: dict[int, float] = {}
         with tqdm(desc=f"fitting {model}", unit="step", disable=not sys.stderr.isatty()) as bar:
 
@@ -89,7 +90,7 @@ def train(
                 bar.update(step - bar.n)
 
             fitted = fit_model(model, folder, settings, atlas=design, init=start, progress=progress)
-        windows = labelled_windows(folder, settings.conditioning)
+        windows = fitted.windows or labelled_windows(folder, settings.conditioning)
         difference = write_bundle(fitted, folder.sensor, settings.conditioning, windows, provenance, out)
         logged = run.model(out, model)
         run.losses(losses)

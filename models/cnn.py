@@ -9,6 +9,7 @@ import torch
 
 from features.card import Interval, Validity
 from features.conditioning import Conditioning
+from features.window import WINDOW_BINS
 from models.calibration import CalibrationConfig, calibration_slides
 from models.device import DeviceMaps, device_maps
 from models.export import export_graph
@@ -82,6 +83,28 @@ def fit_cnn(
         intervals=intervals,
         validity=validity,
         summary=summary,
+        windows=None if slides else _synthetic_windows(source),
+    )
+
+
+def _synthetic_windows(source: WindowSource) -> LabelledWindows:
+    """Windows of synthetic slides, to check the export on."""
+    batch = source.draw(200, torch.Generator().manual_seed(1))
+    count = len(batch.elapsed_s)
+    volts = np.zeros((count, batch.volts.shape[1] // 2, 3, WINDOW_BINS), dtype=np.float32)
+    volts[:, :, :2] = batch.volts.reshape(count, -1, 2, WINDOW_BINS).numpy()
+    cos, sin, log_speed, offset, along, depth = batch.targets.numpy().T
+    return LabelledWindows(
+        volts=volts.reshape(count, -1, WINDOW_BINS),
+        elapsed_s=batch.elapsed_s.numpy(),
+        direction_deg=np.degrees(np.arctan2(sin, cos)) % 360,
+        speed_mm_s=np.exp(log_speed),
+        offset_mm=offset,
+        depth_mm=depth,
+        along_mm=along,
+        stroke_fraction=np.ones(count),
+        recording=np.array([f"synthetic-{n}" for n in range(count)]),
+        split=np.full(count, "train"),
     )
 
 

@@ -7,6 +7,7 @@ import numpy as np
 import onnx
 
 from features.card import Interval, Validity
+from pipeline.dataset import LabelledWindows
 
 
 @dataclass(frozen=True)
@@ -16,6 +17,7 @@ class FittedModel:
     input: "window" or "features" (features/card.py). outputs: columns of the graph's row.
     original: graph inputs by name -> (B, K), what the exported graph must reproduce.
     summary: figures of the fit, for the record.
+    windows: what export is checked on where there are no recordings; None: the recordings' own.
     """
 
     name: str
@@ -26,3 +28,4 @@ class FittedModel:
     intervals: dict[str, Interval]
     validity: Validity
     summary: dict[str, float] = field(default_factory=dict)
+    windows: LabelledWindows | None = None
