@@ -101,13 +101,8 @@ def solve_atlas(
         for depth in range(len(grid.depth_mm))
         for line in wanted
     ]
-    store = (
-        None
-        if work is None
-        else LineStore(
-            work, [design_of(sensor), asdict(sensor.mesh), asdict(grid), [round(p, 9) for p, _ in levels]]
-        )
-    )
+    key = [design_of(sensor), asdict(sensor.mesh), asdict(grid), [round(p, 9) for p, _ in levels]]
+    store = None if work is None else LineStore(work, key)
     done = {} if store is None else store.finished(tasks)
     left = [task for task in tasks if task not in done]
     calls = [

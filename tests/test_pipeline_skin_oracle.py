@@ -4,29 +4,14 @@ import numpy as np
 import pytest
 
 from pipeline.sensor import Accelerometer, MeshSize, Sensor
-from pipeline.skin.mesh import Mesh, skin_mesh
+from pipeline.skin.felupe_path import board_elements, felupe_path
+from pipeline.skin.mesh import skin_mesh
 from pipeline.skin.solver import Skin
 from pipeline.skin.survey import gravity
 from pipeline.skin.system import Material
 
 fem = pytest.importorskip("felupe")
 SENSITIVITY_V_PER_G = 0.8
-
-
-def board_elements(mesh: Mesh) -> np.ndarray:
-    """(e, 8) the elements that the rigid board replaces, in the skin mesh's order of nodes."""
-    own = np.flatnonzero(mesh.board_of == 0)
-    x, y, z = (np.unique(mesh.nodes[own, i]) for i in range(3))
-    at = {tuple(np.round(mesh.nodes[n], 6)): n for n in own}
-    corners = ((0, 0), (1, 0), (1, 1), (0, 1))
-    return np.array(
-        [
-            [at[tuple(np.round((x[i + a], y[j + b], z[k + c]), 6))] for c in (0, 1) for a, b in corners]
-            for k in range(len(z) - 1)
-            for j in range(len(y) - 1)
-            for i in range(len(x) - 1)
-        ]
-    )
 
 
 def test_inflated_skin_and_board_agree_with_felupe():
@@ -66,3 +51,27 @@ def test_inflated_skin_and_board_agree_with_felupe():
     volts = SENSITIVITY_V_PER_G * (gravity(turned[None]) - gravity(ours.rotations))
     assert np.abs(SENSITIVITY_V_PER_G * gravity(ours.rotations)[0, 0]) > 0.08
     assert np.abs(volts[0, :2]).max() < 5e-5
+
+
+def test_a_slide_with_friction_agrees_with_felupe():
+    from scipy.sparse.linalg import spsolve
+
+    parts = (Accelerometer("a0", 5.0, 0.0),)
+    design = Sensor("s", 1000.0, (50.0, 50.0), 4.0, 6.0, 0.035, (5.0, 0.0), 5e-4, parts, mesh=MeshSize(5.0))
+    mesh, pressure = skin_mesh(design), 6e-4
+    skin = Skin(mesh, Material(0.07 / 3, 2.0, 0.2, 3.0))
+    inflated = skin.inflate(pressure)
+    centres = np.array([[x, 2.5, 4.0 + 3.0 - 0.6] for x in np.arange(-28.0, -8.0, 1.25)])
+    postures, _ = skin.slide(inflated, pressure, centres)
+    theirs = list(felupe_path(mesh, skin.material, pressure, centres, spsolve, [spsolve] * len(centres)))
+    own = mesh.board_of == 0
+    volts = []
+    for posture, places in zip([inflated, *postures], theirs, strict=True):
+        arms = [p[own] - p[own].mean(axis=0) for p in (mesh.nodes, places)]
+        turned = np.linalg.lstsq(*arms, rcond=None)[0].T
+        volts.append(
+            SENSITIVITY_V_PER_G * np.array([gravity(turned[None])[0], gravity(posture.rotations)[0]])
+        )
+    volts = np.array(volts)
+    assert np.ptp(volts[:, 1, 0]) > 0.08
+    assert np.abs(volts[:, 0] - volts[:, 1])[:, :2].max() < 5e-4
