@@ -205,6 +205,23 @@ def _parser() -> argparse.ArgumentParser:
     serve.add_argument("--fast", action="store_true", help="play a recording as fast as it goes")
     serve.set_defaults(run=_serve)
 
+    bench = commands.add_parser(
+        "bench",
+        help="measure the device's runtime",
+        description="Times of one decision (20 ms of samples in, an estimate out) in us, at rest and in a slide, each "
+        "beside a call of a one-node graph; import and first estimate in s; memory above numpy with ONNX Runtime in "
+        "MB; the bundle's size in kB. One thread. The last line is one JSON object.",
+    )
+    bench.add_argument("--model", type=Path, required=True, metavar="BUNDLE", help="a bundle from 'train'")
+    bench.add_argument(
+        "--decisions",
+        type=int,
+        default=300,
+        metavar="N",
+        help="times each is measured (default: %(default)s)",
+    )
+    bench.set_defaults(run=_bench)
+
     return parser
 
 
@@ -312,6 +329,17 @@ def _serve(arguments: argparse.Namespace) -> int:
         arguments.model, arguments.source, arguments.sink or ["-"], arguments.format, arguments.fast
     )
     print(f"softslide serve: {written} estimates", file=sys.stderr)
+    return 0
+
+
+def _bench(arguments: argparse.Namespace) -> int:
+    import json
+
+    from serve.bench import bench
+
+    if arguments.decisions < 1:
+        raise InputError(f"--decisions {arguments.decisions}: measure at least one")
+    print(json.dumps(bench(arguments.model, arguments.decisions)))
     return 0
 
 

@@ -23,6 +23,7 @@ from serve.clock import SampleClock
 
 # Share of a slide's blocks that older ones may stand in for before it is not believed.
 BRIDGED_SHARE = 0.05
+_OUTPUT = ["estimate"]
 
 
 class Localizer:
@@ -110,6 +111,19 @@ class Localizer:
         assert self._held is not None
         return replace(self._held[1], time_s=time_s)
 
+    @property
+    def state(self) -> State:
+        """What the stream shows now."""
+        return self._tracker.state
+
+    def window(self) -> Window | None:
+        """The slide so far, or the last one."""
+        return self._tracker.window()
+
+    def infer(self, inputs: dict[str, np.ndarray]) -> np.ndarray:
+        """The graph's row (K,) for one window's inputs."""
+        return self._session.run(_OUTPUT, inputs)[0][0]
+
     def inputs(self, window: Window) -> dict[str, np.ndarray]:
         """The graph's inputs for one window; overwritten by the next."""
         if self.card.input == "features":
@@ -121,7 +135,7 @@ class Localizer:
 
     def _estimate(self, window: Window, time_s: float) -> Estimate:
         tracker = self._tracker
-        row = self._session.run(None, self.inputs(window))[0][0]
+        row = self.infer(self.inputs(window))
         width = (
             float(energy_width_s(window.volts, np.asarray(window.elapsed_s)))
             if "log_speed_width" in self.card.outputs
