@@ -117,7 +117,7 @@ def read_card(path: Path) -> Card:
     if odd := sorted(set(table) ^ {f.name for f in fields(Card)}):
         raise InputError(f"{path}: key '{odd[0]}' is missing or unknown; export the bundle again")
     try:
-        limits = {k: math.inf if v is None else v for k, v in table["validity"].items()}
+        limits: dict[str, Any] = {k: math.inf if v is None else v for k, v in table["validity"].items()}
         limits["speed_mm_s"] = tuple(limits["speed_mm_s"])
         return Card(
             **{
