@@ -205,6 +205,19 @@ def _parser() -> argparse.ArgumentParser:
     serve.add_argument("--fast", action="store_true", help="play a recording as fast as it goes")
     serve.set_defaults(run=_serve)
 
+    export = commands.add_parser(
+        "export",
+        help="other shapes of a bundle",
+        description="int8: weights of convolutions and dense layers in 8 bits, refused where it costs accuracy; the "
+        "errors of both, in degrees (deg), percent (%) and mm, are shown. ort: ONNX Runtime's own format, with the "
+        "list of operators for a reduced build. c: plain C, refused for models whose graph has no such form (for now "
+        "all). Prints one JSON object.",
+    )
+    export.add_argument("--model", type=Path, required=True, metavar="BUNDLE", help="a bundle from 'train'")
+    export.add_argument("--to", required=True, choices=("int8", "ort", "c"), help="the shape")
+    export.add_argument("--out", type=Path, required=True, metavar="DIR", help="the bundle to write")
+    export.set_defaults(run=_export)
+
     bench = commands.add_parser(
         "bench",
         help="measure the device's runtime",
@@ -329,6 +342,16 @@ def _serve(arguments: argparse.Namespace) -> int:
         arguments.model, arguments.source, arguments.sink or ["-"], arguments.format, arguments.fast
     )
     print(f"softslide serve: {written} estimates", file=sys.stderr)
+    return 0
+
+
+def _export(arguments: argparse.Namespace) -> int:
+    import json
+
+    from models.shapes import export
+
+    print(json.dumps(export(arguments.model, arguments.to, arguments.out)))
+    print(f"softslide export: wrote {arguments.out}", file=sys.stderr)
     return 0
 
 

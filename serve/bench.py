@@ -75,6 +75,7 @@ def _times(localizer: Localizer, decisions: int) -> tuple[np.ndarray, ...]:
         times[1, n] = _seconds(lambda: session.run(None, one))
     done = 0
     while done < decisions:
+        before = done
         localizer.reset()
         for block in rest:
             localizer.push(block)
@@ -88,6 +89,8 @@ def _times(localizer: Localizer, decisions: int) -> tuple[np.ndarray, ...]:
             times[3, done] = _seconds(lambda inputs=inputs: localizer.infer(inputs))  # type: ignore[misc]
             times[4, done] = _seconds(lambda: session.run(None, one))
             done += 1
+        if done == before:
+            raise InputError("the card's conditioning finds no slide in a pass of 0.15 V; train it again")
     return tuple(times)
 
 

@@ -1,0 +1,55 @@
+"""Other shapes of a bundle run on the same runtime and give the same numbers, or are refused in one line."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from small_bundle import write_small_bundle
+from streams import a_sensor, pass_over, still, stream
+
+import softslide
+from serve.localizer import Localizer
+
+VOLTS = stream(still(0.6), pass_over(1.2), still(0.4))
+
+
+def offsets(bundle: Path) -> np.ndarray:
+    return np.array([estimate.offset_mm for estimate in Localizer.load(bundle).push(VOLTS)])
+
+
+def export(bundle: Path, shape: str, out: Path) -> int:
+    return softslide.main(["export", "--model", str(bundle), "--to", shape, "--out", str(out)])
+
+
+def test_ort_gives_the_same_numbers(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    bundle = write_small_bundle(tmp_path / "b", a_sensor(), offset_mm_per_v=50.0)
+    assert export(bundle, "ort", tmp_path / "out") == 0
+    told = json.loads(capsys.readouterr().out)
+    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == [
+        "model.json",
+        "model.ort",
+        "required_operators.config",
+    ]
+    assert any("Gemm" in line for line in told["operators"])
+    assert offsets(tmp_path / "out") == pytest.approx(offsets(bundle), abs=1e-5, nan_ok=True)
+
+
+def test_int8_shows_its_accuracy(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    bundle = write_small_bundle(tmp_path / "b", a_sensor(), offset_mm_per_v=50.0)
+    assert export(bundle, "int8", tmp_path / "out") == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["errors"].keys() == {"float32", "int8"}
+    card = json.loads((tmp_path / "out" / "model.json").read_text())
+    assert card["provenance"]["int8"] == told["errors"]
+    assert offsets(tmp_path / "out") == pytest.approx(offsets(bundle), abs=0.5, nan_ok=True)
+
+
+@pytest.mark.parametrize(("shape", "accelerometers"), [("c", 1), ("int8", 2)])
+def test_what_is_impossible_is_refused(
+    tmp_path: Path, shape: str, accelerometers: int, capsys: pytest.CaptureFixture
+) -> None:
+    bundle = write_small_bundle(tmp_path / "b", a_sensor(accelerometers))
+    assert export(bundle, shape, tmp_path / "out") == 2
+    assert len(capsys.readouterr().err.splitlines()) == 1
+    assert not (tmp_path / "out").exists()
