@@ -2,6 +2,7 @@
 
 import json
 import math
+import tracemalloc
 from dataclasses import astuple
 from itertools import pairwise
 from pathlib import Path
@@ -347,3 +348,32 @@ def test_another_graph_with_a_fitting_hash_is_refused(tmp_path: Path) -> None:
 def test_no_bundle_at_all(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no such file"):
         Localizer.load(tmp_path / "nothing")
+
+
+@pytest.mark.long
+def test_a_day_in_pieces_is_a_day(localizer: Localizer) -> None:
+    """86.4 million samples: the last hour as after a fresh start, and no memory kept."""
+    generator = np.random.default_rng(0)
+    hour = np.tile(TWO_SLIDES, (3_600_000 // len(TWO_SLIDES), 1))
+    localizer.reset()
+    told: list[list[tuple]] = []
+    tracemalloc.start()
+    try:
+        for _ in range(24):
+            estimates: list[Estimate] = []
+            begin = 0
+            while begin < len(hour):
+                end = begin + int(generator.integers(1, 200_000))
+                estimates = localizer.push(hour[begin:end]) or estimates
+                begin = end
+            told.append([tuple(map(repr, astuple(e)[1:13])) for e in estimates[-20:]])
+            del estimates
+            if len(told) == 1:
+                before = tracemalloc.get_traced_memory()[0]
+        assert tracemalloc.get_traced_memory()[0] - before < 1_000_000
+    finally:
+        tracemalloc.stop()
+    assert told[-1][-1][0] == told[0][-1][0]
+    localizer.reset()
+    whole = localizer.push(hour)[-1]
+    assert told[0][-1] == tuple(map(repr, astuple(whole)[1:13]))

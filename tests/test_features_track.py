@@ -1,0 +1,144 @@
+"""The tracker: batch equals stream, memory is bounded, what is no slide is none."""
+
+import tracemalloc
+
+import numpy as np
+import pytest
+from streams import pass_over, still, stream
+
+from features.conditioning import BlockMean, Conditioning
+from features.faults import BRIDGED_BLOCKS, FROZEN_BLOCKS, SignalWatch
+from features.track import SlideTracker, State, track
+
+CONDITIONING = Conditioning()
+
+
+def blocks(*parts: np.ndarray, accelerometers: int = 1, seed: int = 0) -> np.ndarray:
+    volts = stream(*parts, accelerometers=accelerometers, seed=seed)
+    return BlockMean(volts.shape[1], 20).push(volts)
+
+
+def run(tracker: SlideTracker, means: np.ndarray, healthy: np.ndarray | None = None) -> list[State]:
+    states = []
+    for mean in means:
+        tracker.push(mean, healthy)
+        states.append(tracker.state)
+    return states
+
+
+def test_the_batch_form_is_the_stream() -> None:
+    means = blocks(still(0.6), pass_over(2.0), still(0.6))
+    tracker = SlideTracker(CONDITIONING, 3)
+    for count, window in enumerate(track(means, CONDITIONING, np.arange(1, len(means) + 1)), 1):
+        tracker.push(means[count - 1])
+        streamed = tracker.window()
+        assert (window is None) == (streamed is None)
+        if window is not None and streamed is not None:
+            assert window.elapsed_s == streamed.elapsed_s
+            assert (window.volts == streamed.volts).all()
+
+
+@pytest.mark.parametrize("seconds", [1.0, 6.0, 40.0])
+def test_a_window_holds_the_slides_mean(seconds: float) -> None:
+    """Whatever the duration, the window's mean is the slide's: nothing measured is thrown away."""
+    means = blocks(still(0.6), pass_over(seconds)[: round(900 * seconds)])
+    tracker = SlideTracker(CONDITIONING, 3)
+    run(tracker, means)
+    window = tracker.window()
+    assert window is not None
+    taken = round(window.elapsed_s / CONDITIONING.block_s)
+    wanted = (means[-taken:] - tracker.static).mean(axis=0)
+    assert window.volts.mean(axis=1) == pytest.approx(wanted, abs=1e-6)
+
+
+def test_a_slide_after_a_slide_is_as_the_first() -> None:
+    slide = blocks(still(0.6), pass_over(1.5), still(0.8))
+    alone, after = SlideTracker(CONDITIONING, 3), SlideTracker(CONDITIONING, 3)
+    run(alone, slide)
+    run(after, np.concatenate([slide] * 3))
+    assert alone.final is not None
+    assert after.final is not None
+    assert after.final.elapsed_s == pytest.approx(alone.final.elapsed_s, abs=0.041)
+    assert after.final.volts == pytest.approx(alone.final.volts, abs=0.012)
+
+
+def test_a_touch_goes_back_to_what_was() -> None:
+    tracker = SlideTracker(CONDITIONING, 3)
+    run(tracker, blocks(still(0.6), pass_over(1.5), still(0.8)))
+    final = tracker.final
+    down = np.linspace(0, 1, 60)[:, None] * np.array([0.1, 0.06, 0.0])
+    states = run(tracker, blocks(down, still(1.5, down[-1]), down[::-1], still(0.6), seed=1))
+    assert states[-1] is State.ENDED
+    assert tracker.final is final
+
+
+def test_a_slide_without_an_end_is_given_up() -> None:
+    """A weak output that never returns is a zero that has moved, not a slide."""
+    short = Conditioning(longest_blocks=400)
+    tracker = SlideTracker(short, 3)
+    states = run(tracker, blocks(still(0.6), still(12.0, np.array([0.012, 0.0, 0.0]))))
+    assert State.SLIDE in states
+    assert states[-1] is State.REST
+    assert tracker.static[0] == pytest.approx(1.65 + 0.012, abs=0.002)
+
+
+def test_after_a_loss_nothing_begins_until_rest_is_found() -> None:
+    tracker = SlideTracker(CONDITIONING, 3)
+    means = blocks(still(0.6), pass_over(2.0), still(0.8))
+    run(tracker, means[:60])
+    run(tracker, means[60:70], np.array([False]))
+    states = run(tracker, means[70:])
+    assert set(states) == {State.REST}
+    assert tracker.window() is None
+    assert run(tracker, blocks(pass_over(1.5), still(0.6), seed=2))[-1] is State.ENDED
+
+
+def test_one_of_two_may_die_and_come_back() -> None:
+    tracker = SlideTracker(CONDITIONING, 6)
+    means = blocks(still(0.6), pass_over(1.5), still(1.2), accelerometers=2)
+    run(tracker, means[:60])
+    run(tracker, means[60:], np.array([True, False]))
+    assert tracker.usable.tolist() == [True, False]
+    assert tracker.final is not None
+    assert (tracker.final.volts[3:] == 0).all()
+    run(tracker, means)
+    assert tracker.usable.tolist() == [True, True]
+
+
+def test_the_watch_bridges_shortly_and_then_gives_up() -> None:
+    watch = SignalWatch(np.zeros(3), np.full(3, 3.3), np.array([True, True, False]))
+    good = stream(still(0.02))
+    wanted = watch.push(good).mean
+    lost = np.full((20, 3), np.nan)
+    for n in range(BRIDGED_BLOCKS + 3):
+        judged = watch.push(lost)
+        assert (judged.mean == wanted).all()
+        assert judged.bridged.all()
+        assert judged.healthy.all() == (n < BRIDGED_BLOCKS)
+    assert watch.push(good).healthy.all()
+
+
+def test_a_frozen_channel_is_told_from_a_quiet_stream() -> None:
+    watch = SignalWatch(np.zeros(3), np.full(3, 3.3), np.array([True, True, False]))
+    for _ in range(3 * FROZEN_BLOCKS):
+        assert watch.push(np.full((20, 3), 1.7)).healthy.all()
+    frozen = stream(still(0.02))
+    for n in range(2 * FROZEN_BLOCKS):
+        frozen[:, 0] = 1.0
+        frozen[:, 1] = 1.65 + 0.001 * np.arange(20) + n * 1e-4
+        healthy = watch.push(frozen).healthy.all()
+    assert not healthy
+
+
+def test_memory_does_not_grow() -> None:
+    tracker = SlideTracker(CONDITIONING, 3)
+    means = blocks(still(0.6), pass_over(3.0), still(0.8))
+    run(tracker, means)
+    tracemalloc.start()
+    try:
+        run(tracker, np.tile(means, (5, 1)))
+        before = tracemalloc.get_traced_memory()[0]
+        run(tracker, np.tile(means, (20, 1)))
+        assert tracemalloc.get_traced_memory()[0] - before < 20_000
+    finally:
+        tracemalloc.stop()
