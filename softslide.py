@@ -220,12 +220,16 @@ def _parser() -> argparse.ArgumentParser:
 
     bench = commands.add_parser(
         "bench",
-        help="measure the device's runtime",
-        description="Times of one decision (20 ms of samples in, an estimate out) in us, at rest and in a slide, each "
-        "beside a call of a one-node graph; import and first estimate in s; memory above numpy with ONNX Runtime in "
-        "MB; the bundle's size in kB. One thread. The last line is one JSON object.",
+        help="the benchmark suite",
+        description="Without a bundle, the skin: the solver against FElupe, a slide, two workers, the synthetic signal "
+        "(positions a core-second, times real time; minutes). With one, the device's runtime: one decision (20 ms of "
+        "samples in, an estimate out) in us, at rest and in a slide, each beside a call of a one-node graph; import "
+        "and first estimate in s; memory above numpy with ONNX Runtime in MB; the bundle's size in kB. One thread. "
+        "The last line is one JSON object.",
     )
-    bench.add_argument("--model", type=Path, required=True, metavar="BUNDLE", help="a bundle from 'train'")
+    bench.add_argument(
+        "--model", type=Path, metavar="BUNDLE", help="a bundle from 'train' (default: the skin)"
+    )
     bench.add_argument(
         "--decisions",
         type=int,
@@ -358,6 +362,11 @@ def _export(arguments: argparse.Namespace) -> int:
 def _bench(arguments: argparse.Namespace) -> int:
     import json
 
+    if arguments.model is None:
+        from pipeline.benchmarks import run_all
+
+        print(json.dumps(run_all()))
+        return 0
     from serve.bench import bench
 
     if arguments.decisions < 1:

@@ -1,11 +1,9 @@
 """What making data costs: the skin's solver beside FElupe, workers, memory, synthetic signal.
 
 Every benchmark runs on one thread and returns its figures by name; `BENCHMARKS` lists them. The environment is to say
-OMP_NUM_THREADS=1 before Python starts, so that no library takes more. Run alone, as `python -m pipeline.benchmarks`,
-the last line is one JSON object.
+OMP_NUM_THREADS=1 before Python starts, so that no library takes more.
 """
 
-import json
 import resource
 import sys
 import time
@@ -141,9 +139,10 @@ def _peak_mb(sensor: Sensor) -> float:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 
 
-if __name__ == "__main__":
+def run_all() -> dict[str, float]:
+    """Every benchmark's figures, to four digits; says on standard error which is under way."""
     figures: dict[str, float] = {}
     for name, benchmark in BENCHMARKS.items():
-        print(name, file=sys.stderr)
+        print(f"softslide bench: {name}", file=sys.stderr)
         figures |= benchmark()
-    print(json.dumps({key: float(f"{value:.4g}") for key, value in figures.items()}))
+    return {key: float(f"{value:.4g}") for key, value in figures.items()}
