@@ -48,16 +48,16 @@ class SignalWatch:
 
     def push(self, samples: np.ndarray) -> Judged:
         """samples: (S, C) V, one block."""
-        low, high = samples.min(axis=0), samples.max(axis=0)
+        low, high = np.minimum.reduce(samples), np.maximum.reduce(samples)
         inside = bool(((low >= self._low) & (high <= self._high)).all())
         still = (low == high) & (high == self._level)
         self._level = high
         if inside and self._clear and not still.any():
-            self._mean = samples.mean(axis=0)
+            self._mean = np.add.reduce(samples) / len(samples)
             return Judged(self._mean, self._fine.healthy, self._fine.bridged)
         missed = np.zeros_like(still)
         if inside:
-            self._mean = samples.mean(axis=0)
+            self._mean = np.add.reduce(samples) / len(samples)
         else:
             self._mean, missed = self._mean_of_good(samples)
         # A whole stream that stands still shows nothing, and claims nothing.

@@ -94,8 +94,8 @@ class SlideTracker:
         if dead is not None:
             self._filled[dead] = 0
         ready = (self._filled >= memory) & (self._rested >= 2 * memory)
-        zero = self.static if self._stop_level is None else self._stop_level
-        away = np.abs(self._recent.mean(axis=0) - zero) > self.conditioning.trigger_v
+        distance = np.abs(self._level() - (self.static if self._stop_level is None else self._stop_level))
+        away = distance > self.conditioning.trigger_v
         if self._lost:
             self._find_rest(ready & ~away)
         elif (away & ready)[self.tilt].any():
@@ -104,9 +104,13 @@ class SlideTracker:
             resting = self._filled > memory
             self._rested += resting
             # The first rise of a slow slide must not pass for drift of the zero, or the zero runs after it.
-            calm = np.abs(self._recent.mean(axis=0) - self.static) <= self.conditioning.calm_v
+            calm = distance <= self.conditioning.calm_v
             pace = np.where(calm | (self._rested < 10 * memory), 1.0, 0.1)
-            step = pace * (oldest - self.static) / np.clip(self._rested, 1, self.conditioning.rest_blocks)
+            step = (
+                pace
+                * (oldest - self.static)
+                / np.minimum(np.maximum(self._rested, 1), self.conditioning.rest_blocks)
+            )
             self.static += np.where(resting, step, 0.0)
         else:
             self._stopped += 1
@@ -120,6 +124,10 @@ class SlideTracker:
         if self._blocks < self.conditioning.least_blocks:
             return None
         return self._window(self._blocks)
+
+    def _level(self) -> np.ndarray:
+        """(C,) V: mean of the last `trigger_blocks` blocks."""
+        return np.add.reduce(self._recent, axis=0) / len(self._recent)
 
     def _drop(self, dead: np.ndarray) -> None:
         """Takes the accelerometers of the dead channels (C,) out of use."""
@@ -141,7 +149,7 @@ class SlideTracker:
         if near[self.tilt].all():
             self._lost = False
             return
-        level = self._recent.mean(axis=0)[self.tilt]
+        level = self._level()[self.tilt]
         if self._anchor is None or np.abs(level - self._anchor).max() > self.conditioning.release_v:
             self._anchor, self._stood = level, 0
         self._stood += 1
@@ -207,7 +215,7 @@ class SlideTracker:
         c = self.conditioning
         if self._moved or self._blocks < c.touch_blocks:
             return
-        level = self._recent.mean(axis=0)[self._watched] - self.static[self._watched]
+        level = self._level()[self._watched] - self.static[self._watched]
         if self._touched is None or len(self._touched) != len(level):
             self._touched = level
         # Lifting off shrinks every output alike; that is no motion over the skin either.
@@ -215,7 +223,7 @@ class SlideTracker:
         self._moved = bool(np.abs(level - shrunk).max() > max(c.trigger_v, TOUCH_CHANGE * self._peak))
         strong = np.abs(self._touched).max() > TOUCH_TRIGGERS * c.trigger_v
         if not self._moved and strong and self._blocks >= 4 * c.touch_blocks:
-            self._end(self._blocks, self._recent.mean(axis=0) - self.static)
+            self._end(self._blocks, self._level() - self.static)
 
     def _watch_end(self) -> None:
         """Ends the slide when the contact has left the dome, or has come to a stop on it."""

@@ -149,7 +149,14 @@ class Localizer:
             and (self.card.input == "window" or bool(tracker.usable.all()))
         )
         drift = self._drift.read(tracker.static, tracker.usable)
-        return replace(estimate, valid=believed, accelerometers=int(tracker.usable.sum()), **vars(drift))
+        return Estimate(
+            **{
+                **vars(estimate),
+                "valid": believed,
+                "accelerometers": int(tracker.usable.sum()),
+                **vars(drift),
+            }
+        )
 
     def _whole_blocks(self, volts: np.ndarray, time_s: np.ndarray | None) -> Iterator[np.ndarray]:
         volts, time_s = self._checked(volts, time_s)
