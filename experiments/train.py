@@ -62,8 +62,8 @@ def train(
     whole = read_folder(recordings)
     folder = whole.select("calibration", "train").labelled()
     settings = configured(change(default_config(model)), config)
-    design = _design(folder, atlas) if model == "cnn" or atlas is not None else None
     start = None if init is None else _graph_to_go_on_from(init)
+    design = _design(folder, atlas) if model == "cnn" or atlas is not None else None
     check_replaceable(out, BUNDLE_FILES)
     configuration = {
         "model": model,
