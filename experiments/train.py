@@ -63,8 +63,8 @@ def train(
     folder = whole.select("calibration", "train").labelled()
     settings = configured(change(default_config(model)), config)
     start = None if init is None else _graph_to_go_on_from(init)
-    design = _design(folder, atlas) if model == "cnn" or atlas is not None else None
     check_replaceable(out, BUNDLE_FILES)
+    design = _design(folder, atlas) if model == "cnn" or atlas is not None else None
     configuration = {
         "model": model,
         "recordings": str(recordings),
