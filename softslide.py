@@ -10,7 +10,8 @@ from features.errors import InputError
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Runs one subcommand. Returns 0 on success, 2 on bad usage or input, 1 on a bound not met or a failure."""
+    """Runs one subcommand. Returns 0 on success, 2 on bad usage or input, 1 on a bound not met or a failure, and
+    130 on Ctrl-C."""
     arguments = _parser().parse_args(argv)
     try:
         return arguments.run(arguments)
@@ -20,6 +21,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
+    except KeyboardInterrupt:
+        print(f"softslide {arguments.command}: interrupted", file=sys.stderr)
+        return 130
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -203,6 +207,12 @@ def _parser() -> argparse.ArgumentParser:
         "float32 frames, one number a channel (default: %(default)s)",
     )
     serve.add_argument("--fast", action="store_true", help="play a recording as fast as it goes")
+    serve.add_argument(
+        "--page",
+        metavar="[HOST:]PORT",
+        help="show the stream on a live page as well (needs the live extra); without HOST this machine alone "
+        "reaches it, port 0 is any that is free; open it before a recording is played: it waits and comes back",
+    )
     serve.set_defaults(run=_serve)
 
     export = commands.add_parser(
@@ -210,8 +220,9 @@ def _parser() -> argparse.ArgumentParser:
         help="other shapes of a bundle",
         description="int8: weights of convolutions and dense layers in 8 bits, refused where it costs accuracy; the "
         "errors of both, in degrees (deg), percent (%) and mm, are shown. ort: ONNX Runtime's own format, with the "
-        "list of operators for a reduced build. c: plain C, refused for models whose graph has no such form (for now "
-        "all). Prints one JSON object.",
+        "list of operators for a reduced build. c: model.c and model.h in C99 that needs nothing but math.h, one "
+        "function from a window to the estimate, with check.c that works the card's example on the target; constants "
+        "and static memory in kB are shown. Prints one JSON object.",
     )
     export.add_argument("--model", type=Path, required=True, metavar="BUNDLE", help="a bundle from 'train'")
     export.add_argument("--to", required=True, choices=("int8", "ort", "c"), help="the shape")
@@ -343,7 +354,12 @@ def _serve(arguments: argparse.Namespace) -> int:
 
     print(f"softslide serve: {arguments.source}; stop with Ctrl-C", file=sys.stderr)
     written = serve(
-        arguments.model, arguments.source, arguments.sink or ["-"], arguments.format, arguments.fast
+        arguments.model,
+        arguments.source,
+        arguments.sink or ["-"],
+        arguments.format,
+        arguments.fast,
+        arguments.page,
     )
     print(f"softslide serve: {written} estimates", file=sys.stderr)
     return 0

@@ -66,6 +66,11 @@ class SlideTracker:
         return self._rested[::3] >= 2 * self.conditioning.trigger_blocks
 
     @property
+    def subtracted(self) -> np.ndarray:
+        """(C,) V: the last block less the static output."""
+        return self._recent[-1] - self.static
+
+    @property
     def moved(self) -> bool:
         """Whether the signal has gone on changing since the trigger, as a slide's does and a touch's does not."""
         return self._moved

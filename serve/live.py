@@ -1,54 +1,76 @@
-"""The device at work: samples from a source, estimates to sinks, until the source ends or somebody stops it."""
+"""The device at work: samples from a source, estimates to sinks and the page, until the source ends or is stopped."""
 
 import signal
+import sys
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 from types import FrameType
 from typing import Any
 
 from features.errors import InputError
+from serve.framing import Chunk
 from serve.localizer import Localizer
+from serve.server import Page
 from serve.sinks import Sink, open_sink
 from serve.sources import open_source
 
 
-def serve(bundle: Path, source: str, sinks: Sequence[str], form: str = "csv", fast: bool = False) -> int:
+def serve(
+    bundle: Path,
+    source: str,
+    sinks: Sequence[str],
+    form: str = "csv",
+    fast: bool = False,
+    page: str | None = None,
+) -> int:
     """Streams until the source ends, or SIGINT or SIGTERM comes. Returns the number of estimates written.
 
     source, sinks: as in serve/sources.py and serve/sinks.py. form: of bytes from outside, csv or f32.
-    fast: play a recording back as fast as it goes.
+    fast: play a recording back as fast as it goes. page: [HOST:]PORT of the live page, None for none.
 
     Raises:
-        InputError: the bundle, the source or a sink is not what it should be.
+        InputError: the bundle, the source, a sink or the page's place is not what it should be.
     """
     localizer = Localizer.load(bundle)
-    opened: list[Sink] = []
-    try:
-        opened += [open_sink(name) for name in sinks]
-        return _stream(localizer, source, opened, form, fast)
-    finally:
-        for sink in opened:
-            sink.close()
-
-
-def _stream(localizer: Localizer, source: str, sinks: Sequence[Sink], form: str, fast: bool) -> int:
     written = 0
-    with _stoppable() as stopped:
-        for chunk in open_source(source, localizer.card, form, fast):
+    with _stoppable() as stopped, ExitStack() as held:
+        opened = [held.enter_context(closing(open_sink(name))) for name in sinks]
+        shown = None if page is None else held.enter_context(closing(Page(page, localizer.card, source)))
+        chunks = open_source(source, localizer.card, form, fast)
+        if shown is not None:
+            print(f"softslide serve: the page is at {shown.address}", file=sys.stderr, flush=True)
+        for chunk in chunks:
             if stopped:
                 break
-            if not chunk:
-                continue
             try:
-                estimates = localizer.push(*chunk)
+                written += _hand_on(localizer, chunk, opened, shown)
             except InputError as error:
                 raise InputError(f"--source {source}: {error}") from None
-            for estimate in estimates:
-                for sink in sinks:
-                    sink.write(estimate)
-            written += len(estimates)
     return written
+
+
+def _hand_on(localizer: Localizer, chunk: Chunk | tuple[()], sinks: Sequence[Sink], page: Page | None) -> int:
+    """One chunk's estimates to the sinks and the page; their number."""
+    written = 0
+    for piece in _pieces(chunk, localizer.card.samples_per_block):
+        estimates = localizer.push(*piece)
+        for estimate in estimates:
+            for sink in sinks:
+                sink.write(estimate)
+        if page is not None and estimates:
+            page.show(estimates[-1], localizer.subtracted)
+        written += len(estimates)
+    return written
+
+
+def _pieces(chunk: Chunk | tuple[()], size: int) -> Iterator[Chunk]:
+    """A chunk in pieces that finish a block each, so that what is subtracted is of the estimate's own moment."""
+    if not chunk:
+        return
+    volts, time_s = chunk
+    for begin in range(0, len(volts), size):
+        yield volts[begin : begin + size], None if time_s is None else time_s[begin : begin + size]
 
 
 @contextmanager

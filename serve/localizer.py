@@ -116,6 +116,12 @@ class Localizer:
         """What the stream shows now."""
         return self._tracker.state
 
+    @property
+    def subtracted(self) -> np.ndarray:
+        """(C,) V: the last block's mean less the static output; NaN where that is not known."""
+        known = np.repeat(self._tracker.known & self._healthy, 3)
+        return np.where(known, self._tracker.subtracted, np.nan)
+
     def window(self) -> Window | None:
         """The slide so far, or the last one."""
         return self._tracker.window()

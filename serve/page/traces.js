@@ -1,0 +1,103 @@
+// Subtracted output of each accelerometer over the last seconds: V_x, V_y, V_z in mV.
+import { colours, number, prepared, stroke, write } from "./canvas.js";
+
+const WINDOW_S = 30;
+const LEFT_PX = 44;
+const TOP_PX = 8;
+const BOTTOM_PX = 22;
+const TICK_PX = 60;
+const STEP_PX = 20;
+// What noise alone shows; less than this is not blown up.
+const LEAST_MV = 20;
+const AXES = ["x", "y", "z"];
+
+// Keeps the frames of the last WINDOW_S; a clock that runs back begins anew.
+export class Traces {
+  constructor(section, accelerometers) {
+    this.rows = [];
+    this.panels = accelerometers.map((board) => panel(section, board));
+  }
+
+  push({ time_s, state, subtracted_v }) {
+    if (this.rows.length && time_s < this.rows.at(-1).time_s) this.rows = [];
+    this.rows.push({ time_s, state, mv: Array.from(subtracted_v, (v) => 1000 * v) });
+    while (this.rows[0].time_s < time_s - WINDOW_S) this.rows.shift();
+  }
+
+  draw() {
+    const latest = this.rows.at(-1);
+    if (!latest) return;
+    let most = LEAST_MV;
+    for (const row of this.rows) for (const mv of row.mv) if (Math.abs(mv) > most) most = Math.abs(mv);
+    this.panels.forEach(({ canvas, values }, board) => {
+      values.forEach((value, axis) => { value.textContent = number(latest.mv[3 * board + axis]); });
+      drawPanel(canvas, this.rows, 3 * board, most);
+    });
+  }
+}
+
+function panel(section, board) {
+  const figure = document.createElement("figure");
+  const caption = figure.appendChild(document.createElement("figcaption"));
+  const title = caption.appendChild(document.createElement("b"));
+  title.textContent = `${board.name} at (${number(board.x_mm, 1)}, ${number(board.y_mm, 1)}) mm`;
+  const values = AXES.map((axis) => {
+    const item = caption.appendChild(document.createElement("span"));
+    item.style.color = `var(--${axis})`;
+    item.append("V", Object.assign(document.createElement("sub"), { textContent: axis }), " ");
+    const value = item.appendChild(document.createElement("span"));
+    item.append(" mV");
+    return value;
+  });
+  const canvas = figure.appendChild(document.createElement("canvas"));
+  canvas.setAttribute("role", "img");
+  canvas.setAttribute("aria-label", `Subtracted output of ${board.name} over the last ${WINDOW_S} s`);
+  section.append(figure);
+  return { canvas, values };
+}
+
+function drawPanel(canvas, rows, first, most) {
+  const { context, width, height } = prepared(canvas);
+  const ink = colours();
+  const end = rows.at(-1).time_s;
+  const floor = height - BOTTOM_PX;
+  const middle = (TOP_PX + floor) / 2;
+  const x = (time_s) => width - (end - time_s) / WINDOW_S * (width - LEFT_PX);
+  const y = (mv) => middle - mv / most * (middle - TOP_PX);
+
+  slides(context, rows, x, floor, ink.chamber);
+  const every = [5, 10, 15].find((s) => s / WINDOW_S * (width - LEFT_PX) > TICK_PX) ?? WINDOW_S;
+  for (let ago = 0; ago <= WINDOW_S; ago += every) {
+    stroke(context, [[x(end - ago), 0], [x(end - ago), floor]], ink.line);
+    const align = ago === 0 ? "right" : "center";
+    write(context, ago === 0 ? "now" : `−${ago} s`, x(end - ago), floor + 13, ink.soft, align);
+  }
+  const step = niceStep(most * STEP_PX / (middle - TOP_PX));
+  for (let mv = -step * Math.floor(most / step); mv <= most; mv += step) {
+    stroke(context, [[LEFT_PX, y(mv)], [width, y(mv)]], mv === 0 ? ink.soft : ink.line);
+    write(context, number(mv), LEFT_PX - 6, y(mv), ink.soft, "right");
+  }
+  for (const axis of [2, 1, 0]) {
+    stroke(context, rows.map((row) => [x(row.time_s), y(row.mv[first + axis])]), ink[AXES[axis]], 1.5);
+  }
+}
+
+// Shades the time in which something slid.
+function slides(context, rows, x, floor, colour) {
+  context.fillStyle = colour;
+  let begun = null;
+  for (const { state, time_s } of [...rows, { state: "", time_s: rows.at(-1).time_s }]) {
+    if (state === "slide") begun ??= time_s;
+    else if (begun !== null) {
+      context.fillRect(x(begun), 0, x(time_s) - x(begun), floor);
+      begun = null;
+    }
+  }
+}
+
+// 1, 2 or 5 times a power of ten, at least `least`.
+function niceStep(least) {
+  const power = 10 ** Math.floor(Math.log10(least));
+  return power * [1, 2, 5, 10].find((factor) => factor * power >= least);
+}
+
