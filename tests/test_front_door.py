@@ -2,8 +2,10 @@
 
 import importlib
 import json
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pandas as pd
@@ -166,6 +168,19 @@ def test_every_option_of_every_command_is_explained() -> None:
             if action.default not in (None, False, "==SUPPRESS==") and action.option_strings:
                 shown = parser._get_formatter()._expand_help(action)
                 assert "default" in shown, f"{name} {action.option_strings}: {shown}"
+
+
+def test_ctrl_c_is_one_line_and_130(tmp_path: Path) -> None:
+    command = [sys.executable, str(HERE / "softslide.py"), "synthesize", "--slides", "100000"]
+    with subprocess.Popen([*command, "--out", str(tmp_path / "out")], stderr=subprocess.PIPE) as running:
+        while not list(tmp_path.iterdir()):
+            time.sleep(0.05)
+        running.send_signal(signal.SIGINT)
+        _, error = running.communicate(timeout=60)
+    assert running.returncode == 130
+    assert error.decode().splitlines()[-1] == "softslide synthesize: interrupted"
+    assert b"Traceback" not in error
+    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize("arguments", [[], ["dance"], ["evaluate"], ["predict", "--model", "b"]])

@@ -42,6 +42,8 @@ class Pardiso:
     """LDL^T by MKL, through the library that pypardiso finds; on the calling thread alone."""
 
     def __init__(self) -> None:
+        # First: `__del__` asks for it even where the rest fails.
+        self._upper: sparse.csr_matrix | None = None
         from pypardiso import PyPardisoSolver
 
         with warnings.catch_warnings():
@@ -50,7 +52,6 @@ class Pardiso:
         self._mkl.libmkl.MKL_Set_Num_Threads(1)
         for place, value in {1: 1, 2: 2, 8: 0, 10: 8, 11: 0, 13: 0, 21: 1, 24: 0, 35: 1}.items():
             self._mkl.iparm[place - 1] = value
-        self._upper: sparse.csr_matrix | None = None
         self._room = np.zeros(0)
 
     def factor(self, upper: sparse.csr_matrix) -> None:
