@@ -248,6 +248,12 @@ def _parser() -> argparse.ArgumentParser:
         metavar="N",
         help="times each is measured (default: %(default)s)",
     )
+    bench.add_argument(
+        "--page",
+        action="store_true",
+        help="what the live page costs instead (needs the live extra): share of a core, ms that estimates and frames "
+        "are late, for the stream alone and with 0, 1 and 4 viewers, each over N estimates",
+    )
     bench.set_defaults(run=_bench)
 
     return parser
@@ -379,14 +385,21 @@ def _bench(arguments: argparse.Namespace) -> int:
     import json
 
     if arguments.model is None:
+        if arguments.page:
+            raise InputError("--page: name a bundle with --model")
         from pipeline.benchmarks import run_all
 
         print(json.dumps(run_all()))
         return 0
-    from serve.bench import bench
-
     if arguments.decisions < 1:
         raise InputError(f"--decisions {arguments.decisions}: measure at least one")
+    if arguments.page:
+        from serve.page_bench import bench_page
+
+        print(json.dumps(bench_page(arguments.model, arguments.decisions)))
+        return 0
+    from serve.bench import bench
+
     print(json.dumps(bench(arguments.model, arguments.decisions)))
     return 0
 

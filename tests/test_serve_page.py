@@ -214,6 +214,16 @@ def test_without_the_extra_it_says_so(
     assert "softslide[live]" in capsys.readouterr().err
 
 
+def test_what_the_page_costs(bundle: Path, capsys: pytest.CaptureFixture) -> None:
+    assert softslide.main(["bench", "--model", str(bundle), "--page", "--decisions", "50"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert list(told) == ["alone", "viewers_0", "viewers_1", "viewers_4"]
+    assert 0 < told["alone"]["core_share"] < 1
+    assert 5 < told["viewers_4"]["frames_a_second"] <= 42
+    for name, late in ((n, l) for n, case in told.items() for l in case.values() if isinstance(l, dict)):
+        assert 0 < late["median_ms"] <= late["p99_ms"], name
+
+
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Browser]:
     if CHROMIUM is None:
