@@ -142,6 +142,18 @@ def _parser() -> argparse.ArgumentParser:
     train.add_argument("--out", type=Path, required=True, metavar="BUNDLE", help="where the bundle goes")
     train.set_defaults(run=_train)
 
+    sweep = commands.add_parser(
+        "sweep",
+        help="a tracked hyperparameter search",
+        description="Searches a model's settings for the least errors on calibration lines held out of the fit; test "
+        "splits are never read. FILE names model, recordings, atlas (if any), a table budget (trials, seconds of one "
+        "call, workers), a table settings that holds in every trial, and a table space: the settings' keys, each "
+        "{ low, high, log } or a list of choices. Prints the best settings as TOML for 'train --config'. Trials are "
+        "kept beside FILE, as .journal, and in MLflow; stopped at any moment, the same command goes on.",
+    )
+    sweep.add_argument("--config", type=Path, required=True, metavar="FILE", help="the sweep as TOML")
+    sweep.set_defaults(run=_sweep)
+
     evaluate = commands.add_parser(
         "evaluate",
         help="score a bundle on a folder of recordings against the article's bounds",
@@ -331,6 +343,13 @@ def _train(arguments: argparse.Namespace) -> int:
         return 1
     print(f"softslide train: run {done.run.identifier} in {done.run.store}", file=sys.stderr)
     print(done.bundle)
+    return 0
+
+
+def _sweep(arguments: argparse.Namespace) -> int:
+    from experiments.sweep import sweep
+
+    print(sweep(arguments.config), end="")
     return 0
 
 

@@ -64,7 +64,7 @@ def train(
     settings = configured(change(default_config(model)), config)
     start = None if init is None else _graph_to_go_on_from(init)
     check_replaceable(out, BUNDLE_FILES)
-    design = _design(folder, atlas) if model == "cnn" or atlas is not None else None
+    design = design_of(folder, atlas) if model == "cnn" or atlas is not None else None
     configuration = {
         "model": model,
         "recordings": str(recordings),
@@ -110,7 +110,7 @@ def _graph_to_go_on_from(bundle: Path) -> onnx.ModelProto:
     return read_graph(bundle)
 
 
-def _design(folder: Folder, atlas: Path | None) -> Atlas | None:
+def design_of(folder: Folder, atlas: Path | None) -> Atlas | None:
     """The atlas of the sensor's design; None if it cannot be had and there are recordings to go on.
 
     Raises:
