@@ -171,7 +171,7 @@ def test_every_option_of_every_command_is_explained() -> None:
 
 
 def test_ctrl_c_is_one_line_and_130(tmp_path: Path) -> None:
-    command = [sys.executable, str(HERE / "softslide.py"), "synthesize", "--slides", "100000"]
+    command = [sys.executable, str(HERE / "softslide.py"), "synthesize", "--slides", "500"]
     with subprocess.Popen([*command, "--out", str(tmp_path / "out")], stderr=subprocess.PIPE) as running:
         while not list(tmp_path.iterdir()):
             time.sleep(0.05)
