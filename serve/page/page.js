@@ -81,7 +81,7 @@ follow({
     trace = [];
     byId("traces").replaceChildren();
     traces = new Traces(byId("traces"), names.sensor.accelerometers);
-    byId("about").textContent = `${names.sensor.name}, ${names.model}, ${names.source}`;
+    byId("about").textContent = `${names.sensor.name}, ${names.model}, ${names.source === "-" ? "standard input" : names.source}`;
     drawSoon();
   },
   frame(record) {
