@@ -38,6 +38,15 @@ class CalibrationConfig:
     shift_sd_mm: float = 0.1
     iterations: int = 4
 
+    def stiffened(self, times: float) -> "CalibrationConfig":
+        """The same with every penalty on the map so many times as large."""
+        return replace(
+            self,
+            smooth_mean=times * self.smooth_mean,
+            smooth_friction=times * self.smooth_friction,
+            near_prior=times * self.near_prior,
+        )
+
 
 @dataclass(frozen=True)
 class CalibrationSlide:

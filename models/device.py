@@ -1,7 +1,7 @@
 """From a design and a device's slides to its response map: from the atlas, from recordings, or from both.
 
-Where both ways are open, the one that predicts held-out lines better is taken: a coarse or foreign atlas must not
-spoil what many recordings tell, and few recordings need the atlas.
+Of the ways that are open, the one that predicts held-out lines best is taken: a coarse or foreign atlas must not
+spoil what many recordings tell, and few recordings need the atlas, and need to keep close to it.
 """
 
 from collections.abc import Callable
@@ -18,9 +18,15 @@ from pipeline.atlas import Atlas
 from pipeline.sensor import Sensor
 
 FOLDS = 4
+HELD_OUT_ITERATIONS = 2  # fewer alternations will do where only the errors are wanted
 LEAST_ALONE = 24  # slides; fewer leave the map without an atlas full of holes
+STIFFNESS = (
+    30.0,
+    5.0,
+    1.0,
+)  # times the penalties on what moves the map away from its prior; first: where in doubt
 
-Fit = Callable[[list[CalibrationSlide], int], tuple[ResponseMap, dict[str, float]]]
+Fit = Callable[[list[CalibrationSlide], ResponseMap | None, int], tuple[ResponseMap, dict[str, float]]]
 
 
 @dataclass(frozen=True)
@@ -45,55 +51,65 @@ def device_maps(
         InputError: neither an atlas nor enough slides.
     """
     depth = float(np.median([s.depth_mm for s in slides])) if slides else 0.5
-
-    blank = blank_map(sensor, depth)
-    if atlas is not None and slides:
-        # Recordings of one depth say nothing of others: that part is the design's in any case.
-        blank = replace(blank, depth_slope=device_map(atlas, sensor, slides, depth, spread)[0].depth_slope)
-
-    def alone(part: list[CalibrationSlide], iterations: int) -> tuple[ResponseMap, dict[str, float]]:
-        return calibrate(part, blank, False, replace(config, iterations=iterations))
-
-    def informed(part: list[CalibrationSlide], iterations: int) -> tuple[ResponseMap, dict[str, float]]:
-        assert atlas is not None
-        prior, moved = device_map(atlas, sensor, part, depth, spread)
-        if not part:
-            return prior, moved
-        response, report = calibrate(part, prior, True, replace(config, iterations=iterations))
-        return response, moved | report
-
-    ways: dict[bool, Fit] = {}
-    if atlas is not None:
-        ways[True] = informed
-    if len(slides) >= LEAST_ALONE:
-        ways[False] = alone
-    if not ways:
+    if atlas is None and len(slides) < LEAST_ALONE:
         raise InputError(
             f"{sensor.name}: {len(slides)} labelled slides and no atlas; record at least {LEAST_ALONE}, "
             "or name an atlas that 'softslide simulate' made"
         )
-    held = {way: _held_out(slides, fit) if len(slides) >= 2 * FOLDS else [] for way, fit in ways.items()}
-    left = {way: _residual_share(slides, maps) for way, maps in held.items()}
-    best = min(ways, key=lambda way: left[way])
-    response, summary = ways[best](slides, config.iterations)
-    shares = {
-        f"heldout_residual_{'atlas' if way else 'alone'}": share for way, share in left.items() if held[way]
+    parts, unseen = _parts(slides)
+    moved = [(None, {}) if atlas is None else device_map(atlas, sensor, p, depth, spread) for p in parts]
+    priors = [prior for prior, _ in moved]
+    ways = _ways(len(slides), blank_map(sensor, depth), atlas is not None, config)
+    held = {
+        name: [fit(part, prior, HELD_OUT_ITERATIONS)[0] for part, prior in zip(parts, priors, strict=True)][
+            1:
+        ]
+        for name, fit in ways.items()
     }
-    return DeviceMaps(response, held[best], summary | shares | {"from_atlas": float(best)})
+    held_out = {name: list(zip(maps, unseen, strict=True)) for name, maps in held.items()}
+    left = {name: _residual_share(slides, maps) for name, maps in held_out.items()}
+    best = min(ways, key=lambda name: left[name])
+    response, summary = ways[best](slides, priors[0], config.iterations)
+    shares = {f"heldout_residual_{name}": share for name, share in left.items() if unseen}
+    return DeviceMaps(
+        response, held_out[best], moved[0][1] | summary | shares | {"from_atlas": float(best != "alone")}
+    )
 
 
-def _held_out(slides: list[CalibrationSlide], fit: Fit) -> list[tuple[ResponseMap, np.ndarray]]:
-    """Maps without a fold of lines each, and the recordings along those lines. Fewer alternations will do."""
+def _parts(slides: list[CalibrationSlide]) -> tuple[list[list[CalibrationSlide]], list[np.ndarray]]:
+    """All the slides, then all but a fold of lines each, and the recordings of these folds."""
+    if len(slides) < 2 * FOLDS:
+        return [slides], []
     names = np.array([s.recording for s in slides])
     fold = line_folds(
         np.array([s.direction_rad for s in slides]), np.array([s.offset_key for s in slides]), FOLDS
     )
-    parts = [[s for s, f in zip(slides, fold, strict=True) if f != number] for number in range(FOLDS)]
-    return [
-        (fit(part, 2)[0], names[fold == number])
-        for number, part in enumerate(parts)
-        if len(part) < len(slides)
-    ]
+    numbers = np.unique(fold)
+    parts = [[s for s, f in zip(slides, fold, strict=True) if f != number] for number in numbers]
+    return [slides, *parts], [names[fold == number] for number in numbers]
+
+
+def _ways(slides: int, blank: ResponseMap, has_atlas: bool, config: CalibrationConfig) -> dict[str, Fit]:
+    """The fits that are open: near an atlas's prior, each with its stiffness, and from recordings alone."""
+
+    def near(stiffness: float) -> Fit:
+        stiff = config.stiffened(stiffness)
+
+        def fit(part: list[CalibrationSlide], prior: ResponseMap | None, iterations: int):
+            assert prior is not None
+            return (
+                calibrate(part, prior, True, replace(stiff, iterations=iterations)) if part else (prior, {})
+            )
+
+        return fit
+
+    def alone(part: list[CalibrationSlide], prior: ResponseMap | None, iterations: int):
+        # Recordings of one depth say nothing of others: that part is the design's in any case.
+        start = blank if prior is None else replace(blank, depth_slope=prior.depth_slope)
+        return calibrate(part, start, False, replace(config, iterations=iterations))
+
+    ways: dict[str, Fit] = {f"atlas_{s:g}": near(s) for s in STIFFNESS} if has_atlas else {}
+    return ways | ({"alone": alone} if slides >= LEAST_ALONE else {})
 
 
 def _residual_share(slides: list[CalibrationSlide], maps: list[tuple[ResponseMap, np.ndarray]]) -> float:
