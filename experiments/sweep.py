@@ -27,7 +27,7 @@ from tqdm import tqdm
 from experiments import tracking
 from experiments.sweep_space import Sweep, read_sweep
 from experiments.train import design_of
-from experiments.trial import held_out_errors, overall
+from experiments.trial import follow_parent, held_out_errors, overall
 from features.errors import InputError
 from pipeline.atlas import Atlas
 from pipeline.recordings import Folder, read_folder
@@ -112,7 +112,11 @@ def _trials(plan: Sweep, study: optuna.Study, folder: Folder, design: Atlas | No
     ended = sum(t.state is TrialState.COMPLETE or FAULT in t.user_attrs for t in study.trials)
     if ended:
         print(f"softslide sweep: {ended} trials of an earlier call", file=sys.stderr)
-    pool = get_reusable_executor(plan.budget.workers, env={"OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"})
+    pool = get_reusable_executor(
+        plan.budget.workers,
+        env={"OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"},
+        initializer=follow_parent,
+    )
     running: dict[Future, Trial] = {}
     bar = tqdm(
         desc=plan.model,

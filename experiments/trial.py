@@ -1,12 +1,27 @@
 """One trial of a sweep: a fit, judged on calibration lines that it was not fitted to. What a worker process imports."""
 
 import math
+import os
+import threading
+import time
 from typing import Any
 
 from features.errors import InputError
 from models.fit import fit_model
 from pipeline.atlas import Atlas
 from pipeline.recordings import Folder
+
+
+def follow_parent() -> None:
+    """Ends this worker when the process that asked for its trials is gone, however that went."""
+    parent = os.getppid()
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(1.0)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
 
 
 def held_out_errors(model: str, folder: Folder, settings: Any, atlas: Atlas | None) -> dict[str, float]:

@@ -76,12 +76,22 @@ def stopped(lab: Path) -> tuple[Path, list[float]]:
     config.write_text(CONFIG.format(recordings=str(lab), trials=4))
     journal = config.with_suffix(".journal")
     command = [sys.executable, str(Path(softslide.__file__)), "sweep", "--config", str(config)]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as running:
+    pipe = subprocess.PIPE
+    with subprocess.Popen(command, stdout=pipe, stderr=pipe, start_new_session=True) as running:
         # A trial that has ended has values in the journal.
         while not (journal.exists() and b'"values":[' in journal.read_bytes()):
             assert running.poll() is None, running.communicate()
             time.sleep(0.1)
         running.send_signal(signal.SIGKILL)
+    # Its workers go with it.
+    for _ in range(100):
+        try:
+            os.killpg(running.pid, 0)
+        except ProcessLookupError:
+            break
+        time.sleep(0.1)
+    else:
+        pytest.fail("workers outlive the search")
     with journal.open("ab") as file:
         file.write(b'{"op_code": 6, "work')
     return config, [t.value for t in trials(config, TrialState.COMPLETE) if t.value is not None]

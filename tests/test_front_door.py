@@ -19,7 +19,8 @@ HERE = Path(__file__).parents[1]
 # What a device does not have: everything but the base install, numpy and onnxruntime.
 HEAVY = (
     *("torch", "sklearn", "mlflow", "scipy", "pandas", "numba", "pandera", "pyarrow", "onnx", "skl2onnx"),
-    *("joblib", "dask", "matplotlib", "jinja2", "tqdm", "tomli_w", "h5py"),
+    *("joblib", "dask", "matplotlib", "jinja2", "tqdm", "tomli_w", "h5py", "optuna"),
+    *("fastapi", "uvicorn", "websockets", "serial"),
 )
 COMMANDS = sorted(
     next(a for a in softslide._parser()._actions if a.dest == "command").choices  # type: ignore[arg-type]
