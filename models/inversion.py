@@ -71,23 +71,28 @@ def _fan(elapsed_s: float, centre: float, width: float) -> Tensor:
 def cramer_rao(response: ResponseMap, block_s: float, windows: LabelledWindows) -> np.ndarray:
     """Least standard deviations (n, 3) that any unbiased estimate can have: direction deg, log speed, offset mm.
 
-    The inverse Fisher information of the map at the true line, with gain and zero unknown within their spread.
+    The inverse Fisher information of the map at the true line, with gain and zero unknown within their spread. The
+    place along the line is fitted: a window whose slide is over ends before its label does.
     """
-    config = NetworkConfig(steps=0, trust=1.0, least_prior=(1e3, 1e3, 1e3, 1e3))
-    refinement = Refinement(response, block_s, config)
     angle = np.radians(windows.direction_deg)
     truth = np.stack(
         [np.cos(angle), np.sin(angle), np.log(windows.speed_mm_s), windows.offset_mm, windows.along_mm],
         axis=1,
     )
-    tilt = tilt_outputs(windows.volts)
-    with torch.no_grad():
-        _, _, covariance, _ = refinement(
-            torch.tensor(tilt, dtype=torch.float32),
-            torch.tensor(windows.elapsed_s, dtype=torch.float32),
-            torch.ones(tilt.shape[:2]),
-            torch.tensor(truth, dtype=torch.float32),
-            torch.zeros(len(truth), 4),
-        )
+    line, tilt = torch.tensor(truth, dtype=torch.float32), tilt_outputs(windows.volts)
+
+    def refined(config: NetworkConfig) -> tuple[Tensor, ...]:
+        with torch.no_grad():
+            return Refinement(response, block_s, config)(
+                torch.tensor(tilt, dtype=torch.float32),
+                torch.tensor(windows.elapsed_s, dtype=torch.float32),
+                torch.ones(tilt.shape[:2]),
+                line,
+                torch.full((len(truth), 4), -20.0),
+            )
+
+    _, state, _, _ = refined(NetworkConfig(steps=8, trust=1.0, least_prior=(1e-4, 1e-3, 1e-4, 10.0)))
+    line = torch.cat([line[:, :4], state[:, 3:4]], 1)
+    _, _, covariance, _ = refined(NetworkConfig(steps=0, trust=1.0, least_prior=(1e3, 1e3, 1e3, 1e3)))
     sd = covariance.diagonal(dim1=1, dim2=2).sqrt().numpy()
     return np.stack([np.degrees(sd[:, 0]), sd[:, 2], sd[:, 1]], axis=1)
