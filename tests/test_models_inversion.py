@@ -1,0 +1,79 @@
+"""The reference estimator and the bound that it is held against."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from bump_map import bump_map
+
+from models.intervals import angle_error_deg
+from models.inversion import Inversion, cramer_rao
+from models.synthetic_windows import SynthesisConfig, WindowSource
+from pipeline.dataset import LabelledWindows
+
+BLOCK_S = 0.02
+WHOLE = SynthesisConfig(
+    speed_mm_s=(1.0, 8.0), complete=1.0, paused=0.0, midway=0.0, depth_mm=0.0, channel_gain=0.0
+)
+
+
+def drawn(count: int, **changes) -> LabelledWindows:
+    """Whole slides over the formula's map, with its noise."""
+    batch = WindowSource(bump_map(**changes), BLOCK_S, WHOLE).draw(count, torch.Generator().manual_seed(2))
+    cos, sin, log_speed, offset, along, depth = batch.targets.numpy().astype(float).T
+    n = len(cos)
+    volts = np.zeros((n, 3, 64), np.float32)
+    volts[:, :2] = batch.volts.numpy()
+    return LabelledWindows(
+        volts=volts,
+        elapsed_s=batch.elapsed_s.numpy().astype(float),
+        direction_deg=np.degrees(np.arctan2(sin, cos)) % 360,
+        speed_mm_s=np.exp(log_speed),
+        offset_mm=offset,
+        depth_mm=depth,
+        along_mm=along,
+        stroke_fraction=np.ones(n),
+        recording=np.array([f"s{k}" for k in range(n)]),
+        split=np.full(n, "test"),
+    )
+
+
+def test_the_inversion_comes_near_the_bound_from_no_start_at_all():
+    windows = drawn(60)
+    windows = windows[np.abs(windows.offset_mm) < 12]
+    inversion = Inversion(bump_map(), BLOCK_S)
+    column = dict(zip(inversion.outputs, inversion.predict(windows.volts, windows.elapsed_s).T, strict=True))
+    direction = np.degrees(np.arctan2(column["direction_sin"], column["direction_cos"]))
+    errors = np.stack(
+        [
+            angle_error_deg(direction, windows.direction_deg),
+            column["log_speed"] - np.log(windows.speed_mm_s),
+            column["offset_mm"] - windows.offset_mm,
+        ],
+        axis=1,
+    )
+    least = cramer_rao(bump_map(), BLOCK_S, windows)
+    assert least.shape == errors.shape
+    # Rms over slides, each in its own bound: one for an estimator as good as can be.
+    ratio = np.sqrt(np.median((errors / least) ** 2, axis=0)) / 0.6745
+    assert (ratio > 0.5).all()
+    assert (ratio < 2.0).all()
+
+
+def test_the_bound_follows_the_noise_and_no_label_of_the_place():
+    windows = drawn(40)
+    quiet, loud = (
+        bump_map(noise_v=np.full(2, noise), drift_v=np.full(2, 1e-7), floor_v=1e-7, gain_sd=1e-4)
+        for noise in (0.05, 0.1)
+    )
+    least = cramer_rao(quiet, BLOCK_S, windows)
+    assert (least > 0).all()
+    # Twice the noise is twice the bound, but where the priors on depth and gain already hold the offset.
+    ratio = cramer_rao(loud, BLOCK_S, windows) / least
+    assert np.median(ratio, axis=0) == pytest.approx([2.0, 2.0, 2.0], rel=0.05)
+    # A slide that is over stands still while its label moves on.
+    late = replace(windows, along_mm=windows.along_mm + 4.0)
+    usual = cramer_rao(bump_map(), BLOCK_S, windows)
+    near = np.abs(windows.offset_mm) < 10
+    assert cramer_rao(bump_map(), BLOCK_S, late)[near] == pytest.approx(usual[near], rel=0.05)
