@@ -1,7 +1,8 @@
-"""Other shapes of a bundle: the ORT format for a reduced build of ONNX Runtime, and static int8."""
+"""Other shapes of a bundle: C99, the ORT format for a reduced build of ONNX Runtime, and static int8."""
 
 import hashlib
 import logging
+import shutil
 import tempfile
 from collections import defaultdict
 from dataclasses import replace
@@ -16,6 +17,8 @@ from onnxruntime.quantization import CalibrationDataReader, QuantFormat, QuantTy
 from features.card import Card, write_card
 from features.errors import InputError
 from models.bundle import graph_inputs
+from models.c_code.node import NoForm
+from models.c_code.source import sources
 from models.intervals import angle_error_deg
 from pipeline.dataset import LabelledWindows, labelled_windows
 from pipeline.recordings import SAMPLE, read_folder
@@ -38,9 +41,20 @@ def export(bundle: Path, shape: str, out: Path) -> dict[str, Any]:
     path = bundle / "model.onnx"
     if not path.is_file():
         raise InputError(f"{path}: no such file; name the bundle that 'softslide train' wrote")
-    if shape == "c":
-        raise InputError(f"{path}: a {card.model} graph has no form in C; use --to ort on a small processor")
-    return _as_ort(card, path, out) if shape == "ort" else _as_int8(card, path, out)
+    return {"int8": _as_int8, "ort": _as_ort, "c": _as_c}[shape](card, path, out)
+
+
+def _as_c(card: Card, path: Path, out: Path) -> dict[str, Any]:
+    """model.c and model.h, check.c that works the card's example with them, and the card as it is."""
+    try:
+        files, figures = sources(onnx.load_model_from_string(path.read_bytes()), card)
+    except NoForm as error:
+        raise InputError(f"{path}: {error} has no form in C; use --to ort on a small processor") from None
+    with staged(out) as folder:
+        for name, text in files.items():
+            (folder / name).write_text(text, encoding="utf-8")
+        shutil.copyfile(path.parent / "model.json", folder / "model.json")
+    return {"shape": "c", "source_kb": len(files["model.c"]) / 1e3, **figures}
 
 
 def _as_ort(card: Card, path: Path, out: Path) -> dict[str, Any]:
