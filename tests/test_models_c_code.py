@@ -127,6 +127,12 @@ def double(g: GraphBuilder, value: str) -> str:
     return g.cast(value, TensorProto.DOUBLE)
 
 
+def whole(g: GraphBuilder, x: str) -> str:
+    """0 or 1, or counted from the end."""
+    low, high = (g.constant(bound, np.float32) for bound in (-2.0, 1.0))
+    return g.cast(g.op("Clip", g.op("Floor", x), low, high), TensorProto.INT64)
+
+
 def bright(g: GraphBuilder, x: str) -> str:
     """Which entries are above 0.3."""
     return g.op("Greater", x, g.constant(0.3, np.float32))
@@ -204,6 +210,10 @@ OPERATORS: dict[str, Callable[[GraphBuilder, str], str]] = {
     ),
     "Gather a column": lambda g, x: g.op("Gather", x, g.constant(2, np.int64), axis=3),
     "Gather in disorder": lambda g, x: g.op("Gather", x, ints(g, 3, 0, 0, 2, 1), axis=3),
+    "Gather at computed places": lambda g, x: g.op("Gather", randoms(g, 2, 5, 3), whole(g, x), axis=1),
+    "Gather of what is computed": lambda g, x: g.op(
+        "Gather", g.op("Transpose", x, perm=[0, 3, 2, 1]), whole(g, g.op("Reshape", x, ints(g, 24))), axis=-1
+    ),
     "GatherND": lambda g, x: g.op(
         "GatherND", g.op("Squeeze", x, ints(g, 0)), g.constant([[1, 0], [0, 2]], np.int64)
     ),

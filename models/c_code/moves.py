@@ -3,7 +3,7 @@
 import numpy as np
 
 from models.c_code.memory import Statement
-from models.c_code.nest import Lookup, Nest, strides
+from models.c_code.nest import Nest, strides
 from models.c_code.node import Done, Node, NoForm
 from models.c_code.tensors import Tensor, constant, scratch
 
@@ -26,6 +26,8 @@ MOVES = (
 def moved(node: Node) -> Done:
     """Where the operator's own reference puts the places of the entries, their values go too."""
     data = node.tensor(0)
+    if node.kind == "Gather" and node.tensor(1).value is None:
+        return _gathered(data, node.tensor(1), node.attributes.get("axis", 0))
     arguments = [node.argument(n) for n in range(1, len(node.inputs))]
     steps: list[Statement] = []
     found = []
@@ -36,9 +38,22 @@ def moved(node: Node) -> Done:
         except ValueError:
             out = scratch(index.shape, data.kind)
             table = constant(index.astype(np.min_scalar_type(-int(index.max()) - 1)))
-            steps.append(Lookup(node.kind, out, data.buffer, table))
+            start = data.seen(np.zeros((), int))
+            steps.append(Nest(node.kind, out, (start, table), "{0}", step=1, size=data.buffer.size))
             found.append(out)
     return steps, found
+
+
+def _gathered(data: Tensor, which: Tensor, axis: int) -> Done:
+    """Entries at computed places along an axis."""
+    axis %= data.index.ndim
+    _, paces = strides(data.index)
+    before, after = data.shape[:axis], data.shape[axis + 1 :]
+    out = scratch(before + which.shape + after, data.kind)
+    start = np.expand_dims(data.index.take(0, axis), tuple(range(axis, axis + which.index.ndim)))
+    places = which.index.reshape(which.shape + (1,) * len(after))
+    operands = (data.seen(start), which.seen(places))
+    return [Nest("Gather", out, operands, "{0}", step=paces[axis], size=data.shape[axis])], [out]
 
 
 def concat(node: Node) -> Done:

@@ -18,6 +18,7 @@ class Nest:
 
     operands: each of a shape that broadcasts to that of `out` followed by `inner`. In the formulas {0}, {1}, ... are
     the operands' entries, {s} is the total and {f} what the names of math.h end in for the type of `out`.
+    step, size: where given, the place of {0} is further by step * {1}, {1} being one of `size` places.
     """
 
     kind: str
@@ -27,6 +28,8 @@ class Nest:
     inner: tuple[int, ...] = ()
     start: str = ""
     update: str = ""
+    step: int = 0
+    size: int = 0
 
     @property
     def reads(self) -> list[Buffer]:
@@ -55,6 +58,11 @@ class Nest:
             for n, (buffer, first, _) in enumerate(arrays)
         ]
 
+        if self.step:
+            buffer, first, _ = arrays[1]
+            further = f"{self.step} * within({entries[2]}, {self.size})"
+            entries[1] = _entry(buffer, first, [step[1] for _, step in over + within], names, place, further)
+
         def formula(text: str) -> str:
             return text.format(*entries[1:], s="s", f=suffix(self.out.kind))
 
@@ -63,32 +71,6 @@ class Nest:
             gather = _looped(within, names[len(over) :], [formula(self.update)])
             body = [f"double s = {self.start};", *gather, *body]
         return [f"/* {self.kind} */", *_looped(over, names, body)]
-
-
-@dataclass(frozen=True)
-class Lookup:
-    """out[...] = source[table[...]], for entries that lie in no even steps."""
-
-    kind: str
-    out: Tensor
-    source: Buffer
-    table: Tensor
-
-    @property
-    def reads(self) -> list[Buffer]:
-        """Buffers read."""
-        return [self.source, self.table.buffer]
-
-    @property
-    def writes(self) -> Buffer:
-        """The buffer written."""
-        return self.out.buffer
-
-    def code(self, place: Place) -> list[str]:
-        """Lines of C."""
-        array, begin = place(self.source)
-        place_of = f"{begin} + {{0}}" if begin else "{0}"
-        return Nest(self.kind, self.out, (self.table,), f"{array}[{place_of}]").code(place)
 
 
 def strides(index: np.ndarray) -> tuple[int, tuple[int, ...]]:
@@ -135,9 +117,11 @@ def _looped(loops: list[_Loop], names: Sequence[str], body: list[str]) -> list[s
     return [*lines, *("    " * (depth + 1) + line for line in body), "    " * depth + "}"]
 
 
-def _entry(buffer: Buffer, first: int, steps: list[int], names: list[str], place: Place) -> str:
+def _entry(
+    buffer: Buffer, first: int, steps: list[int], names: list[str], place: Place, further: str = ""
+) -> str:
     """An array's entry inside the loops; a constant that is the same in all of them by its value."""
-    if buffer.value is not None and not any(steps):
+    if buffer.value is not None and not any(steps) and not further:
         number = literal(buffer.value[first])
         return f"({number})" if number.startswith("-") else number
     array, begin = place(buffer)
@@ -146,6 +130,7 @@ def _entry(buffer: Buffer, first: int, steps: list[int], names: list[str], place
     terms = [
         name if step == 1 else f"{step} * {name}" for step, name in zip(steps, names, strict=True) if step
     ]
+    terms += [further] if further else []
     if first + begin or not terms:
         terms.append(str(first + begin))
     return f"{array}[{' + '.join(terms)}]"

@@ -17,11 +17,11 @@ FORMULAS = {
     "Abs": "fabs{f}({0})",
     "And": "{0} && {1}",
     "Add": "{0} + {1}",
-    "Cast": "{0}",
     "Cos": "cos{f}({0})",
     "Div": "{0} / {1}",
     "Equal": "{0} == {1}",
     "Exp": "exp{f}({0})",
+    "Floor": "floor{f}({0})",
     "Greater": "{0} > {1}",
     "GreaterOrEqual": "{0} >= {1}",
     "Less": "{0} < {1}",
@@ -41,6 +41,11 @@ FORMULAS = {
     "Sub": "{0} - {1}",
     "Tanh": "tanh{f}({0})",
     "Where": "{0} ? {1} : {2}",
+}
+# To whole numbers: C leaves open what becomes of NaN and of what is beyond them.
+WHOLE = {
+    "int32": "(int32_t)fmin(fmax({0}, -2147483647), 2147483647)",
+    "int64": "(int64_t)fmin(fmax({0}, -9e15), 9e15)",
 }
 LOGICAL = ("And", "Equal", "Greater", "GreaterOrEqual", "Less", "LessOrEqual", "Not", "Or")
 # Of two inputs, for operators that take any number. What is no number goes through.
@@ -90,14 +95,19 @@ def _formula(node: Node) -> Done:
     kind = operands[1 if node.kind == "Where" else 0].kind
     if node.kind in LOGICAL:
         kind = np.dtype(bool)
-    elif node.kind == "Cast":
-        kind = helper.tensor_dtype_to_np_dtype(node.attributes["to"])
-        if kind == operands[0].kind:
-            return [], [operands[0]]
-        if kind.kind != "f":
-            raise NoForm(f"operator Cast to {kind}")
     out = scratch(np.broadcast_shapes(*(operand.shape for operand in operands)), kind)
     return [Nest(node.kind, out, operands, FORMULAS[node.kind])], [out]
+
+
+def _cast(node: Node) -> Done:
+    given = node.tensor(0)
+    kind = helper.tensor_dtype_to_np_dtype(node.attributes["to"])
+    if kind == given.kind:
+        return [], [given]
+    if kind.name not in ("float32", "float64", *WHOLE):
+        raise NoForm(f"operator Cast to {kind}")
+    out = scratch(given.shape, kind)
+    return [Nest("Cast", out, (given,), WHOLE.get(kind.name, "{0}"))], [out]
 
 
 def _paired(node: Node) -> Done:
@@ -148,6 +158,7 @@ def _trees(node: Node) -> Done:
 
 
 OPERATORS: dict[str, Callable[[Node], Done]] = {
+    "Cast": _cast,
     "Clip": _clip,
     "Concat": moves.concat,
     "Conv": products.conv,

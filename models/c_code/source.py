@@ -17,6 +17,14 @@ INDENT = "    "
 PER_LINE = 8  # numbers
 _ROW = ",\n" + INDENT
 
+# As ONNX counts, negative places from the end; what is beyond both ends must not be read.
+WITHIN = """
+static int64_t within(int64_t place, int64_t size)
+{
+    place += place < 0 ? size : 0;
+    return place < 0 ? 0 : place < size ? place : size - 1;
+}"""
+
 
 def sources(model: onnx.ModelProto, card: Card) -> tuple[dict[str, str], dict[str, Any]]:
     """File names with their text; and what the code needs: kB of constants and of static memory, steps by operator.
@@ -44,6 +52,7 @@ def sources(model: onnx.ModelProto, card: Card) -> tuple[dict[str, str], dict[st
         "",
         *(_array(name, buffer) for buffer, name in constants.items()),
         *(f"static {C_TYPES[kind.name]} work_{kind.name}[{size}];" for kind, size in sizes.items()),
+        *([WITHIN] if any("within(" in line for line in body) else []),
         "",
         _signature(steps),
         "{",
