@@ -15,8 +15,9 @@ from models.device import DeviceMaps, device_maps
 from models.export import export_graph
 from models.fitted import FittedModel
 from models.intervals import angle_error_deg, conformal_interval
-from models.network import OUTPUTS, NetworkConfig, Proposal, Refinement, SlideNetwork
+from models.network import OUTPUTS, NetworkConfig, Proposal, SlideNetwork
 from models.prior import DeviceSpread
+from models.refinement import Refinement
 from models.response_map import ResponseMap
 from models.synthetic_windows import SynthesisConfig, WindowSource
 from models.training import TrainingConfig, train_proposal
@@ -131,7 +132,7 @@ def initial_proposal(graph: onnx.ModelProto, channels: int, config: NetworkConfi
 
 
 def _network(proposal: Proposal, response: ResponseMap, config: CnnConfig) -> SlideNetwork:
-    refinement = Refinement(response, config.conditioning.block_s, config.network)
+    refinement = Refinement(response, config.conditioning.block_s, config.network.refinement)
     return SlideNetwork(proposal, refinement).eval()
 
 

@@ -11,11 +11,12 @@ import torch
 from torch import Tensor
 
 from features.energy import energy_clock, tilt_outputs
-from models.network import OUTPUTS, NetworkConfig, Refinement, SlideNetwork
+from models.network import OUTPUTS, SlideNetwork
+from models.refinement import Refinement, RefinementConfig
 from models.response_map import ResponseMap
 from pipeline.dataset import LabelledWindows
 
-STARTS = NetworkConfig(steps=14, trust=1.0, least_prior=(3.0, 20.0, 1.5, 25.0))
+STARTS = RefinementConfig(steps=14, trust=1.0, least_prior=(3.0, 20.0, 1.5, 25.0))
 HEADINGS, OFFSETS_MM, LENGTHS_MM = 12, (-15.0, -5.0, 5.0, 15.0), (6.0, 9.0)
 MISFIT = OUTPUTS.index("misfit")
 
@@ -23,7 +24,7 @@ MISFIT = OUTPUTS.index("misfit")
 class Inversion:
     """Least squares over direction, offset, speed, place, gain and depth from a fan of starts; the best fit wins."""
 
-    def __init__(self, response: ResponseMap, block_s: float, config: NetworkConfig = STARTS) -> None:
+    def __init__(self, response: ResponseMap, block_s: float, config: RefinementConfig = STARTS) -> None:
         self._network = SlideNetwork(_Starts(), Refinement(response, block_s, config)).eval()
         self.outputs = self._network.outputs
 
@@ -79,20 +80,20 @@ def cramer_rao(response: ResponseMap, block_s: float, windows: LabelledWindows) 
         [np.cos(angle), np.sin(angle), np.log(windows.speed_mm_s), windows.offset_mm, windows.along_mm],
         axis=1,
     )
-    line, tilt = torch.tensor(truth, dtype=torch.float32), tilt_outputs(windows.volts)
+    line, boards = torch.tensor(truth, dtype=torch.float32), windows.volts.shape[1] // 3
 
-    def refined(config: NetworkConfig) -> tuple[Tensor, ...]:
+    def refined(config: RefinementConfig) -> tuple[Tensor, ...]:
         with torch.no_grad():
             return Refinement(response, block_s, config)(
-                torch.tensor(tilt, dtype=torch.float32),
+                torch.tensor(windows.volts, dtype=torch.float32),
                 torch.tensor(windows.elapsed_s, dtype=torch.float32),
-                torch.ones(tilt.shape[:2]),
+                torch.ones(len(truth), boards),
                 line,
                 torch.full((len(truth), 4), -20.0),
             )
 
-    _, state, _, _ = refined(NetworkConfig(steps=8, trust=1.0, least_prior=(1e-4, 1e-3, 1e-4, 10.0)))
+    _, state, _, _ = refined(RefinementConfig(steps=8, trust=1.0, least_prior=(1e-4, 1e-3, 1e-4, 10.0)))
     line = torch.cat([line[:, :4], state[:, 3:4]], 1)
-    _, _, covariance, _ = refined(NetworkConfig(steps=0, trust=1.0, least_prior=(1e3, 1e3, 1e3, 1e3)))
+    _, _, covariance, _ = refined(RefinementConfig(steps=0, trust=1.0, least_prior=(1e3, 1e3, 1e3, 1e3)))
     sd = covariance.diagonal(dim1=1, dim2=2).sqrt().numpy()
     return np.stack([np.degrees(sd[:, 0]), sd[:, 2], sd[:, 1]], axis=1)

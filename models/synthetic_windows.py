@@ -14,7 +14,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from features.window import WINDOW_BINS
-from models.network import PEAK_SHARE
+from models.refinement import PEAK_SHARE
 from models.response_map import ResponseMap
 
 KNOTS = 2 * WINDOW_BINS

@@ -9,6 +9,7 @@ from models.bundle import write_bundle
 from models.calibration import CalibrationConfig
 from models.cnn import CnnConfig, fit_cnn
 from models.network import NetworkConfig
+from models.refinement import RefinementConfig
 from models.synthetic_windows import SynthesisConfig, WindowSource
 from models.training import TrainingConfig
 from pipeline.dataset import labelled_windows
@@ -28,7 +29,7 @@ def localizer(folder, tmp_path_factory):
     """A network hardly trained: what it must not depend on does not need it to be right."""
     config = CnnConfig(
         calibration=CalibrationConfig(iterations=1),
-        network=NetworkConfig(steps=1),
+        network=NetworkConfig(refinement=RefinementConfig(steps=1)),
         training=TrainingConfig(steps=30, batch=64, average=0.9),
     )
     fitted = fit_cnn(folder, config)
