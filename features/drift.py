@@ -33,6 +33,7 @@ class DriftWatch:
     """Follows one stream's static output.
 
     accelerometers: the card's, each with zero_g_v in V and sensitivity_v_per_g in V/g.
+    complete: whether each one's first static output has been noted.
     """
 
     def __init__(self, accelerometers: Sequence[Mapping[str, Any]]) -> None:
@@ -43,6 +44,7 @@ class DriftWatch:
         """Forgets the stream."""
         self._first = np.full((len(self._boards), 3), np.nan)
         self._awaited = np.ones(len(self._boards), dtype=bool)
+        self.complete = False
 
     def note(self, static_v: np.ndarray, known: np.ndarray) -> None:
         """Keeps the first static output (C,) V of each accelerometer that is known (A,)."""
@@ -50,6 +52,7 @@ class DriftWatch:
         if fresh.any():
             self._first[fresh] = static_v.reshape(-1, 3)[fresh]
             self._awaited = self._awaited & ~fresh
+            self.complete = not self._awaited.any()
 
     def read(self, static_v: np.ndarray, usable: np.ndarray) -> Drift:
         """static_v: (C,) V; usable: (A,), the accelerometers to read it from."""

@@ -6,7 +6,8 @@ tenth of a second; after that the accelerometer is at fault. So it is when one o
 last bit though another channel moves: noise never lets a live one do that.
 """
 
-from dataclasses import dataclass
+from operator import eq
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,8 +17,7 @@ BRIDGED_BLOCKS = 5
 FROZEN_BLOCKS = 25
 
 
-@dataclass(frozen=True)
-class Judged:
+class Judged(NamedTuple):
     """One block: mean (C,) V, always finite; healthy (A,) and bridged (A,), those whose mean is an old one."""
 
     mean: np.ndarray
@@ -34,6 +34,7 @@ class SignalWatch:
 
     def __init__(self, low_v: np.ndarray, high_v: np.ndarray, read: np.ndarray) -> None:
         self._low, self._high, self._read = low_v, high_v, read
+        self._highest_low, self._lowest_high = float(low_v.max()), float(high_v.min())
         self.reset()
 
     def reset(self) -> None:
@@ -41,25 +42,25 @@ class SignalWatch:
         channels = len(self._read)
         self._missed = np.zeros(channels, dtype=np.intp)
         self._still = np.zeros(channels, dtype=np.intp)
-        self._level = np.full(channels, np.nan)
         self._mean = np.zeros(channels)
-        self._fine = Judged(self._mean, np.ones(channels // 3, bool), np.zeros(channels // 3, bool))
+        self._healthy, self._unbridged = np.ones(channels // 3, bool), np.zeros(channels // 3, bool)
         self._clear = True
 
     def push(self, samples: np.ndarray) -> Judged:
         """samples: (S, C) V, one block."""
-        low, high = np.minimum.reduce(samples), np.maximum.reduce(samples)
-        inside = bool(((low >= self._low) & (high <= self._high)).all())
-        still = (low == high) & (high == self._level)
-        self._level = high
-        if inside and self._clear and not still.any():
+        last = self._mean
+        if (
+            np.minimum.reduce(samples, axis=None) >= self._highest_low
+            and np.maximum.reduce(samples, axis=None) <= self._lowest_high
+        ):
             self._mean = np.add.reduce(samples) / len(samples)
-            return Judged(self._mean, self._fine.healthy, self._fine.bridged)
-        missed = np.zeros_like(still)
-        if inside:
-            self._mean = np.add.reduce(samples) / len(samples)
+            # Nearly every block; in few calls, since each costs more than what it works out.
+            if self._clear and not any(map(eq, self._mean.tolist(), last.tolist())):
+                return Judged(self._mean, self._healthy, self._unbridged)
+            missed = np.zeros(len(last), dtype=bool)
         else:
             self._mean, missed = self._mean_of_good(samples)
+        still = (samples == samples[0]).all(axis=0) & (self._mean == last)
         # A whole stream that stands still shows nothing, and claims nothing.
         self._still = np.where(still, self._still + (not still[self._read].all()), 0)
         self._missed = np.where(missed, self._missed + 1, 0)

@@ -43,6 +43,8 @@ class SlideTracker:
         self.tilt = np.array([c for c in range(channels) if c % 3 < 2])
         self._integral = np.zeros((KNOTS + 1, channels))
         self._recent = np.zeros((conditioning.trigger_blocks, channels))
+        self._most_rested = max(conditioning.rest_blocks, 10 * conditioning.trigger_blocks)
+        self._quiet_v = min(conditioning.calm_v, conditioning.trigger_v)
         self.reset()
 
     def reset(self) -> None:
@@ -59,6 +61,7 @@ class SlideTracker:
         self._stop_level: np.ndarray | None = None
         self._lost = False
         self._anchor: np.ndarray | None = None
+        self._settled = False
 
     @property
     def known(self) -> np.ndarray:
@@ -82,7 +85,7 @@ class SlideTracker:
         known anew. When none is left the slide is forgotten, and no other begins before the output is back at
         what was known, or has stood still for long: something may have come to rest on the skin meanwhile.
         """
-        dead = None if healthy is None or healthy.all() else np.repeat(~healthy, 3)
+        dead = None if healthy is None or all(healthy.tolist()) else np.repeat(~healthy, 3)
         if dead is not None:
             self._drop(dead)
         oldest = self._recent[0].copy()
@@ -95,6 +98,8 @@ class SlideTracker:
                 self._watch_end()
             return
         memory = len(self._recent)
+        if self._settled and self._follow(oldest):
+            return
         self._filled += 1
         if dead is not None:
             self._filled[dead] = 0
@@ -117,6 +122,7 @@ class SlideTracker:
                 / np.minimum(np.maximum(self._rested, 1), self.conditioning.rest_blocks)
             )
             self.static += np.where(resting, step, 0.0)
+            self._settled = bool((resting & (self._rested >= self._most_rested)).all())
         else:
             self._stopped += 1
             if self._stopped > self.conditioning.longest_blocks:
@@ -134,8 +140,16 @@ class SlideTracker:
         """(C,) V: mean of the last `trigger_blocks` blocks."""
         return np.add.reduce(self._recent, axis=0) / len(self._recent)
 
+    def _follow(self, oldest: np.ndarray) -> bool:
+        """A quiet block of a stream at rest for so long that there is nothing left to count."""
+        if max(map(abs, (self._level() - self.static).tolist())) > self._quiet_v:
+            return False
+        self.static += (oldest - self.static) / self.conditioning.rest_blocks
+        return True
+
     def _drop(self, dead: np.ndarray) -> None:
         """Takes the accelerometers of the dead channels (C,) out of use."""
+        self._settled = False
         if dead.all():
             self._lost = bool(self.known.any())
             self._anchor, self._stood = None, 0
@@ -178,6 +192,7 @@ class SlideTracker:
         for block in self._recent:
             self._extend(block)
         self._filled[:] = 0
+        self._settled = False
 
     def _extend(self, block: np.ndarray) -> None:
         self._sum += block - self.static
@@ -273,6 +288,7 @@ class SlideTracker:
 
     def _learn_static(self) -> None:
         """Awaits a new static output."""
+        self._settled = False
         self._rested[:] = 0
         self._filled[:] = 0
         self._stop_level = None

@@ -9,14 +9,17 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from features.card import Card
 from features.errors import InputError
 from features.track import State
-from serve.bundle import open_session
+from serve.bundle import open_bundle, open_session
 from serve.localizer import Localizer
 
 # A graph of one Identity over one float32 (opset 18), written out so that nothing but ONNX Runtime is needed.
@@ -48,31 +51,50 @@ def bench(bundle: Path, decisions: int = 300) -> dict[str, Any]:
     Raises:
         InputError: the bundle is not what it should be.
     """
-    localizer = Localizer.load(bundle)
-    resting, one_resting, sliding, inference, one_sliding = _times(localizer, decisions)
+    card, graph = open_bundle(bundle)
+    one, four, one_resting = _at_rest([Localizer(_boards(card, n), graph) for n in (1, 4)], decisions)
+    sliding, inference, one_sliding = _in_slides(Localizer(card, graph), decisions)
     return {
         "one_node": _us(np.concatenate([one_resting, one_sliding])),
-        "decision_at_rest": _beside(resting, one_resting),
+        "decision_at_rest": _beside(one, one_resting),
+        "decision_at_rest_of_four": _beside(four, one_resting),
         "decision_in_a_slide": _beside(sliding, one_sliding),
         "inference_alone": _beside(inference, one_sliding),
         **_start(bundle),
         "bundle_kb": sum(path.stat().st_size for path in bundle.iterdir()) / 1e3,
-        "accelerometers": len(localizer.card.channels) // 3,
+        "accelerometers": len(card.channels) // 3,
     }
 
 
-def _times(localizer: Localizer, decisions: int) -> tuple[np.ndarray, ...]:
-    """Seconds (decisions,) each: a block at rest, one node, a block in a slide, its graph alone, one node."""
+def _boards(card: Card, count: int) -> Card:
+    """The card with so many accelerometers like its first: at rest no graph is asked."""
+    names = tuple(f"a{n}_{axis}" for n in range(count) for axis in ("vx", "vy", "vz"))
+    boards = [card.sensor["accelerometers"][0]] * count
+    return replace(card, channels=names, sensor={**card.sensor, "accelerometers": boards})
+
+
+def _at_rest(localizers: list[Localizer], decisions: int) -> np.ndarray:
+    """Seconds (localizers + 1, decisions) of a block at rest, long after the start, and of one node."""
     session = open_session(ONE_NODE, Path("one node"))
     one = {"x": np.zeros(1, np.float32)}
-    times = np.zeros((5, decisions))
-    rest, slide = _blocks(localizer)
-    localizer.reset()
-    for block in rest:
-        localizer.push(block)
+    blocks = [_blocks(localizer)[0] for localizer in localizers]
+    for localizer, rest in zip(localizers, blocks, strict=True):
+        for n in range(2 * localizer.card.conditioning.rest_blocks):
+            localizer.push(rest[n % len(rest)])
+    times = np.zeros((len(localizers) + 1, decisions))
     for n in range(decisions):
-        times[0, n] = _seconds(lambda n=n: localizer.push(rest[n % len(rest)]))  # type: ignore[misc]
-        times[1, n] = _seconds(lambda: session.run(None, one))
+        for k, (localizer, rest) in enumerate(zip(localizers, blocks, strict=True)):
+            times[k, n] = _seconds(partial(localizer.push, rest[n % len(rest)]))
+        times[-1, n] = _seconds(partial(session.run, None, one))
+    return times
+
+
+def _in_slides(localizer: Localizer, decisions: int) -> np.ndarray:
+    """Seconds (3, decisions) of a block in a slide, of its graph alone, of one node."""
+    session = open_session(ONE_NODE, Path("one node"))
+    one = {"x": np.zeros(1, np.float32)}
+    times = np.zeros((3, decisions))
+    rest, slide = _blocks(localizer)
     done = 0
     while done < decisions:
         before = done
@@ -80,18 +102,17 @@ def _times(localizer: Localizer, decisions: int) -> tuple[np.ndarray, ...]:
         for block in rest:
             localizer.push(block)
         for block in slide:
-            seconds = _seconds(lambda block=block: localizer.push(block))  # type: ignore[misc]
+            seconds = _seconds(partial(localizer.push, block))
             window = localizer.window()
             if window is None or localizer.state is not State.SLIDE or done == decisions:
                 continue
-            inputs = localizer.inputs(window)
-            times[2, done] = seconds
-            times[3, done] = _seconds(lambda inputs=inputs: localizer.infer(inputs))  # type: ignore[misc]
-            times[4, done] = _seconds(lambda: session.run(None, one))
+            times[0, done] = seconds
+            times[1, done] = _seconds(partial(localizer.infer, localizer.inputs(window)))
+            times[2, done] = _seconds(partial(session.run, None, one))
             done += 1
         if done == before:
             raise InputError("the card's conditioning finds no slide in a pass of 0.15 V; train it again")
-    return tuple(times)
+    return times
 
 
 def _blocks(localizer: Localizer) -> tuple[list[np.ndarray], list[np.ndarray]]:
@@ -134,9 +155,13 @@ def _seconds(call: Callable[[], object]) -> float:
 
 def _us(seconds: np.ndarray) -> dict[str, float]:
     median, tail = np.quantile(seconds, [0.5, 0.99]) * 1e6
-    return {"median_us": round(float(median), 2), "p99_us": round(float(tail), 2)}
+    return {
+        "median_us": round(float(median), 2),
+        "p99_us": round(float(tail), 2),
+        "p99_ratio": round(float(tail / median), 2),
+    }
 
 
 def _beside(seconds: np.ndarray, bare: np.ndarray) -> dict[str, float]:
-    """us, and the median's ratio to the one-node call's."""
+    """us; p99_ratio: to the median; ratio: the median's to the one-node call's."""
     return {**_us(seconds), "ratio": round(float(np.median(seconds) / np.median(bare)), 2)}

@@ -1,6 +1,5 @@
 """Opens a bundle: the card, the graph, and the proof that they belong together and compute what they should."""
 
-import hashlib
 import math
 from pathlib import Path
 
@@ -12,6 +11,15 @@ from features.card import Card, read_card
 from features.errors import InputError
 from features.vector import feature_names
 from features.window import WINDOW_BINS
+
+try:
+    # hashlib loads OpenSSL, 4 MB that a device has no other use for.
+    from _sha2 import sha256
+except ImportError:
+    try:
+        from _sha256 import sha256  # Python 3.11
+    except ImportError:
+        from hashlib import sha256
 
 # The largest difference of one processor's arithmetic to another's, relative or absolute.
 GOLDEN_TOLERANCE = 1e-3
@@ -33,7 +41,7 @@ def open_bundle(bundle: Path) -> tuple[Card, ort.InferenceSession]:
         graph = path.read_bytes()
     except OSError:
         raise InputError(f"{path}: cannot be read; a bundle holds model.onnx and model.json") from None
-    if hashlib.sha256(graph).hexdigest() != card.graph_sha256:
+    if sha256(graph).hexdigest() != card.graph_sha256:
         raise InputError(
             f"{path}: not the graph that model.json describes; take the bundle from its source again"
         )

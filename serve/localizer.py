@@ -10,7 +10,7 @@ import onnxruntime as ort
 
 from features.card import Card
 from features.conditioning import Blocks
-from features.drift import DriftWatch
+from features.drift import UNKNOWN, DriftWatch
 from features.energy import energy_width_s
 from features.errors import InputError
 from features.estimate import Estimate, decode
@@ -23,6 +23,8 @@ from serve.clock import SampleClock
 
 # Share of a slide's blocks that older ones may stand in for before it is not believed.
 BRIDGED_SHARE = 0.05
+# Blocks from one reading of the drift at rest to the next; the static output takes hundreds to follow anything.
+DRIFT_BLOCKS = 50
 _OUTPUT = ["estimate"]
 
 
@@ -76,6 +78,7 @@ class Localizer:
         self._whole = True
         self._healthy = np.ones(len(self.card.channels) // 3, dtype=bool)
         self._held: tuple[Window, Estimate] | None = None
+        self._drifted = UNKNOWN
 
     def feed(self, volts: np.ndarray, time_s: np.ndarray | None = None) -> None:
         """Takes samples as `push` does, without asking for estimates."""
@@ -104,8 +107,7 @@ class Localizer:
         time_s = self._clock.start_s + self._count * self.card.conditioning.block_s
         window = tracker.window()
         if window is None:
-            drift = self._drift.read(tracker.static, self._healthy)
-            return Estimate(time_s=time_s, state=tracker.state, **vars(drift))
+            return Estimate(time_s=time_s, state=tracker.state, **vars(self._drifted))
         if tracker.state is not State.ENDED:
             return self._estimate(window, time_s)
         assert self._held is not None
@@ -176,7 +178,10 @@ class Localizer:
         tracker.push(judged.mean, judged.healthy)
         self._count += 1
         self._healthy = judged.healthy
-        self._drift.note(tracker.static, tracker.known)
+        if not self._drift.complete:
+            self._drift.note(tracker.static, tracker.known)
+        if self._count % DRIFT_BLOCKS == 0:
+            self._drifted = self._drift.read(tracker.static, judged.healthy)
         if tracker.state is State.SLIDE:
             if not sliding:
                 self._bridged = self._slide_blocks = 0

@@ -142,3 +142,32 @@ def test_memory_does_not_grow() -> None:
         assert tracemalloc.get_traced_memory()[0] - before < 20_000
     finally:
         tracemalloc.stop()
+
+
+class Counting(SlideTracker):
+    """Never takes the short way of a stream that has rested for long."""
+
+    def _follow(self, oldest: np.ndarray) -> bool:
+        return False
+
+
+def test_long_rest_goes_a_shorter_way_to_the_same_numbers() -> None:
+    conditioning = Conditioning(rest_blocks=60)
+    rest = still(9.0, np.linspace(0.0, 0.006, 9000)[:, None])
+    means = blocks(
+        rest, pass_over(1.5) + 0.006, still(4.0, 0.006), pass_over(1.2), still(4.0), accelerometers=2
+    )
+    healthy = np.ones((len(means), 2), bool)
+    healthy[300:320, 1] = healthy[760:770] = False
+    short, counting = SlideTracker(conditioning, 6), Counting(conditioning, 6)
+    states = []
+    for mean, fine in zip(means, healthy, strict=True):
+        short.push(mean, fine)
+        counting.push(mean, fine)
+        states.append(short.state)
+        assert short.state is counting.state
+        assert short.static.tobytes() == counting.static.tobytes()
+        assert (short.known == counting.known).all()
+    assert {*states} == {State.REST, State.SLIDE, State.ENDED}
+    # What it skips is the counting, so that is how it shows.
+    assert short._rested.max() < counting._rested.max()

@@ -17,8 +17,14 @@ def test_the_last_line_is_one_object(
     bundle = write_small_bundle(tmp_path / "b", a_sensor(accelerometers))
     assert softslide.main(["bench", "--model", str(bundle), "--decisions", "20"]) == 0
     told = json.loads(capsys.readouterr().out.splitlines()[-1])
-    for name in ("decision_at_rest", "decision_in_a_slide", "inference_alone"):
+    for name in (
+        "decision_at_rest",
+        "decision_at_rest_of_four",
+        "decision_in_a_slide",
+        "inference_alone",
+    ):
         assert 0 < told[name]["median_us"] <= told[name]["p99_us"]
+        assert told[name]["p99_ratio"] >= 1
         assert told[name]["ratio"] > 0
     assert told["accelerometers"] == accelerometers
     assert told["bundle_kb"] == sum(p.stat().st_size for p in bundle.iterdir()) / 1e3
