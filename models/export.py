@@ -41,12 +41,17 @@ def export_graph(network: torch.nn.Module, accelerometers: int) -> onnx.ModelPro
 
 
 def strip(graph: onnx.ModelProto) -> None:
-    """Drops the exporter's notes (source lines, scopes, shapes in between): two thirds of a small model's bytes."""
+    """Drops the exporter's notes (source lines, scopes, shapes in between) and its long names of what lies between
+    operators: two thirds of a small model's bytes."""
+    kept = {item.name for item in (*graph.graph.initializer, *graph.graph.input, *graph.graph.output)}
+    short: dict[str, str] = {"": ""}
     del graph.graph.value_info[:]
     for node in graph.graph.node:
         del node.metadata_props[:]
         node.doc_string = ""
         node.name = ""
+        for names in (node.input, node.output):
+            names[:] = [name if name in kept else short.setdefault(name, f"{len(short):x}") for name in names]
     for item in (*graph.graph.initializer, *graph.graph.input, *graph.graph.output):
         item.doc_string = ""
         del item.metadata_props[:]

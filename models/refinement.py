@@ -21,7 +21,7 @@ DOUBT = 9.0  # variance of the depth's error over the one that noise explains, o
 BINS = 32  # of time in the refinement: a window's bins in pairs, which loses nothing and halves the work
 STATE = 6  # numbers in the state
 DEPTH = 5  # place of the depth among them
-EDGE = 4  # zero coefficients around the map's
+EDGE = 3  # zero coefficients around the map's
 FIRST_DAMPING = 1e-3
 
 
@@ -33,6 +33,8 @@ class RefinementConfig:
     same_depth: prior probability that a slide has the calibration's contact depth; depth_sd_mm: standard deviation
         about it of those that do not.
     askew: standard deviation of what V_x and V_y pick up of V_z, where the device stands otherwise than it did.
+    lean_v: standard deviation of what the device's own slow turn adds to every V_x, and to every V_y, by a slide's
+        end, V; 0 for a device that stands still. An accelerometer off the skin tells it from the skin's answer.
     """
 
     steps: int = 3
@@ -41,6 +43,7 @@ class RefinementConfig:
     same_depth: float = 0.9
     depth_sd_mm: float = 0.35
     askew: float = 0.04
+    lean_v: float = 0.0
 
 
 class Refinement(nn.Module):
@@ -70,6 +73,9 @@ class Refinement(nn.Module):
     signals: Tensor
     quarter: Tensor
     centred: Tensor
+    lean: Tensor
+    means: Tensor
+    centres: Tensor
 
     def __init__(self, response: ResponseMap, block_s: float, config: RefinementConfig) -> None:
         super().__init__()
@@ -95,7 +101,10 @@ class Refinement(nn.Module):
             "stride": np.array([[cells, 1.0]]),
             "signals": signal_mixture(),
             "quarter": np.array([[0.0, -1.0], [1.0, 0.0]]),
+            "lean": config.lean_v * (np.arange(BINS)[:, None] + 0.5) / BINS,
             "centred": np.eye(BINS) - 1 / BINS,
+            "means": bin_means(),
+            "centres": np.linalg.inv(bin_means()).T,
         }
         # In doubles: partial strokes leave the normal matrix nearly singular, and whether a step is taken back
         # must not hang on a rounding error that another runtime makes differently.
@@ -115,6 +124,7 @@ class Refinement(nn.Module):
         )
         self.knows_depth = bool(np.any(response.depth_slope))
         self.steps, self.trust, self.askew = config.steps, config.trust, config.askew
+        self.leans = config.lean_v > 0
 
     def forward(
         self, volts: Tensor, elapsed_s: Tensor, weight: Tensor, proposal: Tensor, log_sd: Tensor
@@ -127,7 +137,13 @@ class Refinement(nn.Module):
         )
         bins = volts.reshape(-1, self.channels // 2, 3, BINS, WINDOW_BINS // BINS).mean(4)
         tilt = bins[:, :, :2].reshape(-1, self.channels, BINS)
+        # What follows compares values at the bins' centres; a bin holds a mean, which is flatter than the signal.
         inverse = self._inverse_covariance(tilt, bins[:, :, 2:], elapsed_s, weight)
+        inverse, tilt = self.means.T @ inverse @ self.means, tilt @ self.centres
+        # The device's own slow turn leans all boards alike: one number for each axis, whose own worth is not asked for.
+        along_lean = inverse @ self.lean
+        told = (self.lean * along_lean).sum((2, 3)).reshape(-1, self.channels // 2, 2).sum(1)
+        lean_share = (1.0 / (1.0 + told))[:, :, None]
         cos, sin, own = proposal.index_select(1, self.order)[:, :, None].split((1, 1, 3), 1)
         norm = (cos * cos + sin * sin).clamp(min=1e-12).sqrt()
         start = (cos * self.whole + sin * self.quarter) / norm
@@ -144,6 +160,9 @@ class Refinement(nn.Module):
             rows = self._rows(tilt, start, centre + trial, ago_s)
             off = self.each - F.pad(trial, (STATE, 0))
             gram = ((rows @ inverse) @ rows.transpose(2, 3)).sum(1) + off.transpose(1, 2) @ (precision * off)
+            if self.leans:
+                leaning = (rows @ along_lean).reshape(-1, self.channels // 2, 2, STATE + 1).sum(1)
+                gram = gram - leaning.transpose(1, 2) @ (lean_share * leaning)
             if step == 0:
                 held = gram
             else:
@@ -254,6 +273,15 @@ def patch_table(parts: np.ndarray) -> tuple[np.ndarray, int]:
     """
     padded = np.pad(parts, ((0, 0), (EDGE, EDGE), (EDGE, EDGE), (0, 0))).transpose(1, 2, 3, 0)
     return padded.reshape(-1, padded.shape[2] * padded.shape[3]), len(padded)
+
+
+def bin_means() -> np.ndarray:
+    """(32, 32): a smooth signal's values at the centres of bins -> its means over them, f + f'' / 24 in bins."""
+    second = np.zeros((BINS, BINS))
+    for k in range(BINS):
+        middle = min(max(k, 1), BINS - 2)
+        second[k, middle - 1 : middle + 2] = 1.0, -2.0, 1.0
+    return np.eye(BINS) + second / 24.0
 
 
 def spline_weights() -> np.ndarray:

@@ -137,3 +137,64 @@ def test_a_signal_of_something_else_leaves_a_large_misfit(windows):
     other = type(windows)(steps, windows.elapsed_s[:50], windows.weight[:50], windows.targets[:50])
     _, _, _, misfit = refine(bump_map(), other, windows.targets[:50, :5])
     assert np.quantile(misfit.numpy(), 0.05) > 50
+
+
+@pytest.fixture(scope="module")
+def half():
+    """Windows of slides that have just passed the accelerometer: the lean is not yet told apart by both flanks."""
+    cut = SynthesisConfig(complete=0.0, paused=0.0, midway=0.0, depth_mm=0.0)
+    batch = WindowSource(bump_map(), BLOCK_S, cut).draw(6000, torch.Generator().manual_seed(5))
+    past = (batch.targets[:, 4] > 2) & (batch.targets[:, 4] < 8)
+    return type(batch)(batch.volts[past], batch.elapsed_s[past], batch.weight[past], batch.targets[past])
+
+
+def lean(batch, volts_at_end=5e-3):
+    """What a device adds to the windows that turns by 0.4 degrees during each slide."""
+    ramp = volts_at_end * torch.linspace(0, 1, WINDOW_BINS) * torch.tensor([[1.0], [-0.7]])
+    return ramp.expand(len(batch.volts), -1, -1)
+
+
+def turn_error_deg(response, batch, config) -> float:
+    truth = batch.targets[:, :5]
+    boards = batch.volts.shape[1] // 2
+    volts = torch.cat(
+        [batch.volts.reshape(-1, boards, 2, WINDOW_BINS), torch.zeros(len(truth), boards, 1, WINDOW_BINS)], 2
+    )
+    with torch.no_grad():
+        heading, _, _, _ = Refinement(response, BLOCK_S, config)(
+            volts.flatten(1, 2),
+            batch.elapsed_s,
+            torch.ones(len(truth), boards),
+            truth,
+            torch.full((len(truth), 4), -0.7),
+        )
+    return float(np.degrees(np.arccos(np.clip((heading * truth[:, :2]).sum(1).numpy(), -1, 1))).mean())
+
+
+def test_a_device_that_turns_slowly_is_borne_if_it_is_expected(windows):
+    still, moving = (RefinementConfig(steps=8, trust=1.0, lean_v=lean_v) for lean_v in (0.0, 5e-3))
+    leaning = type(windows)(windows.volts + lean(windows), windows.elapsed_s, windows.weight, windows.targets)
+    clean = turn_error_deg(bump_map(), windows, still)
+    unexpected, expected = (turn_error_deg(bump_map(), leaning, config) for config in (still, moving))
+    assert unexpected > 2 * clean
+    assert expected < 0.6 * unexpected
+
+
+def test_an_accelerometer_off_the_skin_tells_the_device_s_turn(half):
+    one = bump_map()
+    flat = np.zeros_like(one.coefficients)
+    both = bump_map(
+        coefficients=np.concatenate([one.coefficients, flat], 3),
+        depth_slope=np.concatenate([one.depth_slope, flat[0]], 2),
+        noise_v=np.full(4, 1.4e-3),
+        drift_v=np.full(4, 5e-4),
+    )
+    leaning = type(half)(half.volts + lean(half), half.elapsed_s, half.weight, half.targets)
+    beside = type(half)(
+        torch.cat([leaning.volts, lean(half)], 1), half.elapsed_s, half.weight.repeat(1, 2), half.targets
+    )
+    moving = RefinementConfig(steps=8, trust=1.0, lean_v=5e-3)
+    clean = turn_error_deg(one, half, RefinementConfig(steps=8, trust=1.0))
+    alone, told = turn_error_deg(one, leaning, moving), turn_error_deg(both, beside, moving)
+    assert told < 1.3 * clean
+    assert told < 0.8 * alone
