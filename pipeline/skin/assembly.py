@@ -41,81 +41,120 @@ def sum_elements(
 
     Args:
         places, old_places: (nodes, 3) mm, now and at the indenter's last position.
+        gradients, volumes: of each block of elements, as `material.forces`.
         first, count: (nodes,) each node's first unknown and how many it has: 0 clamped, 3 free, 6 on a board.
         motion: (nodes, 3, 6) the boards' B. positions: (e, 8, 8, 6) where each block's rows begin in `data`.
 
     Returns:
         False if an element is inside out; the sums are void then.
     """
-    x = np.empty((3, 8))
+    x = np.empty(material.NODAL)
+    force = np.empty(material.NODAL)
+    room = np.empty(material.ROOM)
+    slopes = np.empty(material.SLOPES)
+    swelling = np.empty(material.NODAL)
+    stiffness = np.empty(64 * 9 * material.LANES)
+    nodal_x = x.reshape(3, 8, material.LANES)
+    nodal_force = force.reshape(3, 8, material.LANES)
+    nodal_stiffness = stiffness.reshape(8, 8, 3, 3, material.LANES)
     before = np.empty((3, 8))
-    room = np.empty((8, 3, 8))
-    force = np.empty((3, 8))
-    stiffness = np.empty((8, 3, 3, 8))
-    carried = np.empty((3, 6))
     travel = np.sqrt(moved[0] * moved[0] + moved[1] * moved[1] + moved[2] * moved[2])
-    for e in range(elements.shape[0]):
-        for a in range(8):
-            for i in range(3):
-                x[i, a] = places[elements[e, a], i]
-        if not material.element(
-            x, gradients[e], volumes[e], shear, bulk, wants_tangent, room, force, stiffness
-        ):
-            return False
-        if is_bottom[e] and pressure != 0.0:
-            loads.air(x, pressure, pressed_shapes, wants_tangent, force, stiffness)
-        if is_top[e]:
+    for block in range(len(gradients)):
+        begin = block * material.LANES
+        lanes = min(material.LANES, len(elements) - begin)
+        for l in range(material.LANES):
+            e = min(begin + l, len(elements) - 1)
             for a in range(8):
                 for i in range(3):
-                    before[i, a] = old_places[elements[e, a], i]
-            loads.touch(
-                x,
-                before,
-                areas[e],
-                centre,
-                moved,
-                travel,
-                law,
-                face_shapes,
-                wants_tangent,
-                force,
-                stiffness,
-                total,
-            )
-        for a in range(8):
-            for i in range(3):
-                forces[elements[e, a], i] += force[i, a]
-        if not wants_tangent:
-            continue
-        for a in range(8):
-            na = elements[e, a]
-            if count[na] == 0:
-                continue
-            for b in range(8):
-                nb = elements[e, b]
-                if count[nb] == 0 or first[nb] < first[na]:
-                    continue
-                same = first[na] == first[nb]
-                # K_ab B_b, then B_a^T of it
-                if count[nb] == 3:
+                    nodal_x[i, a, l] = places[elements[e, a], i]
+        if not material.forces(x, gradients[block], volumes[block], shear, bulk, room, force):
+            return False
+        if wants_tangent:
+            material.tangent(gradients[block], volumes[block], shear, room, slopes, swelling, stiffness)
+        for l in range(lanes):
+            e = begin + l
+            if is_bottom[e] and pressure != 0.0:
+                loads.air(
+                    l,
+                    nodal_x,
+                    pressure,
+                    pressed_shapes,
+                    wants_tangent,
+                    nodal_force,
+                    nodal_stiffness,
+                )
+            if is_top[e] and loads.is_near(elements[e], places, centre, law[0]):
+                for a in range(8):
                     for i in range(3):
-                        for j in range(3):
-                            carried[i, j] = stiffness[a, i, j, b]
-                else:
-                    for i in range(3):
-                        for j in range(6):
-                            carried[i, j] = 0.0
-                            for k in range(3):
-                                carried[i, j] += stiffness[a, i, k, b] * motion[nb, k, j]
-                for i in range(count[na]):
-                    at = positions[e, a, b, i]
-                    begin = i if same else 0
-                    for j in range(begin, count[nb]):
-                        if count[na] == 3:
-                            value = carried[i, j]
-                        else:
-                            value = 0.0
-                            for k in range(3):
-                                value += motion[na, k, i] * carried[k, j]
-                        data[at + j - begin] += value
+                        before[i, a] = old_places[elements[e, a], i]
+                loads.touch(
+                    l,
+                    nodal_x,
+                    before,
+                    areas[e],
+                    centre,
+                    moved,
+                    travel,
+                    law,
+                    face_shapes,
+                    wants_tangent,
+                    nodal_force,
+                    nodal_stiffness,
+                    total,
+                )
+            for a in range(8):
+                for i in range(3):
+                    forces[elements[e, a], i] += nodal_force[i, a, l]
+            if wants_tangent:
+                add_tangent(e, l, elements, nodal_stiffness, first, count, motion, positions, data)
     return True
+
+
+@njit(cache=True, fastmath=material.FAST, error_model="numpy")
+def add_tangent(e, l, elements, stiffness, first, count, motion, positions, data):
+    """Adds the tangent of element e, which lies in lane l of a block's, to `data`.
+
+    Args:
+        stiffness: (8 a, 8 b, 3 i, 3 j, lanes) N/mm, read where b >= a. The rest: as `sum_elements`.
+    """
+    block = np.empty((3, 3))
+    carried = np.empty((3, 6))
+    for a in range(8):
+        na = elements[e, a]
+        if count[na] == 0:
+            continue
+        for b in range(8):
+            nb = elements[e, b]
+            if count[nb] == 0 or first[nb] < first[na]:
+                continue
+            same = first[na] == first[nb]
+            for i in range(3):
+                for j in range(3):
+                    block[i, j] = stiffness[a, b, i, j, l] if b >= a else stiffness[b, a, j, i, l]
+            if count[na] == 3 and count[nb] == 3:
+                for i in range(3):
+                    begin = i if same else 0
+                    at = positions[e, a, b, i] - begin
+                    for j in range(begin, 3):
+                        data[at + j] += block[i, j]
+                continue
+            # K_ab B_b, then B_a^T of it
+            if count[nb] == 3:
+                carried[:, :3] = block
+            else:
+                for i in range(3):
+                    for j in range(6):
+                        carried[i, j] = 0.0
+                        for k in range(3):
+                            carried[i, j] += block[i, k] * motion[nb, k, j]
+            for i in range(count[na]):
+                begin = i if same else 0
+                at = positions[e, a, b, i] - begin
+                for j in range(begin, count[nb]):
+                    if count[na] == 3:
+                        value = carried[i, j]
+                    else:
+                        value = 0.0
+                        for k in range(3):
+                            value += motion[na, k, i] * carried[k, j]
+                    data[at + j] += value

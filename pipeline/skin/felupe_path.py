@@ -54,9 +54,10 @@ class Contact:
         # Faces whose nodes are all well away cannot be touched.
         near = np.hypot(*(places[self.elements[:, 4]] - self.centre)[:, :2].T) < self.law[0] + 8.0
         for element, area in zip(self.elements[near], self.areas[near], strict=True):
-            force, block = np.zeros((3, 8)), np.zeros((8, 3, 3, 8))
-            x, before = (np.ascontiguousarray(p[element].T) for p in (places, self.old))
+            force, block = np.zeros((3, 8, 1)), np.zeros((8, 8, 3, 3, 1))
+            x, before = places[element].T[..., None], self.old[element].T
             loads.touch(
+                0,
                 x,
                 before,
                 area,
@@ -70,12 +71,12 @@ class Contact:
                 block,
                 total,
             )
-            np.add.at(forces, element, force.T)
+            np.add.at(forces, element, force[..., 0].T)
             if wants_tangent and block.any():
                 unknowns = 3 * element[:, None] + np.arange(3)
                 rows.append(np.broadcast_to(unknowns[:, :, None, None], (8, 3, 8, 3)).ravel())
                 columns.append(np.broadcast_to(unknowns[None, None], (8, 3, 8, 3)).ravel())
-                values.append(block.transpose(0, 1, 3, 2).ravel())
+                values.append(block[..., 0].transpose(0, 2, 1, 3).ravel())
         none = [np.zeros(0, int)]
         at = (np.concatenate(rows or none), np.concatenate(columns or none))
         tangent = sparse.csr_matrix((np.concatenate(values or [np.zeros(0)]), at), shape=(size, size))

@@ -46,10 +46,12 @@ def pressed_shapes() -> np.ndarray:
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
-def air(x, pressure, shapes, wants_tangent, force, stiffness):
+def air(l, x, pressure, shapes, wants_tangent, force, stiffness):
     """Takes the air's push on an element's lower face (nodes 0..3) from its internal force and tangent.
 
-    Args: as `material.element`; pressure in MPa; shapes: `pressed_shapes`.
+    Args:
+        l: which of the lanes. x: (3, 8, lanes) the nodes' places, mm. pressure: MPa. shapes: `pressed_shapes`.
+        force: (3, 8, lanes) N. stiffness: (8 a, 8 b, 3 i, 3 j, lanes) N/mm, d force_ai / d x_bj.
     """
     r = np.empty(3)
     s = np.empty(3)
@@ -58,13 +60,13 @@ def air(x, pressure, shapes, wants_tangent, force, stiffness):
         for i in range(3):
             r[i] = s[i] = 0.0
             for a in range(4):
-                r[i] += x[i, a] * shape[1, a]
-                s[i] += x[i, a] * shape[2, a]
+                r[i] += x[i, a, l] * shape[1, a]
+                s[i] += x[i, a, l] * shape[2, a]
         for i in range(3):
             j, k = (i + 1) % 3, (i + 2) % 3
             area = pressure * (r[j] * s[k] - r[k] * s[j])
             for a in range(4):
-                force[i, a] -= area * shape[0, a]
+                force[i, a, l] -= area * shape[0, a]
         if wants_tangent:
             for a in range(4):
                 for b in range(4):
@@ -73,33 +75,38 @@ def air(x, pressure, shapes, wants_tangent, force, stiffness):
                         # d area_i / d x_bk and / d x_bj; half here, half transposed: the symmetric part
                         up = 0.5 * pressure * shape[0, a] * (r[j] * shape[2, b] - s[j] * shape[1, b])
                         down = 0.5 * pressure * shape[0, a] * (s[k] * shape[1, b] - r[k] * shape[2, b])
-                        stiffness[a, i, k, b] -= up
-                        stiffness[b, k, i, a] -= up
-                        stiffness[a, i, j, b] -= down
-                        stiffness[b, j, i, a] -= down
+                        stiffness[a, b, i, k, l] -= up
+                        stiffness[b, a, k, i, l] -= up
+                        stiffness[a, b, i, j, l] -= down
+                        stiffness[b, a, j, i, l] -= down
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
-def touch(x, before, area, centre, moved, travel, law, shapes, wants_tangent, force, stiffness, total):
+def is_near(nodes, places, centre, radius):
+    """Whether the indenter can touch the upper face of an element with these nodes (8,)."""
+    near = 1e30
+    size = 0.0
+    for a in range(4, 8):
+        d0, d1 = places[nodes[a], 0] - centre[0], places[nodes[a], 1] - centre[1]
+        near = min(near, d0 * d0 + d1 * d1)
+        e0, e1 = places[nodes[a], 0] - places[nodes[4], 0], places[nodes[a], 1] - places[nodes[4], 1]
+        size = max(size, e0 * e0 + e1 * e1)
+    return math.sqrt(near) <= radius + math.sqrt(size)
+
+
+@njit(cache=True, fastmath=FAST, error_model="numpy")
+def touch(l, x, before, area, centre, moved, travel, law, shapes, wants_tangent, force, stiffness, total):
     """Adds the indenter's contact on an element's upper face (nodes 4..7) to its force and tangent.
 
     Args:
-        x, before: (3, 8) the nodes' places now and at the last position, mm. area: of one point, mm^2.
+        l, x, force, stiffness: as in `air`. before: (3, 8) the nodes' places at the last position, mm.
+        area: of one point, mm^2.
         centre: (3,) the hemisphere's. moved: (3,) since the last position. travel: its length, mm; 0 = no
             friction.
         law: (4,) radius mm, friction, k MPa/mm^2, eps. shapes: `face_shapes`.
         total: (4,) the force on the indenter, N, added to, and the deepest gap so far, mm.
     """
     radius, friction, penalty, clinging = law
-    near = 1e30
-    size = 0.0
-    for a in range(4, 8):
-        d0, d1 = x[0, a] - centre[0], x[1, a] - centre[1]
-        near = min(near, d0 * d0 + d1 * d1)
-        e0, e1 = x[0, a] - x[0, 4], x[1, a] - x[1, 4]
-        size = max(size, e0 * e0 + e1 * e1)
-    if math.sqrt(near) > radius + math.sqrt(size):
-        return
     point = np.empty(3)
     slip = np.empty(3)
     normal = np.empty(3)
@@ -109,7 +116,7 @@ def touch(x, before, area, centre, moved, travel, law, shapes, wants_tangent, fo
         for i in range(3):
             point[i] = -centre[i]
             for a in range(4):
-                point[i] += shape[a] * x[i, 4 + a]
+                point[i] += shape[a] * x[i, 4 + a, l]
         round_head = point[2] <= 0.0
         distance = math.sqrt(
             point[0] * point[0] + point[1] * point[1] + (point[2] * point[2] if round_head else 0.0)
@@ -132,7 +139,7 @@ def touch(x, before, area, centre, moved, travel, law, shapes, wants_tangent, fo
             for i in range(3):
                 slip[i] = -moved[i]
                 for a in range(4):
-                    slip[i] += shape[a] * (x[i, 4 + a] - before[i, 4 + a])
+                    slip[i] += shape[a] * (x[i, 4 + a, l] - before[i, 4 + a])
                 slip[i] /= travel
                 along += slip[i] * normal[i]
             squared = clinging * clinging
@@ -147,7 +154,7 @@ def touch(x, before, area, centre, moved, travel, law, shapes, wants_tangent, fo
             pull = -traction * normal[i] + drag * slip[i]
             total[i] += pull
             for a in range(4):
-                force[i, 4 + a] += shape[a] * pull
+                force[i, 4 + a, l] += shape[a] * pull
         if wants_tangent:
             # d(-t n)/dx = slope n n - t/r (I - n n), the rod's axis having no curvature
             curve = traction / distance
@@ -167,4 +174,4 @@ def touch(x, before, area, centre, moved, travel, law, shapes, wants_tangent, fo
                     both = shape[a] * shape[b]
                     for i in range(3):
                         for j in range(3):
-                            stiffness[4 + a, i, j, 4 + b] += both * block[i, j]
+                            stiffness[4 + a, 4 + b, i, j, l] += both * block[i, j]

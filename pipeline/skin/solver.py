@@ -1,7 +1,7 @@
 """Equilibrium by a held factor with Anderson acceleration, and continuation along the indenter's line.
 
-A factorisation costs as much as a dozen residuals, so a factor is held, over positions too, for as long as
-Anderson's mixing (depth 6) converges with it faster than a new one is expected to. Each line starts from the
+A factorisation costs as much as several iterations, so a factor is held, over positions too, for as long as
+Anderson's mixing converges with it faster than a new one is expected to. Each line starts from the
 inflated, untouched skin and goes on in short steps: a jump would let the rod pierce the skin into an
 equilibrium that is false and looks converged.
 
@@ -14,18 +14,17 @@ What fails even so is halved.
 import math
 import time
 from dataclasses import dataclass, field
-from itertools import pairwise
 
 import numpy as np
 
+from pipeline.skin.anderson import AndersonMixing
 from pipeline.skin.linear import LinearSolver, linear_solver
 from pipeline.skin.mesh import Mesh
 from pipeline.skin.system import Load, Material, State, System
 
 TOLERANCE_N = 3e-4
 CAP_MM = 0.7  # no unknown moves further in one iteration
-DEPTH = 6
-NEW_FACTOR_COST = 12  # held-factor iterations that assembling and factoring cost
+NEW_FACTOR_COST = 7  # held-factor iterations that assembling and factoring cost
 MOST_FACTORS = 12
 CREEP_STEPS = 80
 CREEP_START_N_MM = 1e-3  # eta: per node, about a hundredth of the skin's own stiffness
@@ -68,6 +67,7 @@ class Skin:
     def __post_init__(self) -> None:
         self.system = System(self.mesh, self.material)
         self.linear: LinearSolver = linear_solver(self.solver)
+        self._mixing = AndersonMixing(self.system.size)
         self._has_factor = False
 
     def forget(self) -> None:
@@ -91,7 +91,7 @@ class Skin:
         norm = float(np.linalg.norm(residual))
         factors = 0
         fresh = not self._has_factor
-        history: list[tuple[np.ndarray, np.ndarray]] = []  # (unknowns, correction)
+        self._mixing.restart()
         norms: list[float] = []
         while norm > tolerance:
             if fresh:
@@ -102,11 +102,11 @@ class Skin:
                 self._has_factor = True
                 factors += 1
                 self.statistics.factors += 1
-                history, norms, fresh = [], [], False
+                self._mixing.restart()
+                norms, fresh = [], False
             self.statistics.iterations += 1
             correction = -self.linear.solve(residual)
-            history = [*history[-DEPTH:], (state.unknowns.copy(), correction)]
-            step = _mixed(history)
+            step = self._mixing.step(state.unknowns, correction)
             step *= min(1.0, CAP_MM / max(float(np.abs(step).max()), 1e-30))
             norms.append(norm)
             accepted = self._advance(state, step, load, norm)
@@ -277,19 +277,6 @@ class Skin:
             raise NoEquilibrium("the rod pierces the skin")
         self.statistics.deepest_mm = max(self.statistics.deepest_mm, float(touch[3]))
         return state, touch[:3]
-
-
-def _mixed(history: list[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
-    """Anderson's step from the last (unknowns, correction) pairs: the combination of least correction."""
-    correction = history[-1][1]
-    if len(history) == 1:
-        return correction.copy()
-    moves = np.array([b[0] - a[0] for a, b in pairwise(history)])
-    changes = np.array([b[1] - a[1] for a, b in pairwise(history)])
-    normal = changes @ changes.T
-    normal[np.diag_indices_from(normal)] *= 1 + 1e-10
-    weights = np.linalg.lstsq(normal, changes @ correction, rcond=1e-12)[0]
-    return correction - weights @ (moves + changes)
 
 
 def _is_slow(norms: list[float], tolerance: float) -> bool:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import scipy.sparse as sparse
 
-from pipeline.skin import loads
+from pipeline.skin import loads, material
 from pipeline.skin.assembly import sum_elements
 from pipeline.skin.mesh import Mesh
 
@@ -71,8 +71,12 @@ class System:
         self.first[on_board] = 3 * free.sum() + 6 * mesh.board_of[on_board]
         self.count = np.where(on_board, 6, np.where(free, 3, 0)).astype(np.int32)
         self.size = int(3 * free.sum() + 6 * boards)
-        self._gradients, self._volumes = mesh.gradients
-        self._gradients = np.ascontiguousarray(self._gradients.transpose(0, 1, 3, 2))
+        gradients, volumes = mesh.gradients
+        self._gradients = material.in_lanes(gradients.transpose(0, 1, 3, 2))
+        self._volumes = material.in_lanes(volumes)
+        self._free = np.flatnonzero(free)
+        self._members = [np.flatnonzero(mesh.board_of == n) for n in range(boards)]
+        self._motion = np.zeros((len(mesh.nodes), 3, 6))  # the boards' B
         self._areas = _face_areas(mesh) / loads.POINTS**2
         self._face_shapes = loads.face_shapes()
         self._pressed_shapes = loads.pressed_shapes()
@@ -84,23 +88,13 @@ class System:
 
     def places(self, state: State) -> np.ndarray:
         """(nodes, 3) mm: where the nodes are."""
-        return self._places(state)[0]
-
-    def _places(self, state: State) -> tuple[np.ndarray, np.ndarray]:
-        """Places (nodes, 3) mm and the boards' B (nodes, 3, 6), zero elsewhere."""
-        mesh = self.mesh
-        places = mesh.nodes.copy()
-        free = self.count == 3
-        places[free] += state.unknowns[: 3 * free.sum()].reshape(-1, 3)
-        motion = np.zeros((len(mesh.nodes), 3, 6))
-        for n, centre in enumerate(mesh.centres):
-            own = mesh.board_of == n
+        places = self.mesh.nodes.copy()
+        places[self._free] += state.unknowns[: 3 * len(self._free)].reshape(-1, 3)
+        for n, (own, centre) in enumerate(zip(self._members, self.mesh.centres, strict=True)):
             d, w = state.unknowns[self.board_slice(n)].reshape(2, 3)
-            arms = (mesh.nodes[own] - centre) @ (rotation(w) @ state.rotations[n]).T
-            places[own] = centre + d + arms
-            motion[own, :, :3] = np.eye(3)
-            motion[own, :, 3:] = -skew(arms) @ spin(w)
-        return places, motion
+            turned = rotation(w) @ state.rotations[n]
+            places[own] = centre + d + (self.mesh.nodes[own] - centre) @ turned.T
+        return places
 
     def board_slice(self, n: int) -> slice:
         """The six unknowns of board n."""
@@ -129,7 +123,7 @@ class System:
         self, state: State, load: Load, wants_tangent: bool
     ) -> tuple[np.ndarray | None, np.ndarray]:
         mesh, stuff = self.mesh, self.material
-        places, motion = self._places(state)
+        places = self.places(state)
         touched = load.centre is not None
         centre = load.centre if load.centre is not None else np.zeros(3)
         before = load.before if load.before is not None else centre
@@ -137,6 +131,8 @@ class System:
         total = np.zeros(4)
         if wants_tangent:
             self.pattern.data[:] = 0.0
+            for n in range(len(mesh.centres)):
+                self._motion[self._members[n]] = self._board_motion(n, state, places)
         good = sum_elements(
             mesh.elements,
             places,
@@ -157,7 +153,7 @@ class System:
             wants_tangent,
             self.first,
             self.count,
-            motion,
+            self._motion,
             self._positions,
             forces,
             self.pattern.data,
@@ -166,19 +162,28 @@ class System:
         if not good:
             return None, total
         residual = np.empty(self.size)
-        free = self.count == 3
-        residual[: 3 * free.sum()] = forces[free].ravel()
-        for n, middle in enumerate(mesh.centres):
-            own = mesh.board_of == n
-            residual[self.board_slice(n)] = np.einsum("nij,ni->j", motion[own], forces[own])
+        residual[: 3 * len(self._free)] = forces[self._free].ravel()
+        for n, own in enumerate(self._members):
+            d, w = state.unknowns[self.board_slice(n)].reshape(2, 3)
+            arms = places[own] - mesh.centres[n] - d
+            moment = forces[own].T @ arms  # f r^T
+            twist = np.array(
+                [moment[2, 1] - moment[1, 2], moment[0, 2] - moment[2, 0], moment[1, 0] - moment[0, 1]]
+            )
+            residual[self.board_slice(n)] = np.concatenate([forces[own].sum(axis=0), twist @ spin(w)])
             if wants_tangent:
-                d = state.unknowns[self.board_slice(n)][:3]
-                self._add_turning(n, forces[own], places[own] - middle - d)
+                self._add_turning(n, moment)
         return residual, total
 
-    def _add_turning(self, n: int, forces: np.ndarray, arms: np.ndarray) -> None:
-        """Second derivative of exp(w) r against the forces: (f r^T + r f^T)/2 - (f.r) I, at w = 0."""
-        moment = forces.T @ arms
+    def _board_motion(self, n: int, state: State, places: np.ndarray) -> np.ndarray:
+        """B (members, 3, 6) of a board's nodes."""
+        d, w = state.unknowns[self.board_slice(n)].reshape(2, 3)
+        arms = places[self._members[n]] - self.mesh.centres[n] - d
+        turns = -skew(arms) @ spin(w)
+        return np.concatenate([np.broadcast_to(np.eye(3), turns.shape), turns], axis=2)
+
+    def _add_turning(self, n: int, moment: np.ndarray) -> None:
+        """Second derivative of exp(w) r against the forces, `moment` = f r^T: (f r^T + r f^T)/2 - (f.r) I, at w = 0."""
         block = (moment + moment.T) / 2 - np.trace(moment) * np.eye(3)
         start = self.board_slice(n).start + 3
         for i in range(3):

@@ -1,0 +1,34 @@
+"""Anderson acceleration: of the last iterates, the combination whose correction is least."""
+
+import numpy as np
+
+DEPTH = 10
+# Keeps the least-squares problem solvable where corrections hardly change any more.
+RIDGE = 1e-10
+
+
+class AndersonMixing:
+    """Mixes the corrections of a fixed-point iteration; `restart` when the iteration's map changes."""
+
+    def __init__(self, size: int) -> None:
+        self._changes = np.zeros((DEPTH, size))  # of the correction, from one iterate to the next
+        self._moves = np.zeros((DEPTH, size))  # of iterate and correction together
+        self.restart()
+
+    def restart(self) -> None:
+        self._last: tuple[np.ndarray, np.ndarray] | None = None
+        self._count = 0
+
+    def step(self, iterate: np.ndarray, correction: np.ndarray) -> np.ndarray:
+        """The step to take from `iterate` (n,), given the correction (n,) that would be taken without mixing."""
+        if self._last is not None:
+            row = self._count % DEPTH
+            self._changes[row] = correction - self._last[1]
+            self._moves[row] = iterate - self._last[0] + self._changes[row]
+            self._count += 1
+        self._last = iterate.copy(), correction
+        used = min(self._count, DEPTH)
+        changes = self._changes[:used]
+        normal = changes @ changes.T
+        normal[np.diag_indices(used)] *= 1 + RIDGE
+        return correction - np.linalg.solve(normal, changes @ correction) @ self._moves[:used]
