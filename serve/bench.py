@@ -31,17 +31,19 @@ _START = """
 import json, sys, time
 begun = time.perf_counter()
 import numpy, onnxruntime
-def resident():
+def memory():
     with open("/proc/self/statm") as file:
-        return int(file.read().split()[1]) * {page} / 1e6
-bare, bare_s = resident(), time.perf_counter() - begun
+        _, resident, shared, *_ = map(int, file.read().split())
+    return numpy.array([resident, resident - shared]) * {page} / 1e6
+bare, bare_s = memory(), time.perf_counter() - begun
 from pathlib import Path
 from serve.localizer import Localizer
 localizer = Localizer.load(Path(sys.argv[1]))
 samples = localizer.card.samples_per_block
 localizer.push(numpy.zeros((samples, len(localizer.card.channels))))
+resident, private = (memory() - bare).round(2)
 print(json.dumps({{"first_estimate_s": time.perf_counter() - begun, "libraries_s": bare_s,
-                  "memory_above_libraries_mb": resident() - bare}}))
+                  "memory_above_libraries_mb": resident, "private_memory_above_libraries_mb": private}}))
 """
 
 
@@ -132,7 +134,10 @@ def _blocks(localizer: Localizer) -> tuple[list[np.ndarray], list[np.ndarray]]:
 
 
 def _start(bundle: Path) -> dict[str, float]:
-    """In a process of its own: import and first estimate, s; memory above numpy with ONNX Runtime, MB."""
+    """In a process of its own: import and first estimate, s; memory above numpy with ONNX Runtime, MB.
+
+    Private: without the pages of libraries' code, most of which a first session of ONNX Runtime brings in.
+    """
     root = Path(__file__).parents[1]
     done = subprocess.run(
         [sys.executable, "-c", _START.format(page=os.sysconf("SC_PAGE_SIZE")), str(bundle.resolve())],
