@@ -247,8 +247,8 @@ def _parser() -> argparse.ArgumentParser:
         description="Without a bundle, the skin: the solver against FElupe, a slide, two workers, the synthetic signal "
         "(positions a core-second, times real time; minutes). With one, the device's runtime: one decision (20 ms of "
         "samples in, an estimate out) in us, at rest (of one and of four accelerometers) and in a slide, each beside a "
-        "call of a one-node graph; import and first estimate in s; memory above numpy with ONNX Runtime in MB, resident "
-        "and without pages of code; the bundle's size in kB. One thread. The last line is one JSON object.",
+        "call of a one-node graph; import and first estimate in s; memory above numpy with ONNX Runtime in MB, all and "
+        "without pages of code; the bundle's size in kB. One thread. The last line is one JSON object.",
     )
     bench.add_argument(
         "--model", type=Path, metavar="BUNDLE", help="a bundle from 'train' (default: the skin)"
