@@ -218,6 +218,11 @@ def _parser() -> argparse.ArgumentParser:
         help="of bytes from outside: csv, lines of volts (V) with a time (s) before them or none; f32, little-endian "
         "float32 frames, one number a channel (default: %(default)s)",
     )
+    serve.add_argument(
+        "--smooth",
+        action="store_true",
+        help="pass place, direction and speed through a Kalman filter: a fifth of the jitter, no further accuracy",
+    )
     serve.add_argument("--fast", action="store_true", help="play a recording as fast as it goes")
     serve.add_argument(
         "--page",
@@ -385,6 +390,7 @@ def _serve(arguments: argparse.Namespace) -> int:
         arguments.format,
         arguments.fast,
         arguments.page,
+        arguments.smooth,
     )
     print(f"softslide serve: {written} estimates", file=sys.stderr)
     return 0

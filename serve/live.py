@@ -2,13 +2,15 @@
 
 import signal
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 from types import FrameType
 from typing import Any
 
 from features.errors import InputError
+from features.estimate import Estimate
+from features.track_filter import TrackFilter
 from serve.framing import Chunk
 from serve.localizer import Localizer
 from serve.server import Page
@@ -23,16 +25,19 @@ def serve(
     form: str = "csv",
     fast: bool = False,
     page: str | None = None,
+    smooth: bool = False,
 ) -> int:
     """Streams until the source ends, or SIGINT or SIGTERM comes. Returns the number of estimates written.
 
     source, sinks: as in serve/sources.py and serve/sinks.py. form: of bytes from outside, csv or f32.
     fast: play a recording back as fast as it goes. page: [HOST:]PORT of the live page, None for none.
+    smooth: filter each slide's place, direction and speed (features/track_filter.py).
 
     Raises:
         InputError: the bundle, the source, a sink or the page's place is not what it should be.
     """
     localizer = Localizer.load(bundle)
+    steady = TrackFilter().update if smooth else None
     written = 0
     with _stoppable() as stopped, ExitStack() as held:
         opened = [held.enter_context(closing(open_sink(name))) for name in sinks]
@@ -44,17 +49,25 @@ def serve(
             if stopped:
                 break
             try:
-                written += _hand_on(localizer, chunk, opened, shown)
+                written += _hand_on(localizer, chunk, steady, opened, shown)
             except InputError as error:
                 raise InputError(f"--source {source}: {error}") from None
     return written
 
 
-def _hand_on(localizer: Localizer, chunk: Chunk | tuple[()], sinks: Sequence[Sink], page: Page | None) -> int:
+def _hand_on(
+    localizer: Localizer,
+    chunk: Chunk | tuple[()],
+    steady: Callable[[Estimate], Estimate] | None,
+    sinks: Sequence[Sink],
+    page: Page | None,
+) -> int:
     """One chunk's estimates to the sinks and the page; their number."""
     written = 0
     for piece in _pieces(chunk, localizer.card.samples_per_block):
         estimates = localizer.push(*piece)
+        if steady is not None:
+            estimates = [steady(estimate) for estimate in estimates]
         for estimate in estimates:
             for sink in sinks:
                 sink.write(estimate)
