@@ -32,10 +32,7 @@ def errors(table: pd.DataFrame) -> str:
         for row, (column, title) in zip(axes, QUANTITIES.items(), strict=True):
             for ax, split in zip(row, splits, strict=True):
                 for model in models:
-                    part = table[(table["split"] == split) & (table["model"] == model)].dropna(
-                        subset=[column]
-                    )
-                    _line(ax, part, column, model)
+                    _line(ax, table[(table["split"] == split) & (table["model"] == model)], column, model)
             _logarithmic(row[0], table[column])
             row[0].set_ylabel(f"mean {title}")
         for ax, split in zip(axes[0], splits, strict=True):
@@ -101,6 +98,8 @@ def _look(model: str) -> dict:
 
 
 def _line(ax: Axes, part: pd.DataFrame, column: str, model: str) -> None:
+    # An error of nothing at all, as of a direction that is one of four, has no place on a logarithmic scale.
+    part = part[part[column] > 0]
     ax.plot(part["stroke_fraction"], part[column], **_look(model))
     face = np.where(part["valid_share"] < FEW, "white", _look(model)["color"])
     ax.scatter(
@@ -118,6 +117,8 @@ def _logarithmic(ax: Axes, drawn: pd.Series) -> None:
     """Of the axes and those that share its scale, if anything that they show is above zero."""
     if (drawn > 0).any():
         ax.set_yscale("log")
+        reach = drawn[drawn > 0].max() / drawn[drawn > 0].min()
+        ax.yaxis.set_major_locator(mpl.ticker.LogLocator(subs=(1.0, 2.0, 5.0) if reach < 100 else (1.0,)))
         ax.yaxis.set_major_formatter("{x:g}")
         ax.yaxis.set_minor_locator(mpl.ticker.NullLocator())
 

@@ -11,6 +11,9 @@ from experiments.scoring import summary
 
 # Stroke fractions that the Markdown shows; the figure and comparison.csv have them all.
 SHOWN = {1.0: "At the end of the stroke", 0.4: "After 2/5 of the stroke"}
+NO_ERROR = (
+    "A mean error of exactly nothing (a direction that is one of four) has no place on the figure's scale."
+)
 HEAD = (
     "split",
     "model",
@@ -73,7 +76,15 @@ def markdown(
     for fraction, when in SHOWN.items():
         rows = errors[np.isclose(errors["stroke_fraction"], fraction)].to_dict("records")
         text += ["", f"### {when}", "", *_table(HEAD, [_error_cells(row) for row in rows])]
-    text += ["", f"![errors over the stroke](errors-{folder}.svg)", "", "### Time of one window", ""]
+    text += [
+        "",
+        f"![errors over the stroke](errors-{folder}.svg)",
+        "",
+        NO_ERROR,
+        "",
+        "### Time of one window",
+        "",
+    ]
     text += ["Median on one thread, beside a graph of one node called in turns.", ""]
     clocked = [[r["model"], number(r["window_ms"]), number(r["ratio"])] for r in times.to_dict("records")]
     text += _table(("model", "ms", "one-node calls"), clocked)
