@@ -3,7 +3,8 @@
 A factorisation costs as much as several iterations, so a factor is held, over positions too, for as long as
 Anderson's mixing converges with it faster than a new one is expected to. Each line starts from the
 inflated, untouched skin and goes on in short steps: a jump would let the rod pierce the skin into an
-equilibrium that is false and looks converged.
+equilibrium that is false and looks converged. Each search begins ahead by half of what the last step changed;
+by all of it, it would overshoot.
 
 A highly inflated skin snaps as the rod passes the dome's middle: the branch it was on ends (a pivot turns
 negative) and Newton's method circles there. The skin then creeps down its energy, as if in syrup, to the
@@ -31,6 +32,7 @@ CREEP_START_N_MM = 1e-3  # eta: per node, about a hundredth of the skin's own st
 PIERCED = 0.6  # of the indenter's radius: deeper than any posture that holds, half way to coming out beyond
 LONGEST_STEP_MM = 1.25  # of the indenter; a longer one is a jump
 SHORTEST_STEP_MM = 0.05  # before a position is given up
+LEAD = 0.5  # of the last step's change, taken as the start of the next
 AIR_STEP_MPA = 2e-4
 BALLOON = 0.4  # of the chamber's width: a skin as high as this has passed its limit
 HEIGHT_TOLERANCE_MM = 1e-3
@@ -68,11 +70,14 @@ class Skin:
         self.system = System(self.mesh, self.material)
         self.linear: LinearSolver = linear_solver(self.solver)
         self._mixing = AndersonMixing(self.system.size)
-        self._has_factor = False
+        self.forget()
 
     def forget(self) -> None:
-        """Drops the held factor, so that what follows does not depend on what was solved before."""
+        """Drops the held factor and the last step, so that what follows does not depend on what was before."""
         self._has_factor = False
+        self._last: tuple[State, float] | None = (
+            None  # the posture before the last step, and its length in mm
+        )
 
     def equilibrium(
         self, start: State, load: Load, tolerance_n: float | None = None
@@ -256,21 +261,29 @@ class Skin:
         while done < 1.0 - 1e-9:
             old, new = (before + share * (centre - before) for share in (done, done + part))
             load = Load(pressure_mpa, new, old, self.system.places(state))
+            guess = state
+            if self._last is not None:
+                guess = self.system.ahead(self._last[0], state, LEAD * part * way / self._last[1])
             try:
-                state, force = self._settle(state, load)
+                settled, force = self._settle(state, load, guess=guess)
             except NoEquilibrium:
+                self._last = None
                 self.statistics.halvings += 1
                 part /= 2
                 if part * way < SHORTEST_STEP_MM:
                     raise
                 continue
+            self._last = (state, part * way) if way > 0 else None
+            state = settled
             done += part
         return state, force
 
-    def _settle(self, state: State, load: Load, tolerance_n: float | None = None) -> tuple[State, np.ndarray]:
-        """The balance near `state`, or the one that the skin snaps to; never one that the rod pierces."""
+    def _settle(
+        self, state: State, load: Load, tolerance_n: float | None = None, guess: State | None = None
+    ) -> tuple[State, np.ndarray]:
+        """The balance near `guess`, or the one that the skin snaps to from `state`; never one that is pierced."""
         try:
-            state, touch = self.equilibrium(state, load, tolerance_n)
+            state, touch = self.equilibrium(guess or state, load, tolerance_n)
         except NoEquilibrium:
             state, touch = self.creep(state, load, tolerance_n)
         if touch[3] > PIERCED * self.material.radius_mm:

@@ -110,6 +110,14 @@ class System:
             own[3:] = 0.0
         return state
 
+    def ahead(self, before: State, now: State, share: float) -> State:
+        """The accepted posture `now`, moved on by a share of what happened since the accepted one `before`."""
+        step = now.unknowns - before.unknowns
+        for n in range(len(self.mesh.centres)):
+            turn = now.rotations[n] @ before.rotations[n].T
+            step[self.board_slice(n)][3:] = (turn[[2, 0, 1], [1, 2, 0]] - turn[[1, 2, 0], [2, 0, 1]]) / 2
+        return State(now.unknowns + share * step, now.rotations)
+
     def residual(self, state: State, load: Load) -> tuple[np.ndarray | None, np.ndarray]:
         """Out-of-balance force (n,) N (None if an element is inside out), and of the indenter (4,) the
         force on it in N and how deep it sinks into the skin in mm."""
