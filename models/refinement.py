@@ -72,9 +72,7 @@ class Refinement(nn.Module):
     patch: Tensor
     signals: Tensor
     quarter: Tensor
-    centred: Tensor
     lean: Tensor
-    means: Tensor
     centres: Tensor
 
     def __init__(self, response: ResponseMap, block_s: float, config: RefinementConfig) -> None:
@@ -102,8 +100,6 @@ class Refinement(nn.Module):
             "signals": signal_mixture(),
             "quarter": np.array([[0.0, -1.0], [1.0, 0.0]]),
             "lean": config.lean_v * (np.arange(BINS)[:, None] + 0.5) / BINS,
-            "centred": np.eye(BINS) - 1 / BINS,
-            "means": bin_means(),
             "centres": np.linalg.inv(bin_means()).T,
         }
         # In doubles: partial strokes leave the normal matrix nearly singular, and whether a step is taken back
@@ -139,7 +135,7 @@ class Refinement(nn.Module):
         tilt = bins[:, :, :2].reshape(-1, self.channels, BINS)
         # What follows compares values at the bins' centres; a bin holds a mean, which is flatter than the signal.
         inverse = self._inverse_covariance(tilt, bins[:, :, 2:], elapsed_s, weight)
-        inverse, tilt = self.means.T @ inverse @ self.means, tilt @ self.centres
+        tilt = tilt @ self.centres
         # The device's own slow turn leans all boards alike: one number for each axis, whose own worth is not asked for.
         along_lean = inverse @ self.lean
         told = (self.lean * along_lean).sum((2, 3)).reshape(-1, self.channels // 2, 2).sum(1)
@@ -217,7 +213,7 @@ class Refinement(nn.Module):
         floor = (0.4 * self.floor_v) ** 2 + (PEAK_SHARE * peak) ** 2
         variance = self.noise**2 / blocks[:, None] + floor[:, None]
         wander = self.drift**2 / (variance + BINS * self.drift**2)
-        ripple = vertical @ self.centred
+        ripple = vertical - vertical.mean(3, keepdim=True)
         size = (ripple * ripple).sum(3).expand(-1, -1, 2).flatten(1)
         picked = self.askew**2 / (variance + self.askew**2 * size)
         outer = (ripple.transpose(2, 3) @ ripple)[:, :, None].expand(-1, -1, 2, -1, -1).flatten(1, 2)

@@ -6,7 +6,7 @@ import torch
 from bump_map import REFERENCE_MM, bump_map
 
 from features.window import WINDOW_BINS
-from models.refinement import BINS, PEAK_SHARE, Refinement, RefinementConfig, inverted, solve
+from models.refinement import BINS, PEAK_SHARE, Refinement, RefinementConfig, bin_means, inverted, solve
 from models.synthetic_windows import SynthesisConfig, WindowSource
 
 BLOCK_S = 0.02
@@ -55,6 +55,15 @@ def test_rows_are_the_map_and_its_derivatives():
     for k, step in enumerate(1e-5 * np.eye(6)):
         numeric = (predicted(state + step) - predicted(state - step)) / 2e-5
         np.testing.assert_allclose(rows[:, k], numeric, atol=1e-6)
+
+
+def test_bins_are_means_of_what_lies_in_them():
+    """Exact for cubics inside, for parabolas in the outermost bins too."""
+    edge, centre = np.arange(BINS + 1.0), np.arange(BINS) + 0.5
+    for power in range(4):
+        means = np.diff(edge ** (power + 1)) / (power + 1)
+        inner = slice(None) if power < 3 else slice(1, -1)
+        np.testing.assert_allclose((bin_means() @ centre**power)[inner], means[inner], rtol=1e-9)
 
 
 def test_solve_and_inverse():
