@@ -42,7 +42,7 @@ class RefinementConfig:
     least_prior: tuple[float, float, float, float] = (0.1, 1.5, 0.1, 2.0)
     same_depth: float = 0.9
     depth_sd_mm: float = 0.35
-    askew: float = 0.04
+    askew: float = 0.01
     lean_v: float = 0.0
 
 
