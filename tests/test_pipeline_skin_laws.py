@@ -10,6 +10,7 @@ from scipy.optimize import brentq
 
 from pipeline.sensor import Accelerometer, MeshSize, Sensor
 from pipeline.skin import material
+from pipeline.skin.anderson import AndersonMixing
 from pipeline.skin.linear import linear_solver
 from pipeline.skin.mesh import Mesh, plate, skin_mesh
 from pipeline.skin.solver import NoEquilibrium, Skin
@@ -219,6 +220,38 @@ def test_both_linear_solvers_agree(skin):
         answers.append(solver.solve(right))
     # PARDISO's factor is in single precision.
     assert np.abs(answers[0] - answers[1]).max() < 1e-3 * np.abs(answers[1]).max()
+
+
+@pytest.mark.parametrize("name", ["pardiso", "superlu"])
+def test_negative_pivots_are_the_negative_eigenvalues(skin, name):
+    system = skin.system
+    system.tangent(skin.inflate(AIR_MPA), Load(AIR_MPA))
+    matrix = system.pattern.copy()
+    values = np.linalg.eigvalsh((matrix + sparse.triu(matrix, 1).T).toarray())
+    assert values[0] > 0
+    matrix.setdiag(matrix.diagonal() - (values[4] + values[5]) / 2)
+    try:
+        solver = linear_solver(name)
+    except ImportError:
+        pytest.skip("MKL is not installed")
+    solver.factor(matrix.tocsr())
+    assert solver.negative == 5
+
+
+def test_anderson_s_mixing_solves_a_linear_problem_in_as_many_steps_as_it_has_dimensions():
+    random = np.random.default_rng(3)
+    slope, solution = random.normal(size=(4, 4)), random.normal(size=4)
+    mixing, place = AndersonMixing(4), np.zeros(4)
+    for _ in range(5):
+        assert np.abs(place - solution).max() > 1e-3
+        place = place + mixing.step(place, slope @ (solution - place))
+    assert np.abs(place - solution).max() < 1e-6
+
+
+def test_inverse_cube_root_is_exact_for_what_an_element_bears():
+    volumes = np.geomspace(0.02, 20.0, 101)
+    found = np.array([material.inverse_cube_root(j) for j in volumes])
+    assert np.abs(found * np.cbrt(volumes) - 1).max() < 1e-12
 
 
 def test_height_is_reached_by_pressure_and_a_balloon_is_refused(skin):
