@@ -17,6 +17,7 @@ from streams import RATE_HZ, a_sensor, pass_over, still, stream
 
 import softslide
 from features.errors import InputError
+from features.track_filter import TrackFilter
 from serve.framing import framing_of
 from serve.localizer import Localizer
 from serve.records import record
@@ -53,6 +54,15 @@ def test_a_recording_is_played(
     status = softslide.main(command(bundle, str(tmp_path / "a.csv"), "--fast")[2:])
     assert status == 0
     assert lines(capsys.readouterr().out) == wanted
+
+
+def test_smooth_estimates_are_the_track_filters(
+    bundle: Path, tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    (tmp_path / "a.csv").write_text("time_s,a0_vx,a0_vy,a0_vz\n" + CSV)
+    softslide.main([*command(bundle, str(tmp_path / "a.csv"), "--fast")[2:], "--smooth"])
+    told, track = lines(capsys.readouterr().out), TrackFilter()
+    assert told == [record(track.update(estimate)) for estimate in Localizer.load(bundle).push(VOLTS)]
 
 
 @pytest.mark.parametrize("form", ["csv", "f32"])
