@@ -14,8 +14,9 @@ from features.conditioning import Conditioning
 from features.window import WINDOW_BINS, Window
 
 KNOTS = 4 * WINDOW_BINS
-# Share of the largest output by which a slide's signal has to change after what a touch alone would show.
-TOUCH_CHANGE = 0.1
+# Share of the largest output, and of the trigger, by which a slide's signal has to change in more than its strength.
+TOUCH_CHANGE = 0.06
+TOUCH_TRIGGER = 0.5
 # Blocks that a lost stream has to stand still for its output to be taken for the static one.
 LOST_BLOCKS = 300
 # Triggers that a signal has to reach to be called strong.
@@ -238,9 +239,10 @@ class SlideTracker:
         level = self._level()[self._watched] - self.static[self._watched]
         if self._touched is None or len(self._touched) != len(level):
             self._touched = level
-        # Lifting off shrinks every output alike; that is no motion over the skin either.
-        shrunk = self._touched * np.clip(level @ self._touched / (self._touched @ self._touched), 0.0, 1.0)
-        self._moved = bool(np.abs(level - shrunk).max() > max(c.trigger_v, TOUCH_CHANGE * self._peak))
+        # Pressing harder and lifting off scale every output alike; neither is motion over the skin.
+        scaled = self._touched * max(level @ self._touched / (self._touched @ self._touched), 0.0)
+        change = np.abs(level - scaled).max()
+        self._moved = bool(change > max(TOUCH_TRIGGER * c.trigger_v, TOUCH_CHANGE * self._peak))
         strong = np.abs(self._touched).max() > TOUCH_TRIGGERS * c.trigger_v
         if not self._moved and strong and self._blocks >= 4 * c.touch_blocks:
             self._end(self._blocks, self._level() - self.static)

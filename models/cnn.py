@@ -32,6 +32,9 @@ UNCALIBRATED = {
     "offset_mm": Interval(1.645, 1.0),
 }
 
+# A held-out window that is further off than this was lost; what it leaves over says nothing of those that were not.
+ORDINARY_DEG = 20.0
+
 
 @dataclass(frozen=True)
 class CnnConfig:
@@ -163,8 +166,9 @@ def _judge(rows: np.ndarray, windows: LabelledWindows) -> tuple[dict[str, Interv
     """Intervals and validity from held-out windows."""
     column = dict(zip(OUTPUTS, rows.T.astype(float), strict=True))
     # Twice what nearly every recorded slide leaves over is a signal of something else.
-    ordinary = windows.stroke_fraction > 0.35
-    misfit = 2.0 * float(np.quantile(column["misfit"][ordinary], 0.98)) + 3.0
+    turn, speed, offset = _signed_errors(rows, windows)
+    ordinary = (windows.stroke_fraction > 0.35) & (np.abs(turn) < ORDINARY_DEG)
+    misfit = 2.0 * float(np.quantile(column["misfit"][ordinary], 0.98)) + 3.0 if ordinary.any() else 20.0
     validity = Validity(misfit=misfit, direction_sd_deg=6.0, log_speed_sd=0.1, offset_mm=_reach(windows))
     believed = (
         (column["misfit"] <= validity.misfit)
@@ -174,11 +178,10 @@ def _judge(rows: np.ndarray, windows: LabelledWindows) -> tuple[dict[str, Interv
     )
     if believed.sum() < 20:
         return dict(UNCALIBRATED), validity
-    turn, speed, offset = (error[believed] for error in _signed_errors(rows, windows))
     return {
-        "direction_deg": conformal_interval(turn, column["direction_sd_deg"][believed]),
-        "log_speed": conformal_interval(speed, column["log_speed_sd"][believed]),
-        "offset_mm": conformal_interval(offset, column["offset_sd_mm"][believed]),
+        "direction_deg": conformal_interval(turn[believed], column["direction_sd_deg"][believed]),
+        "log_speed": conformal_interval(speed[believed], column["log_speed_sd"][believed]),
+        "offset_mm": conformal_interval(offset[believed], column["offset_sd_mm"][believed]),
     }, validity
 
 

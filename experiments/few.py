@@ -1,0 +1,91 @@
+"""How few recordings will do: the response map from so many calibration slides, inverted on every test slide.
+
+python -m experiments.few --recordings DIR [--slides 0 4 12 24 48] [--draws 3] [--split NAME ...]
+
+No network is trained: the map is what recordings pay for, and its inversion by least squares (models/inversion.py)
+shows what it is worth.
+"""
+
+import argparse
+import json
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from models.calibration import CalibrationSlide, calibration_slides
+from models.cnn import CnnConfig
+from models.device import device_maps
+from models.intervals import angle_error_deg
+from models.inversion import Inversion
+from models.network import OUTPUTS
+from pipeline.atlas import Atlas
+from pipeline.atlas_library import atlas_of
+from pipeline.dataset import LabelledWindows, labelled_windows
+from pipeline.recordings import Folder, read_folder
+
+
+def study(
+    folder: Folder, counts: Sequence[int], draws: int, splits: Sequence[str], atlas: Atlas
+) -> Iterator[dict[str, float]]:
+    """Mean and largest errors at the end of the stroke for each number of slides and each random draw of them."""
+    config = CnnConfig()
+    slides = calibration_slides(folder.select("calibration", "train").labelled(), config.conditioning)
+    windows = labelled_windows(folder.select(*splits).labelled(), config.conditioning, (1.0,))
+    for count in counts:
+        for draw in range(draws if 0 < count < len(slides) else 1):
+            chosen = np.random.default_rng(draw).choice(len(slides), min(count, len(slides)), replace=False)
+            part: list[CalibrationSlide] = [slides[n] for n in np.sort(chosen)]
+            maps = device_maps(part, folder.sensor, atlas, config.calibration, config.spread)
+            found = Inversion(maps.response, config.conditioning.block_s).predict(
+                windows.volts, windows.elapsed_s
+            )
+            yield {"slides": len(part), "draw": draw, **_errors(found, windows)}
+
+
+def _errors(found: np.ndarray, windows: LabelledWindows) -> dict[str, float]:
+    column = dict(zip(OUTPUTS, found.T.astype(float), strict=False))
+    direction = np.degrees(np.arctan2(column["direction_sin"], column["direction_cos"]))
+    errors = {
+        "direction_deg": np.abs(angle_error_deg(direction, windows.direction_deg)),
+        "speed_percent": 100 * np.abs(np.exp(column["log_speed"]) / windows.speed_mm_s - 1),
+        "offset_mm": np.abs(column["offset_mm"] - windows.offset_mm),
+    }
+    return {
+        f"{name}_{what}": round(float(of(values)), 4)
+        for name, values in errors.items()
+        for what, of in (("mean", np.mean), ("max", np.max))
+    }
+
+
+def main(argv: Sequence[str] | None = None) -> None:
+    """Prints one JSON object a draw."""
+    parser = argparse.ArgumentParser(prog="python -m experiments.few", description=__doc__.split("\n\n")[0])
+    parser.add_argument(
+        "--recordings", type=Path, required=True, metavar="DIR", help="a folder of one sensor"
+    )
+    parser.add_argument(
+        "--slides",
+        type=int,
+        nargs="+",
+        default=[0, 4, 12, 24, 48],
+        metavar="N",
+        help="how many (default: %(default)s)",
+    )
+    parser.add_argument("--draws", type=int, default=3, metavar="N", help="of each (default: %(default)s)")
+    parser.add_argument(
+        "--split",
+        nargs="+",
+        default=["test"],
+        metavar="NAME",
+        help="beginnings of the splits scored (default: test)",
+    )
+    arguments = parser.parse_args(argv)
+    folder = read_folder(arguments.recordings)
+    atlas = atlas_of(folder.sensor)
+    for row in study(folder, arguments.slides, arguments.draws, arguments.split, atlas):
+        print(json.dumps(row), flush=True)
+
+
+if __name__ == "__main__":
+    main()
