@@ -9,13 +9,14 @@ looks alike.
 
 import math
 from dataclasses import dataclass, field
+from typing import cast
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
 from features.window import WINDOW_BINS
-from models.refinement import DEPTH, Refinement, RefinementConfig
+from models.refinement import DEPTH, Refinement, RefinementConfig, for_each_axis
 
 OUTPUTS = (
     "direction_cos",
@@ -29,6 +30,7 @@ OUTPUTS = (
     "misfit",
 )
 DEPTH_OUTPUT = "depth_mm"  # a further column where an atlas says how depth shows
+SILU_GAIN = 1.68  # keeps a normal input's mean square through silu, E silu(x)^2 = 0.355
 LENGTH_MM = 10.0  # scale of offsets and places inside the network
 
 
@@ -63,6 +65,11 @@ class Proposal(nn.Module):
         self.dense2 = nn.Linear(h[0], h[1])
         self.head = nn.Linear(h[1], 9)
         self.register_buffer("bins", (torch.arange(WINDOW_BINS) + 0.5) / WINDOW_BINS)
+        # PyTorch's own start shrinks the signal threefold a layer; what reaches the head of many channels' network
+        # is then too faint to learn a direction from.
+        for layer in (self.conv1, self.conv2, self.conv3, self.dense1, self.dense2):
+            nn.init.normal_(layer.weight, std=SILU_GAIN / math.sqrt(layer.weight[0].numel()))
+            nn.init.zeros_(cast(Tensor, layer.bias))
 
     def forward(self, volts: Tensor, elapsed_s: Tensor, weight: Tensor) -> tuple[Tensor, Tensor]:
         energy = (volts * volts).sum(1)
@@ -103,8 +110,7 @@ class SlideNetwork(nn.Module):
         volts = volts * weight[:, :, None].expand(-1, -1, 3).reshape(-1, volts.shape[1], 1)
         tilt = volts.reshape(-1, volts.shape[1] // 3, 3, WINDOW_BINS)[:, :, :2]
         tilt = tilt.reshape(-1, self.refinement.channels, WINDOW_BINS)
-        paired = weight[:, :, None].expand(-1, -1, 2).reshape(-1, self.refinement.channels)
-        proposal, log_sd = self.proposal(tilt, elapsed_s, paired)
+        proposal, log_sd = self.proposal(tilt, elapsed_s, for_each_axis(weight))
         heading, state, covariance, misfit = self.refinement(volts, elapsed_s, weight, proposal, log_sd)
         sd = covariance.diagonal(dim1=1, dim2=2).clamp(min=0).sqrt()
         columns = [

@@ -82,14 +82,13 @@ class Refinement(nn.Module):
         parts = np.concatenate([response.coefficients, response.depth_slope[None]])
         table, cells = patch_table(parts)
         corner = np.array(response.reference_mm) + response.half_mm
+        nuisance = np.array([0, 0, 0, 0, response.gain_sd**-2, config.depth_sd_mm**-2])
         buffers = {
             "first": (corner / SPACING_MM + 1 + EDGE)[:, None],
             "noise": response.noise_v,
             "drift": response.drift_v,
             "ago": 1 - (np.arange(BINS) + 0.5) / BINS,
-            "nuisance_precision": np.array([0, 0, 0, 0, response.gain_sd**-2, config.depth_sd_mm**-2])[
-                :, None
-            ],
+            "nuisance_precision": nuisance[:, None],
             "least_prior": np.array(config.least_prior)[:, None],
             "longest_step": np.array([0.3, 5.0, 0.4, 6.0, 0.1, 0.5])[:, None],
             "each": np.eye(STATE, STATE + 1),
@@ -113,11 +112,8 @@ class Refinement(nn.Module):
         self.register_buffer("patch", torch.tensor([cells * i + j for i in range(4) for j in range(4)]))
         self.channels, self.last_cell = response.channels, cells - 3.001
         self.block_s, self.lag_s, self.floor_v = block_s, response.lag_s, response.floor_v
-        self.depth_mm, self.depth_sd_mm, self.same_depth = (
-            response.depth_mm,
-            config.depth_sd_mm,
-            config.same_depth,
-        )
+        self.depth_mm = response.depth_mm
+        self.depth_sd_mm, self.same_depth = config.depth_sd_mm, config.same_depth
         self.knows_depth = bool(np.any(response.depth_slope))
         self.steps, self.trust, self.askew = config.steps, config.trust, config.askew
         self.leans = config.lean_v > 0
@@ -136,13 +132,14 @@ class Refinement(nn.Module):
         # What follows compares values at the bins' centres; a bin holds a mean, which is flatter than the signal.
         inverse = self._inverse_covariance(tilt, bins[:, :, 2:], elapsed_s, weight)
         tilt = tilt @ self.centres
-        # The device's own slow turn leans all boards alike: one number for each axis, whose own worth is not asked for.
-        along_lean = inverse @ self.lean
-        told = (self.lean * along_lean).sum((2, 3)).reshape(-1, self.channels // 2, 2).sum(1)
-        lean_share = (1.0 / (1.0 + told))[:, :, None]
+        if self.leans:
+            # The device's own slow turn leans all boards alike: a number for each axis, whose worth is not asked for.
+            along_lean = inverse @ self.lean
+            told = (self.lean * along_lean).sum((2, 3)).reshape(-1, self.channels // 2, 2).sum(1)
+            lean_share = (1.0 / (1.0 + told))[:, :, None]
         cos, sin, own = proposal.index_select(1, self.order)[:, :, None].split((1, 1, 3), 1)
         norm = (cos * cos + sin * sin).clamp(min=1e-12).sqrt()
-        start = (cos * self.whole + sin * self.quarter) / norm
+        start = self._rotation(cos, sin) / norm
         ago_s = elapsed_s[:, None, None] * self.ago + self.lag_s
         # State, relative to the proposal: turn rad, offset mm, log speed, along mm, log gain, depth mm.
         centre = F.pad(own, (0, 0, 1, 2))
@@ -175,7 +172,7 @@ class Refinement(nn.Module):
         misfit = chi2 / (2 * weight.sum(1) * BINS).clamp(min=1.0)
         best, covariance = self._same_depth(best[:, :, 0], covariance)
         turn = best[:, :1, None]
-        heading = (start @ (turn.cos() * self.whole + turn.sin() * self.quarter))[:, :, 0]
+        heading = (start @ self._rotation(turn.cos(), turn.sin()))[:, :, 0]
         return heading.float(), (centre[:, :, 0] + best).float(), covariance.float(), misfit.float()
 
     def _same_depth(self, state: Tensor, covariance: Tensor) -> tuple[Tensor, Tensor]:
@@ -214,14 +211,17 @@ class Refinement(nn.Module):
         variance = self.noise**2 / blocks[:, None] + floor[:, None]
         wander = self.drift**2 / (variance + BINS * self.drift**2)
         ripple = vertical - vertical.mean(3, keepdim=True)
-        size = (ripple * ripple).sum(3).expand(-1, -1, 2).flatten(1)
+        size = for_each_axis((ripple * ripple).sum((2, 3)))
         picked = self.askew**2 / (variance + self.askew**2 * size)
-        outer = (ripple.transpose(2, 3) @ ripple)[:, :, None].expand(-1, -1, 2, -1, -1).flatten(1, 2)
-        shape = (
-            torch.eye(BINS, dtype=torch.float64) - wander[:, :, None, None] - picked[:, :, None, None] * outer
-        )
-        trusted = weight[:, :, None].expand(-1, -1, 2).flatten(1) / variance
+        outer = for_each_axis(ripple.transpose(2, 3) @ ripple)
+        whole = torch.eye(BINS, dtype=torch.float64)
+        shape = whole - wander[:, :, None, None] - picked[:, :, None, None] * outer
+        trusted = for_each_axis(weight) / variance
         return trusted[:, :, None, None] * shape
+
+    def _rotation(self, cos: Tensor, sin: Tensor) -> Tensor:
+        """(B, 1, 1) each -> (B, 2, 2)."""
+        return cos * self.whole + sin * self.quarter
 
     def _rows(self, tilt: Tensor, start: Tensor, state: Tensor, ago_s: Tensor) -> Tensor:
         """Derivatives of the predicted signal by the six numbers of the state, and the residual: (B, C, 7, 32) V.
@@ -230,7 +230,7 @@ class Refinement(nn.Module):
         the window's end the contact was where a bin's signal answers to.
         """
         turn, offset, log_speed, along, gain, depth = state.split(1, 1)
-        frame = start @ (turn.cos() * self.whole + turn.sin() * self.quarter)
+        frame = start @ self._rotation(turn.cos(), turn.sin())
         forward, left = frame.split(1, 2)
         behind = log_speed.clamp(-5.0, 7.0).exp() * ago_s
         s = along - behind
@@ -298,21 +298,21 @@ def signal_mixture() -> np.ndarray:
     cos Fy - sin Fx; the signal's slope forward; its slope to the left.
     """
     one, cos, sin = range(3)
-    m, fx, fy, d = range(4)
-    parts = [
-        (m, m),
-        (fx, fx),
-        (fy, fy),
-        (d, d),
-    ]  # a basis part, and its factor's place in (1, cos, sin, depth)
+    _, fx, fy, d = range(4)
     mixture = np.zeros((3, 4, 5, 3, 4))
-    for part, factor in parts:
-        mixture[one, factor, 0, 0, part] = 1
-        mixture[cos, factor, 3, 1, part] = mixture[sin, factor, 3, 2, part] = 1
-        mixture[sin, factor, 4, 1, part], mixture[cos, factor, 4, 2, part] = -1, 1
+    for part in range(4):
+        # Each part of the basis has its factor at its own place in (1, cos, sin, depth).
+        mixture[one, part, 0, 0, part] = 1
+        mixture[cos, part, 3, 1, part] = mixture[sin, part, 3, 2, part] = 1
+        mixture[sin, part, 4, 1, part], mixture[cos, part, 4, 2, part] = -1, 1
     mixture[one, 0, 1, 0, d] = 1
     mixture[one, cos, 2, 0, fy], mixture[one, sin, 2, 0, fx] = 1, -1
     return mixture.reshape(12, 60)
+
+
+def for_each_axis(of_board: Tensor) -> Tensor:
+    """(B, A, ...) -> (B, C, ...), each accelerometer's value for its two tilt channels."""
+    return of_board.unsqueeze(2).expand(-1, -1, 2, *of_board.shape[2:]).flatten(1, 2)
 
 
 def solve(gram: Tensor, damping: Tensor) -> Tensor:

@@ -70,3 +70,18 @@ def test_export_agrees_and_can_be_gone_on_from(trained, windows):
     with pytest.raises(ValueError, match="another shape"):
         initial_proposal(graph, 4, config)
     assert sum(p.numel() for p in trained.parameters()) < 60_000
+
+
+def test_four_accelerometers_learn_as_readily_as_one():
+    places = tuple((x, y) for x in (-10.0, 10.0) for y in (-10.0, 10.0))
+    response = bump_map(places)
+    source = WindowSource(response, BLOCK_S, SynthesisConfig())
+    proposal = train_proposal(source, NetworkConfig(), TrainingConfig(steps=300, batch=128, average=0.98))
+    batch = WindowSource(response, BLOCK_S, WHOLE).draw(400, torch.Generator().manual_seed(3))
+    with torch.no_grad():
+        direction = torch.nn.functional.normalize(
+            proposal(batch.volts, batch.elapsed_s, batch.weight)[0][:, :2]
+        )
+    error = torch.rad2deg(torch.acos((direction * batch.targets[:, :2]).sum(1).clamp(-1, 1)))
+    # A network that learns nothing is 90 deg off.
+    assert error.median() < 20
