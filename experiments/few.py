@@ -14,11 +14,9 @@ from pathlib import Path
 import numpy as np
 
 from models.calibration import CalibrationSlide, calibration_slides
-from models.cnn import CnnConfig
+from models.cnn import CnnConfig, signed_errors
 from models.device import device_maps
-from models.intervals import angle_error_deg
 from models.inversion import Inversion
-from models.network import OUTPUTS
 from pipeline.atlas import Atlas
 from pipeline.atlas_library import atlas_of
 from pipeline.dataset import LabelledWindows, labelled_windows
@@ -44,12 +42,11 @@ def study(
 
 
 def _errors(found: np.ndarray, windows: LabelledWindows) -> dict[str, float]:
-    column = dict(zip(OUTPUTS, found.T.astype(float), strict=False))
-    direction = np.degrees(np.arctan2(column["direction_sin"], column["direction_cos"]))
+    turn, speed, offset = signed_errors(found, windows)
     errors = {
-        "direction_deg": np.abs(angle_error_deg(direction, windows.direction_deg)),
-        "speed_percent": 100 * np.abs(np.exp(column["log_speed"]) / windows.speed_mm_s - 1),
-        "offset_mm": np.abs(column["offset_mm"] - windows.offset_mm),
+        "direction_deg": np.abs(turn),
+        "speed_percent": 100 * np.abs(np.expm1(speed)),
+        "offset_mm": np.abs(offset),
     }
     return {
         f"{name}_{what}": round(float(of(values)), 4)

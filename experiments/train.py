@@ -26,6 +26,7 @@ from pipeline.staging import check_replaceable
 from serve.localizer import Localizer
 
 BUNDLE_FILES = ("model.onnx", "model.json")
+LOST = 0.1  # share of held-out slides
 
 
 @dataclass(frozen=True)
@@ -90,6 +91,12 @@ def train(
                 bar.update(step - bar.n)
 
             fitted = fit_model(model, folder, settings, atlas=design, init=start, progress=progress)
+        if (lost := fitted.summary.get("heldout_lost", 0.0)) > LOST:
+            print(
+                f"the model is lost on {lost:.0%} of the slides kept from it and abstains where it sees that; "
+                "train for more steps ([training] of --config), or look at the recordings with 'softslide health'",
+                file=sys.stderr,
+            )
         windows = fitted.windows or labelled_windows(folder, settings.conditioning)
         difference = write_bundle(fitted, folder.sensor, settings.conditioning, windows, provenance, out)
         logged = run.model(out, model)

@@ -9,7 +9,6 @@ import torch
 
 from features.card import Interval, Validity
 from features.conditioning import Conditioning
-from features.window import WINDOW_BINS
 from models.calibration import CalibrationConfig, calibration_slides
 from models.device import DeviceMaps, device_maps
 from models.export import export_graph
@@ -32,6 +31,8 @@ UNCALIBRATED = {
     "offset_mm": Interval(1.645, 1.0),
 }
 
+# Reduced chi-square of a signal of something else, where no recording shows what the sensor's own leave over.
+UNCALIBRATED_MISFIT = 20.0
 # A held-out window that is further off than this was lost; what it leaves over says nothing of those that were not.
 ORDINARY_DEG = 20.0
 
@@ -72,7 +73,8 @@ def fit_cnn(
     begun = None if init is None else initial_proposal(init, response.channels, config.network)
     proposal = train_proposal(source, config.network, config.training, begun, progress)
     network = _network(proposal, response, config)
-    intervals, validity = dict(UNCALIBRATED), Validity(misfit=20.0, direction_sd_deg=8.0, log_speed_sd=0.15)
+    intervals = dict(UNCALIBRATED)
+    validity = Validity(misfit=UNCALIBRATED_MISFIT, direction_sd_deg=8.0, log_speed_sd=0.15)
     summary = dict(maps.summary)
     if maps.held_out:
         held = _held_out(folder, maps, proposal, config)
@@ -87,28 +89,7 @@ def fit_cnn(
         intervals=intervals,
         validity=validity,
         summary=summary,
-        windows=None if slides else _synthetic_windows(source),
-    )
-
-
-def _synthetic_windows(source: WindowSource) -> LabelledWindows:
-    """Windows of synthetic slides, to check the export on."""
-    batch = source.draw(200, torch.Generator().manual_seed(1))
-    count = len(batch.elapsed_s)
-    volts = np.zeros((count, batch.volts.shape[1] // 2, 3, WINDOW_BINS), dtype=np.float32)
-    volts[:, :, :2] = batch.volts.reshape(count, -1, 2, WINDOW_BINS).numpy()
-    cos, sin, log_speed, offset, along, depth = batch.targets.numpy().T
-    return LabelledWindows(
-        volts=volts.reshape(count, -1, WINDOW_BINS),
-        elapsed_s=batch.elapsed_s.numpy(),
-        direction_deg=np.degrees(np.arctan2(sin, cos)) % 360,
-        speed_mm_s=np.exp(log_speed),
-        offset_mm=offset,
-        depth_mm=depth,
-        along_mm=along,
-        stroke_fraction=np.ones(count),
-        recording=np.array([f"synthetic-{n}" for n in range(count)]),
-        split=np.full(count, "train"),
+        windows=None if slides else source.draw(200, torch.Generator().manual_seed(1)).labelled(),
     )
 
 
@@ -165,10 +146,14 @@ def _held_out(
 def _judge(rows: np.ndarray, windows: LabelledWindows) -> tuple[dict[str, Interval], Validity]:
     """Intervals and validity from held-out windows."""
     column = dict(zip(OUTPUTS, rows.T.astype(float), strict=True))
-    # Twice what nearly every recorded slide leaves over is a signal of something else.
-    turn, speed, offset = _signed_errors(rows, windows)
-    ordinary = (windows.stroke_fraction > 0.35) & (np.abs(turn) < ORDINARY_DEG)
-    misfit = 2.0 * float(np.quantile(column["misfit"][ordinary], 0.98)) + 3.0 if ordinary.any() else 20.0
+    turn, speed, offset = signed_errors(rows, windows)
+    late = windows.stroke_fraction > 0.35
+    ordinary = late & (np.abs(turn) < ORDINARY_DEG)
+    misfit = UNCALIBRATED_MISFIT
+    # A network that is lost more often than not finds its way by chance, and leaves over whatever it likes.
+    if ordinary.sum() > late.sum() / 2:
+        # Twice what nearly every recorded slide leaves over is a signal of something else.
+        misfit = 2.0 * float(np.quantile(column["misfit"][ordinary], 0.98)) + 3.0
     validity = Validity(misfit=misfit, direction_sd_deg=6.0, log_speed_sd=0.1, offset_mm=_reach(windows))
     believed = (
         (column["misfit"] <= validity.misfit)
@@ -190,9 +175,9 @@ def _reach(windows: LabelledWindows) -> float:
     return float(np.abs(windows.offset_mm).max()) + 1.5
 
 
-def _signed_errors(rows: np.ndarray, windows: LabelledWindows) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Direction deg, log speed, offset mm, (n,) each."""
-    column = dict(zip(OUTPUTS, rows.T.astype(float), strict=True))
+def signed_errors(rows: np.ndarray, windows: LabelledWindows) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Direction deg, log speed, offset mm, (n,) each, of rows (n, K) that begin with `OUTPUTS`."""
+    column = dict(zip(OUTPUTS, rows.T.astype(float), strict=False))
     direction = np.degrees(np.arctan2(column["direction_sin"], column["direction_cos"]))
     return (
         angle_error_deg(direction, windows.direction_deg),
@@ -202,11 +187,12 @@ def _signed_errors(rows: np.ndarray, windows: LabelledWindows) -> tuple[np.ndarr
 
 
 def _errors(rows: np.ndarray, windows: LabelledWindows) -> dict[str, float]:
-    """Mean absolute errors at the whole stroke."""
+    """Mean absolute errors at the whole stroke, and the share of slides whose direction is lost."""
     whole = windows.stroke_fraction > 0.99
-    turn, speed, offset = (np.abs(error[whole]) for error in _signed_errors(rows, windows))
+    turn, speed, offset = (np.abs(error[whole]) for error in signed_errors(rows, windows))
     return {
         "direction_deg": float(turn.mean()),
+        "lost": float((turn > ORDINARY_DEG).mean()),
         "speed_percent": float(100 * np.abs(np.expm1(speed)).mean()),
         "offset_mm": float(offset.mean()),
     }

@@ -20,11 +20,8 @@ from pipeline.sensor import Sensor
 FOLDS = 4
 HELD_OUT_ITERATIONS = 2  # fewer alternations will do where only the errors are wanted
 LEAST_ALONE = 24  # slides; fewer leave the map without an atlas full of holes
-STIFFNESS = (
-    30.0,
-    5.0,
-    1.0,
-)  # times the penalties on what moves the map away from its prior; first: where in doubt
+# Times the penalties on what moves the map away from its prior; first: where in doubt.
+STIFFNESS = (30.0, 5.0, 1.0)
 
 Fit = Callable[[list[CalibrationSlide], ResponseMap | None, int], tuple[ResponseMap, dict[str, float]]]
 
@@ -60,13 +57,13 @@ def device_maps(
     moved = [(None, {}) if atlas is None else device_map(atlas, sensor, p, depth, spread) for p in parts]
     priors = [prior for prior, _ in moved]
     ways = _ways(len(slides), blank_map(sensor, depth), atlas is not None, config)
-    held = {
-        name: [fit(part, prior, HELD_OUT_ITERATIONS)[0] for part, prior in zip(parts, priors, strict=True)][
-            1:
+    held_out = {
+        name: [
+            (fit(part, prior, HELD_OUT_ITERATIONS)[0], lines)
+            for part, prior, lines in zip(parts[1:], priors[1:], unseen, strict=True)
         ]
         for name, fit in ways.items()
     }
-    held_out = {name: list(zip(maps, unseen, strict=True)) for name, maps in held.items()}
     left = {name: _residual_share(slides, maps) for name, maps in held_out.items()}
     best = min(ways, key=lambda name: left[name])
     response, summary = ways[best](slides, priors[0], config.iterations)

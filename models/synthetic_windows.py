@@ -16,6 +16,7 @@ from torch.nn import functional as F
 from features.window import WINDOW_BINS
 from models.refinement import PEAK_SHARE
 from models.response_map import ResponseMap
+from pipeline.dataset import LabelledWindows
 
 KNOTS = 2 * WINDOW_BINS
 TABLE_MM = 0.5
@@ -50,6 +51,25 @@ class WindowBatch:
     elapsed_s: Tensor
     weight: Tensor
     targets: Tensor
+
+    def labelled(self) -> LabelledWindows:
+        """The same windows as of recordings, their V_z still, the stroke held to be whole."""
+        count = len(self.elapsed_s)
+        volts = np.zeros((count, self.volts.shape[1] // 2, 3, WINDOW_BINS), dtype=np.float32)
+        volts[:, :, :2] = self.volts.reshape(count, -1, 2, WINDOW_BINS).numpy()
+        cos, sin, log_speed, offset, along, depth = self.targets.numpy().astype(float).T
+        return LabelledWindows(
+            volts=volts.reshape(count, -1, WINDOW_BINS),
+            elapsed_s=self.elapsed_s.numpy().astype(float),
+            direction_deg=np.degrees(np.arctan2(sin, cos)) % 360,
+            speed_mm_s=np.exp(log_speed),
+            offset_mm=offset,
+            depth_mm=depth,
+            along_mm=along,
+            stroke_fraction=np.ones(count),
+            recording=np.array([f"synthetic-{n}" for n in range(count)]),
+            split=np.full(count, "train"),
+        )
 
 
 class WindowSource:

@@ -21,22 +21,7 @@ WHOLE = SynthesisConfig(
 def drawn(count: int, **changes) -> LabelledWindows:
     """Whole slides over the formula's map, with its noise."""
     batch = WindowSource(bump_map(**changes), BLOCK_S, WHOLE).draw(count, torch.Generator().manual_seed(2))
-    cos, sin, log_speed, offset, along, depth = batch.targets.numpy().astype(float).T
-    n = len(cos)
-    volts = np.zeros((n, 3, 64), np.float32)
-    volts[:, :2] = batch.volts.numpy()
-    return LabelledWindows(
-        volts=volts,
-        elapsed_s=batch.elapsed_s.numpy().astype(float),
-        direction_deg=np.degrees(np.arctan2(sin, cos)) % 360,
-        speed_mm_s=np.exp(log_speed),
-        offset_mm=offset,
-        depth_mm=depth,
-        along_mm=along,
-        stroke_fraction=np.ones(n),
-        recording=np.array([f"s{k}" for k in range(n)]),
-        split=np.full(n, "test"),
-    )
+    return batch.labelled()
 
 
 def test_the_inversion_comes_near_the_bound_from_no_start_at_all():

@@ -30,7 +30,7 @@ def localizer(folder, tmp_path_factory):
     config = CnnConfig(
         calibration=CalibrationConfig(iterations=1),
         network=NetworkConfig(refinement=RefinementConfig(steps=1)),
-        training=TrainingConfig(steps=30, batch=64, average=0.9),
+        training=TrainingConfig(steps=200, batch=64, average=0.9),
     )
     fitted = fit_cnn(folder, config)
     windows = labelled_windows(folder, config.conditioning, [1.0])
