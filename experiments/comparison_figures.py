@@ -1,14 +1,12 @@
 """The comparison's figures: errors over the stroke by model, and errors over the Cramer-Rao bound, as SVG texts."""
 
-import io
-
 import matplotlib as mpl
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from experiments.figures import COLOURS, STYLE
+from experiments.figures import COLOURS, STYLE, svg
 
 QUANTITIES = {
     "direction_mean_deg": "direction error, deg",
@@ -46,7 +44,7 @@ def errors(table: pd.DataFrame) -> str:
         )
         hollow.set_label(f"valid for fewer than {FEW:.0%} of the slides".replace("%", " %"))
         figure.legend(handles=[*handles, hollow], loc="outside lower center", ncols=4, frameon=False)
-        return _text(figure)
+        return svg(figure)
 
 
 def efficiency(table: pd.DataFrame) -> str:
@@ -86,7 +84,7 @@ def efficiency(table: pd.DataFrame) -> str:
             ncols=len(bins),
             frameon=False,
         )
-        return _text(figure)
+        return svg(figure)
 
 
 def _look(model: str) -> dict:
@@ -121,9 +119,3 @@ def _logarithmic(ax: Axes, drawn: pd.Series) -> None:
         ax.yaxis.set_major_locator(mpl.ticker.LogLocator(subs=(1.0, 2.0, 5.0) if reach < 100 else (1.0,)))
         ax.yaxis.set_major_formatter("{x:g}")
         ax.yaxis.set_minor_locator(mpl.ticker.NullLocator())
-
-
-def _text(figure: Figure) -> str:
-    text = io.StringIO()
-    figure.savefig(text, format="svg", metadata={"Date": None, "Creator": None})
-    return text.getvalue()

@@ -17,15 +17,21 @@ def configured(default: Config, path: Path | None) -> Config:
     Raises:
         InputError: no such file, no TOML, an unknown key, a value of another type or out of range.
     """
-    if path is None:
-        return default
+    return default if path is None else changed(default, read_toml(path), str(path))
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """The file's table.
+
+    Raises:
+        InputError: no such file, no TOML.
+    """
     try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
+        return tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}); name a TOML file") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: not a TOML file ({error}); mend its syntax") from None
-    return changed(default, table, str(path))
 
 
 def changed(default: Config, table: Mapping[str, Any], place: str) -> Config:

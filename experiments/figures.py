@@ -91,6 +91,11 @@ def _panels(rows: pd.DataFrame, draw, prefix: str) -> str:
         handles, names = axes[0].get_legend_handles_labels()
         if handles:
             figure.legend(handles, names, loc="outside lower center", ncols=len(names), frameon=False)
-        text = io.StringIO()
-        figure.savefig(text, format="svg", metadata={"Date": None, "Creator": None})
-        return text.getvalue()
+        return svg(figure)
+
+
+def svg(figure: Figure) -> str:
+    """The figure as a text, without the date that would make two of the same numbers differ."""
+    text = io.StringIO()
+    figure.savefig(text, format="svg", metadata={"Date": None, "Creator": None})
+    return text.getvalue()

@@ -1,7 +1,6 @@
 """Every baseline fitted to one folder's calibration slides and read out on its test slides; what is done is kept."""
 
 import json
-import sys
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
@@ -14,7 +13,7 @@ import pandas as pd
 
 from experiments import minirocket, tracking
 from experiments.readout import predictions
-from experiments.train import train
+from experiments.train import design_of, train
 from experiments.window_readout import window_card, window_predictions
 from features.card import Interval, Validity, read_card
 from features.conditioning import Conditioning
@@ -27,12 +26,10 @@ from models.device import device_maps
 from models.fit import default_config
 from models.inversion import STARTS, Inversion
 from models.response_map import ResponseMap
-from pipeline.atlas_library import atlas_of
 from pipeline.dataset import LabelledWindows, labelled_windows
 from pipeline.recordings import Folder, read_folder
 from pipeline.staging import staged
-from serve.bench import ONE_NODE
-from serve.bundle import open_session
+from serve.bench import one_node
 from serve.localizer import Localizer
 
 MODELS = ("interpolation", "trees", "mlp", "gp", "minirocket", "inversion", "cnn")
@@ -74,11 +71,7 @@ class Study:
     def response(self) -> ResponseMap:
         """The calibrated map inside the default model: the same fit once more, without its network."""
         config = CnnConfig()
-        try:
-            atlas = atlas_of(self.taught.sensor)
-        except InputError as error:
-            print(f"no atlas ({error}); from recordings alone", file=sys.stderr)
-            atlas = None
+        atlas = design_of(self.taught, None)
         slides = calibration_slides(self.taught, config.conditioning)
         return device_maps(slides, self.taught.sensor, atlas, config.calibration, config.spread).response
 
@@ -205,13 +198,12 @@ def _times_ms(
 
     In turns, so that a busy machine slows both alike.
     """
-    session, nothing = open_session(ONE_NODE, Path("one node")), {"x": np.zeros(1, np.float32)}
-    times_s = []
+    bare, times_s = one_node(), []
     for n in np.linspace(0, len(windows) - 1, count).astype(int):
         moments = [time.perf_counter()]
         one(windows.volts[n : n + 1], windows.elapsed_s[n : n + 1])
         moments.append(time.perf_counter())
-        session.run(None, nothing)
+        bare()
         moments.append(time.perf_counter())
         times_s.append(np.diff(moments))
     window_ms, one_node_ms = 1e3 * np.median(times_s, axis=0)

@@ -13,7 +13,6 @@ least_leaf = [2, 4, 8]
 
 import json
 import math
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, is_dataclass
 from pathlib import Path
@@ -26,7 +25,7 @@ from optuna.distributions import (
     IntDistribution,
 )
 
-from experiments.configuration import changed
+from experiments.configuration import changed, read_toml
 from features.errors import InputError
 from models.fit import default_config
 
@@ -86,12 +85,7 @@ def read_sweep(path: Path) -> Sweep:
     Raises:
         InputError: no such file, no TOML, an unknown or missing key, a value or a range that does not fit.
     """
-    try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); name a TOML file") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: not a TOML file ({error}); mend its syntax") from None
+    table = read_toml(path)
     if unknown := [key for key in table if key not in KEYS]:
         raise InputError(f"{path}: unknown key '{unknown[0]}'; known are {', '.join(KEYS)}")
     for key, kind in KEYS.items():

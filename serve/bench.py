@@ -75,10 +75,14 @@ def _boards(card: Card, count: int) -> Card:
     return replace(card, channels=names, sensor={**card.sensor, "accelerometers": boards})
 
 
+def one_node() -> Callable[[], object]:
+    """A call of a graph of one node, which every time is measured beside."""
+    return partial(open_session(ONE_NODE, Path("one node")).run, None, {"x": np.zeros(1, np.float32)})
+
+
 def _at_rest(localizers: list[Localizer], decisions: int) -> np.ndarray:
     """Seconds (localizers + 1, decisions) of a block at rest, long after the start, and of one node."""
-    session = open_session(ONE_NODE, Path("one node"))
-    one = {"x": np.zeros(1, np.float32)}
+    bare = one_node()
     blocks = [_blocks(localizer)[0] for localizer in localizers]
     for localizer, rest in zip(localizers, blocks, strict=True):
         for n in range(2 * localizer.card.conditioning.rest_blocks):
@@ -87,14 +91,13 @@ def _at_rest(localizers: list[Localizer], decisions: int) -> np.ndarray:
     for n in range(decisions):
         for k, (localizer, rest) in enumerate(zip(localizers, blocks, strict=True)):
             times[k, n] = _seconds(partial(localizer.push, rest[n % len(rest)]))
-        times[-1, n] = _seconds(partial(session.run, None, one))
+        times[-1, n] = _seconds(bare)
     return times
 
 
 def _in_slides(localizer: Localizer, decisions: int) -> np.ndarray:
     """Seconds (3, decisions) of a block in a slide, of its graph alone, of one node."""
-    session = open_session(ONE_NODE, Path("one node"))
-    one = {"x": np.zeros(1, np.float32)}
+    bare = one_node()
     times = np.zeros((3, decisions))
     rest, slide = _blocks(localizer)
     done = 0
@@ -110,7 +113,7 @@ def _in_slides(localizer: Localizer, decisions: int) -> np.ndarray:
                 continue
             times[0, done] = seconds
             times[1, done] = _seconds(partial(localizer.infer, localizer.inputs(window)))
-            times[2, done] = _seconds(partial(session.run, None, one))
+            times[2, done] = _seconds(bare)
             done += 1
         if done == before:
             raise InputError("the card's conditioning finds no slide in a pass of 0.15 V; train it again")

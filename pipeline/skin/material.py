@@ -151,7 +151,6 @@ def tangent(gradients, volumes, shear, room, slopes, swelling, stiffness):
             slopes[straights + l] = pi - 2.0 / 3.0 * half
             slopes[crosses + l] = half - pi
             slopes[swells + l] = weight * j
-            third = scale * squares / 3.0
             c00 = (f11 * f22 - f12 * f21) / j
             c01 = (f12 * f20 - f10 * f22) / j
             c02 = (f10 * f21 - f11 * f20) / j
@@ -170,15 +169,15 @@ def tangent(gradients, volumes, shear, room, slopes, swelling, stiffness):
             slopes[inverse + 6 * LANES + l] = c20
             slopes[inverse + 7 * LANES + l] = c21
             slopes[inverse + 8 * LANES + l] = c22
-            slopes[inverse + 9 * LANES + l] = scale * f00 - third * c00
-            slopes[inverse + 10 * LANES + l] = scale * f01 - third * c01
-            slopes[inverse + 11 * LANES + l] = scale * f02 - third * c02
-            slopes[inverse + 12 * LANES + l] = scale * f10 - third * c10
-            slopes[inverse + 13 * LANES + l] = scale * f11 - third * c11
-            slopes[inverse + 14 * LANES + l] = scale * f12 - third * c12
-            slopes[inverse + 15 * LANES + l] = scale * f20 - third * c20
-            slopes[inverse + 16 * LANES + l] = scale * f21 - third * c21
-            slopes[inverse + 17 * LANES + l] = scale * f22 - third * c22
+            slopes[inverse + 9 * LANES + l] = scale * f00 - half * c00
+            slopes[inverse + 10 * LANES + l] = scale * f01 - half * c01
+            slopes[inverse + 11 * LANES + l] = scale * f02 - half * c02
+            slopes[inverse + 12 * LANES + l] = scale * f10 - half * c10
+            slopes[inverse + 13 * LANES + l] = scale * f11 - half * c11
+            slopes[inverse + 14 * LANES + l] = scale * f12 - half * c12
+            slopes[inverse + 15 * LANES + l] = scale * f20 - half * c20
+            slopes[inverse + 16 * LANES + l] = scale * f21 - half * c21
+            slopes[inverse + 17 * LANES + l] = scale * f22 - half * c22
         for a in range(8):
             for i in range(3):
                 of, to = inverse + 3 * i * LANES, (8 * i + a) * LANES
