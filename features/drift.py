@@ -7,14 +7,12 @@ has a nuisance of its own for the gain, and a device that is turned by a few deg
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 
-@dataclass(frozen=True)
-class Drift:
+class Drift(NamedTuple):
     """zero_shift_v: largest change of a V_x or V_y's static output since the stream began, V, taken off.
 
     gain: the static output's length over the data sheet's for 1 g; turn_deg: its angle to the accelerometer's z

@@ -1,7 +1,7 @@
 """The estimate record, and how a graph's row of numbers becomes one."""
 
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -10,8 +10,7 @@ from features.track import State
 from features.window import Window
 
 
-@dataclass(frozen=True)
-class Estimate:
+class Estimate(NamedTuple):
     """What is known at one moment. NaN: not estimated. lo and hi bound a 90 % interval.
 
     time_s: of the samples seen so far. direction_deg in [0, 360); its lo and hi may pass that seam. offset_mm and
@@ -63,15 +62,14 @@ def decode(
     speed = math.exp(min(max(log_speed, -50.0), 50.0))
     cos, sin = math.cos(direction), math.sin(direction)
     limits = card.validity
-    numbers = (direction, log_speed, offset)
     valid = (
-        all(math.isfinite(number) for number in numbers)
+        math.isfinite(direction + log_speed + offset)
         and limits.speed_mm_s[0] <= speed <= limits.speed_mm_s[1]
         and abs(offset) <= limits.offset_mm
         and turn_sd <= limits.direction_sd_deg
         and speed_sd <= limits.log_speed_sd
         and value.get("misfit", 0.0) <= limits.misfit
-        and float(np.abs(window.volts).max()) >= limits.peak_v
+        and max(float(window.volts.max()), -float(window.volts.min())) >= limits.peak_v
     )
     return Estimate(
         time_s=time_s,

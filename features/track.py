@@ -14,6 +14,8 @@ from features.conditioning import Conditioning
 from features.window import WINDOW_BINS, Window
 
 KNOTS = 4 * WINDOW_BINS
+EDGES = np.arange(WINDOW_BINS + 1.0)
+QUARTERS = np.arange(4.0, -1.0, -1.0)
 # Share of the largest output, and of the trigger, by which a slide's signal has to change in more than its strength.
 TOUCH_CHANGE = 0.06
 TOUCH_TRIGGER = 0.5
@@ -42,7 +44,7 @@ class SlideTracker:
     def __init__(self, conditioning: Conditioning, channels: int) -> None:
         self.conditioning = conditioning
         self.tilt = np.array([c for c in range(channels) if c % 3 < 2])
-        self._integral = np.zeros((KNOTS + 1, channels))
+        self._integral = np.zeros((channels, KNOTS + 2))
         self._recent = np.zeros((conditioning.trigger_blocks, channels))
         self._most_rested = max(conditioning.rest_blocks, 10 * conditioning.trigger_blocks)
         self._quiet_v = min(conditioning.calm_v, conditioning.trigger_v)
@@ -188,7 +190,7 @@ class SlideTracker:
         self._peak = 0.0
         self._knots = 0
         self._sum = np.zeros(len(self.static))
-        self._integral[0] = 0.0
+        self._integral[:, 0] = 0.0
         self._stop_level = None
         for block in self._recent:
             self._extend(block)
@@ -201,32 +203,26 @@ class SlideTracker:
         self._blocks += 1
         if self._blocks % self._stride == 0:
             self._knots += 1
-            self._integral[self._knots] = self._sum
+            self._integral[:, self._knots] = self._sum
             if self._knots == KNOTS:
-                self._integral[: KNOTS // 2 + 1] = self._integral[::2]
+                self._integral[:, : KNOTS // 2 + 1] = self._integral[:, : KNOTS + 1 : 2]
                 self._knots //= 2
                 self._stride *= 2
+        # Behind the last knot the sum as it stands.
+        self._integral[:, self._knots + 1] = self._sum
 
     def _integral_at(self, blocks: np.ndarray) -> np.ndarray:
-        """Integral of the subtracted output (V blocks) at block counts (m,) since the trigger -> (m, C)."""
-        position = blocks / self._stride
-        lower = np.minimum(position.astype(np.intp), self._knots)
-        share = (position - lower)[:, None]
-        upper = self._integral[np.minimum(lower + 1, self._knots)]
-        value = self._integral[lower] * (1.0 - share) + upper * share
-        last = lower == self._knots
-        if last.any():
-            beyond = self._blocks - self._knots * self._stride
-            toward = (blocks[last] - self._knots * self._stride) / max(beyond, 1)
-            knot = self._integral[self._knots]
-            value[last] = knot + (self._sum - knot) * toward[:, None]
-        return value
+        """Integral of the subtracted output (V blocks) at block counts (m,) since the trigger -> (C, m)."""
+        count = self._knots + 2
+        position = self._stride * np.arange(float(count))
+        position[-1] = self._blocks
+        return np.array([np.interp(blocks, position, integral[:count]) for integral in self._integral])
 
     def _window(self, blocks: int) -> Window:
-        edges = self._integral_at(np.arange(WINDOW_BINS + 1) * (blocks / WINDOW_BINS))
-        means = np.diff(edges, axis=0) * (WINDOW_BINS / blocks)
-        means[:, ~np.repeat(self.usable, 3)] = 0.0
-        return Window(means.T.astype(np.float32), blocks * self.conditioning.block_s)
+        integral = self._integral_at(EDGES * (blocks / WINDOW_BINS))
+        means = (integral[:, 1:] - integral[:, :-1]) * (WINDOW_BINS / blocks)
+        means[np.repeat(~self.usable, 3)] = 0.0
+        return Window(means.astype(np.float32), blocks * self.conditioning.block_s)
 
     def _watch_motion(self) -> None:
         """Notes when the signal has changed beyond what it showed `touch_blocks` after the trigger.
@@ -258,12 +254,13 @@ class SlideTracker:
             return
         # Four quarters, not two halves: over an extreme, halves agree by symmetry while the contact moves on.
         quarter = span // 4
-        marks = self._integral_at(self._blocks - quarter * np.arange(4, -1, -1))
-        levels = np.diff(marks, axis=0)[:, self._watched] / quarter
-        if np.abs(levels[2:]).max() < c.release_v:
+        marks = self._integral_at(self._blocks - quarter * QUARTERS)
+        levels = (marks[:, 1:] - marks[:, :-1]) / quarter
+        watched = levels[self._watched]
+        if np.abs(watched[:, 2:]).max() < c.release_v:
             self._end(self._blocks, None)
-        elif self._peak > c.still_peak_v and np.ptp(levels, axis=0).max() < c.still_change * self._peak:
-            self._end(self._blocks - 4 * quarter, (marks[4] - marks[3]) / quarter)
+        elif self._peak > c.still_peak_v and np.ptp(watched, axis=1).max() < c.still_change * self._peak:
+            self._end(self._blocks - 4 * quarter, levels[:, 3])
 
     def _end(self, blocks: int, level: np.ndarray | None) -> None:
         """Ends the slide with its first `blocks`; level: (C,) V subtracted output at the stop, None: released."""
@@ -283,9 +280,9 @@ class SlideTracker:
         """Whether the output went to `level` (C,) V within a block: a zero does, a hand does not."""
         if self._stride > 1:
             return False
-        blocks = np.diff(self._integral[: self.conditioning.touch_blocks + 1], axis=0)[:, self._watched]
+        blocks = np.diff(self._integral[self._watched, : self.conditioning.touch_blocks + 1])
         level = level[self._watched]
-        share = blocks @ level / (level @ level)
+        share = level @ blocks / (level @ level)
         return bool(np.sum(np.abs(share - 0.5) < 0.35) <= 1)
 
     def _learn_static(self) -> None:

@@ -7,7 +7,6 @@ each counts as the share of an independent one that is new.
 """
 
 import math
-from dataclasses import replace
 
 import numpy as np
 
@@ -99,8 +98,7 @@ def _moved(estimate: Estimate, state: np.ndarray) -> Estimate:
     degrees = math.degrees(math.atan2(state[3], state[2])) % 360.0
     turned = (degrees - estimate.direction_deg + 180.0) % 360.0 - 180.0
     faster = speed / estimate.speed_mm_s
-    return replace(
-        estimate,
+    return estimate._replace(
         direction_deg=0.0 if degrees == 360.0 else degrees,
         direction_lo_deg=estimate.direction_lo_deg + turned,
         direction_hi_deg=estimate.direction_hi_deg + turned,

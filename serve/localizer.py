@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -107,11 +106,11 @@ class Localizer:
         time_s = self._clock.start_s + self._count * self.card.conditioning.block_s
         window = tracker.window()
         if window is None:
-            return Estimate(time_s=time_s, state=tracker.state, **vars(self._drifted))
+            return Estimate(time_s, tracker.state, **self._drifted._asdict())
         if tracker.state is not State.ENDED:
             return self._estimate(window, time_s)
         assert self._held is not None
-        return replace(self._held[1], time_s=time_s)
+        return self._held[1]._replace(time_s=time_s)
 
     @property
     def state(self) -> State:
@@ -156,14 +155,10 @@ class Localizer:
             and tracker.moved
             and (self.card.input == "window" or bool(tracker.usable.all()))
         )
-        drift = self._drift.read(tracker.static, tracker.usable)
-        return Estimate(
-            **{
-                **vars(estimate),
-                "valid": believed,
-                "accelerometers": int(tracker.usable.sum()),
-                **vars(drift),
-            }
+        return estimate._replace(
+            valid=believed,
+            accelerometers=int(tracker.usable.sum()),
+            **self._drift.read(tracker.static, tracker.usable)._asdict(),
         )
 
     def _whole_blocks(self, volts: np.ndarray, time_s: np.ndarray | None) -> Iterator[np.ndarray]:

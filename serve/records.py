@@ -1,17 +1,14 @@
 """An estimate as a record for JSON."""
 
 import math
-from dataclasses import fields
 from typing import Any
 
 from features.estimate import Estimate
 
-_NAMES = tuple(field.name for field in fields(Estimate))
-
 
 def record(estimate: Estimate) -> dict[str, Any]:
     """Names with units and numbers; None where not estimated, since JSON knows no NaN."""
-    return {name: _plain(getattr(estimate, name)) for name in _NAMES}
+    return {name: _plain(value) for name, value in estimate._asdict().items()}
 
 
 def _plain(value: Any) -> Any:

@@ -44,7 +44,7 @@ def test_a_steady_track_passes_unchanged(heading_deg):
     track = TrackFilter()
     for given in estimates(300, heading_deg, noise=0.0):
         told = track.update(given)
-        for name, value in vars(given).items():
+        for name, value in given._asdict().items():
             assert getattr(told, name) == pytest.approx(value, abs=1e-6, nan_ok=True), name
 
 

@@ -3,7 +3,6 @@
 import json
 import math
 import resource
-from dataclasses import astuple
 from itertools import pairwise
 from pathlib import Path
 
@@ -45,7 +44,7 @@ def answers(
     edges = [0, *sorted(cuts), len(volts)]
     for begin, end in pairwise(edges):
         estimates += localizer.push(volts[begin:end], None if time_s is None else time_s[begin:end])
-    return [tuple(map(repr, astuple(estimate))) for estimate in estimates]
+    return [tuple(map(repr, estimate)) for estimate in estimates]
 
 
 def valid(estimates: list[Estimate]) -> np.ndarray:
