@@ -179,7 +179,8 @@ class Refinement(nn.Module):
         """Averages two hypotheses: the calibration's depth, or one of its own. -> state (B, 6), covariance.
 
         The odds are prior odds times the Savage-Dickey ratio, posterior over prior density at no difference; the
-        state under "the same depth" is the free one conditioned on it.
+        state under "the same depth" is the free one conditioned on it. What the average then lies away from the free
+        state counts as error in full, not by the odds: slides of another depth may be few, or all there are.
         """
         variance = covariance[:, DEPTH, DEPTH].clamp(min=1e-8)
         off = state[:, DEPTH]
@@ -193,10 +194,10 @@ class Refinement(nn.Module):
         )
         same = torch.sigmoid(log_odds)[:, None]
         gain = covariance[:, :, DEPTH] / variance[:, None]
-        shift = gain * off[:, None]
+        shift = same * gain * off[:, None]
         reduction = gain[:, :, None] * covariance[:, None, DEPTH]
-        between = (same * (1 - same))[:, :, None] * shift[:, :, None] * shift[:, None]
-        return state - same * shift, covariance - same[:, :, None] * reduction + between
+        between = shift[:, :, None] * shift[:, None]
+        return state - shift, covariance - same[:, :, None] * reduction + between
 
     def _inverse_covariance(
         self, tilt: Tensor, vertical: Tensor, elapsed_s: Tensor, weight: Tensor
