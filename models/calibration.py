@@ -9,10 +9,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import sparse
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import solveh_banded
 
 from features.conditioning import BlockMean, Conditioning
-from models.response_map import MARGIN_MM, PARTS, ResponseMap, knots, spline_basis
+from models.response_map import MARGIN_MM, PARTS, ResponseMap, knots, splines_at
 from pipeline.recordings import Folder
 from pipeline.sensor import Sensor
 
@@ -211,9 +211,11 @@ def blank_map(sensor: Sensor, depth_mm: float) -> ResponseMap:
 
 def _tensor(x_mm: np.ndarray, y_mm: np.ndarray, half_mm: float) -> sparse.csr_matrix:
     """Rows of tensor-product splines (n, K^2), 16 entries each."""
-    bx, by = spline_basis(x_mm, half_mm), spline_basis(y_mm, half_mm)
-    n, k = bx.shape
-    return sparse.csr_matrix((bx[:, :, None] * by[:, None, :]).reshape(n, k * k))
+    (i, across), (j, up) = (splines_at(place, half_mm) for place in (x_mm, y_mm))
+    k = knots(half_mm)
+    columns, values = k * i[:, :, None] + j[:, None, :], across[:, :, None] * up[:, None, :]
+    begins = 16 * np.arange(len(i) + 1)
+    return sparse.csr_matrix((values.ravel(), columns.ravel(), begins), shape=(len(i), k * k))
 
 
 def _fit_splines(slides, gains, shifts, response, prior, config) -> ResponseMap:
@@ -221,9 +223,10 @@ def _fit_splines(slides, gains, shifts, response, prior, config) -> ResponseMap:
     k = knots(response.half_mm)
     size = k * k
     noise = float(np.median(response.noise_v))
-    normal = np.zeros((PARTS * size, PARTS * size))
-    right = np.zeros((PARTS * size, response.channels))
-    start = np.zeros_like(right) if prior is None else prior.coefficients.reshape(PARTS * size, -1)
+    # Unknowns in the order place, part: the normal matrix is then a band of a few hundred.
+    right = np.zeros((size, PARTS, response.channels))
+    start = np.zeros_like(right) if prior is None else _by_place(prior.coefficients)
+    slope = response.depth_slope.reshape(size, -1)
     grams: dict[float, sparse.csr_matrix] = {}
     for slide, gain, shift in zip(slides, gains, shifts, strict=True):
         x, y = slide.place(shift, response.lag_s)
@@ -231,30 +234,39 @@ def _fit_splines(slides, gains, shifts, response, prior, config) -> ResponseMap:
         # What the map cannot follow limits a stretch's weight, however long it was averaged.
         weight = 1.0 / (1.0 / slide.blocks + 0.5)
         turn = _turn(slide.direction_rad)
-        known = rows @ ((slide.depth_mm - response.depth_mm) * response.depth_slope.reshape(size, -1))
-        known += rows @ np.tensordot(turn, start.reshape(PARTS, size, -1), axes=1)
-        right += weight * np.multiply.outer(turn, rows.T @ (slide.volts - known)).reshape(right.shape)
-        gram = weight * (rows.T @ rows)
-        grams[slide.direction_rad] = (
-            grams[slide.direction_rad] + gram if slide.direction_rad in grams else gram
-        )
-    for direction, gram in grams.items():
-        turn, dense = _turn(direction), gram.toarray()
-        for i, j in np.ndindex(PARTS, PARTS):
-            normal[i * size : (i + 1) * size, j * size : (j + 1) * size] += turn[i] * turn[j] * dense
-    second = np.diff(np.eye(k), 2, axis=0)
-    bend = second.T @ second
-    rough = np.kron(bend, np.eye(k)) + np.kron(np.eye(k), bend)
+        known = rows @ ((slide.depth_mm - response.depth_mm) * slope + np.tensordot(turn, start, (0, 1)))
+        right += weight * turn[:, None] * (rows.T @ (slide.volts - known))[:, None]
+        before = grams.get(slide.direction_rad, sparse.csr_matrix((size, size)))
+        grams[slide.direction_rad] = before + weight * (rows.T @ rows)
+    turns = (np.outer(_turn(direction), _turn(direction)) for direction in grams)
+    normal = sum(sparse.kron(gram, turn) for gram, turn in zip(grams.values(), turns, strict=True))
+    second = sparse.diags([1.0, -2.0, 1.0], [0, 1, 2], shape=(k - 2, k))
+    bend, line = second.T @ second, sparse.identity(k)
+    rough = sparse.kron(bend, line) + sparse.kron(line, bend)
     rim = _rim_gram(response)
     scale = (noise / 1.35e-3) ** 2
-    for part in range(PARTS):
-        block = slice(part * size, (part + 1) * size)
-        smooth = config.smooth_friction if part else config.smooth_mean
-        near = config.near_prior if prior is not None else 1e-6
-        normal[block, block] += 3 * rim + scale * (smooth * rough + (1e-3 * smooth + near) * np.eye(size))
-        right[block] -= 3 * (rim @ start[block])
-    solution = start + cho_solve(cho_factor(normal), right)
-    return replace(response, coefficients=solution.reshape(PARTS, k, k, -1))
+    smooth = scale * np.array([config.smooth_mean, *[config.smooth_friction] * (PARTS - 1)])
+    near = scale * (config.near_prior if prior is not None else 1e-6)
+    normal += sparse.kron(rough, np.diag(smooth)) + sparse.kron(3 * rim, np.eye(PARTS))
+    normal += sparse.kron(sparse.identity(size), np.diag(1e-3 * smooth + near))
+    right -= 3 * (rim @ start.reshape(size, -1)).reshape(start.shape)
+    solution = start + _solved(normal, right.reshape(PARTS * size, -1)).reshape(start.shape)
+    return replace(response, coefficients=solution.reshape(k, k, PARTS, -1).transpose(2, 0, 1, 3))
+
+
+def _by_place(coefficients: np.ndarray) -> np.ndarray:
+    """(3, K, K, C) -> (K^2, 3, C)."""
+    parts, k, _, channels = coefficients.shape
+    return coefficients.transpose(1, 2, 0, 3).reshape(k * k, parts, channels)
+
+
+def _solved(normal: sparse.spmatrix, right: np.ndarray) -> np.ndarray:
+    """x (n, C) of A x = b, A symmetric, positive definite and banded."""
+    upper = sparse.triu(normal).tocoo()
+    band = int((upper.col - upper.row).max())
+    stored = np.zeros((band + 1, upper.shape[0]))
+    stored[band + upper.row - upper.col, upper.col] = upper.data
+    return solveh_banded(stored, right, overwrite_ab=True, check_finite=False)
 
 
 def _turn(direction_rad: float) -> np.ndarray:
@@ -262,15 +274,15 @@ def _turn(direction_rad: float) -> np.ndarray:
     return np.array([1.0, np.cos(direction_rad), np.sin(direction_rad)])
 
 
-def _rim_gram(response: ResponseMap) -> np.ndarray:
-    """Gram matrix (K^2, K^2) of splines over points of the rim, where the response is known to be zero."""
+def _rim_gram(response: ResponseMap) -> sparse.csr_matrix:
+    """Gram matrix (K^2, K^2) of the splines over points of the rim, where the response is known to be zero."""
     grid = np.arange(-response.half_mm, response.half_mm + 0.5, 1.0)
     x, y = (axis.ravel() for axis in np.meshgrid(grid, grid, indexing="ij"))
     rim = (np.abs(x) > response.chamber_mm[0] / 2 + RIM_MM) | (
         np.abs(y) > response.chamber_mm[1] / 2 + RIM_MM
     )
     rows = _tensor(x[rim], y[rim], response.half_mm)
-    return (rows.T @ rows).toarray()
+    return rows.T @ rows
 
 
 def _fit_slide(slide, gain, shift, response, config) -> tuple[float, float, np.ndarray]:

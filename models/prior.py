@@ -10,7 +10,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from models.calibration import CalibrationSlide
-from models.response_map import MARGIN_MM, ResponseMap, spline_coefficients
+from models.response_map import MARGIN_MM, PARTS, ResponseMap, spline_coefficients
 from pipeline.atlas import Atlas
 from pipeline.sensor import Sensor
 
@@ -106,18 +106,19 @@ def device_map(
         peak = max(float(np.abs(s.volts).max()) for s in slides)
 
         def gaps(p: np.ndarray) -> np.ndarray:
-            left = [
-                np.ravel(_moved(levels, heights, middle, sensor, p, s)[:: _every(s)] - s.volts[:: _every(s)])
-                for s in slides
-            ]
+            design = _mixed(levels, heights, middle, p)
+            left = [np.ravel((_shown(design, sensor, p, s) - s.volts)[:: _every(s)]) for s in slides]
             # Neighbouring stretches err alike: each slide counts as a few independent pieces of evidence.
             scale = spread.misfit * peak * np.sqrt(sum(len(v) for v in left) / (8.0 * len(slides)))
             return np.concatenate([*[v / scale for v in left], (p - centre) / sd])
 
         start = least_squares(gaps, start, x_scale=sd, method="trf", max_nfev=12).x
-    height = float(np.clip(middle + start[0], heights[0], heights[-1]))
-    moved = _warped(levels, heights, height, sensor, start)
-    report = {"height_mm": height, "friction": 1 + float(start[1]), "lag_s": float(max(start[2], 0.0))}
+    moved = _warped(_mixed(levels, heights, middle, start), sensor, start)
+    report = {
+        "height_mm": _height(heights, middle, start),
+        "friction": 1 + float(start[1]),
+        "lag_s": float(max(start[2], 0.0)),
+    }
     report["width"] = float(np.exp(start[3]))
     for k, board in enumerate(sensor.accelerometers):
         gain, turn, dx, dy = start[COMMON + 4 * k : COMMON + 4 + 4 * k]
@@ -135,43 +136,45 @@ def _every(slide: CalibrationSlide) -> int:
     return max(1, round(SAMPLE_MM / max(step, 1e-3)))
 
 
-def _between(
-    levels: list[ResponseMap], heights: np.ndarray, height_mm: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """Coefficients interpolated in height (quadratic through three levels, linear through two)."""
+def _height(heights: np.ndarray, middle: float, p: np.ndarray) -> float:
+    return float(np.clip(middle + p[0], heights[0], heights[-1]))
+
+
+def _mixed(levels: list[ResponseMap], heights: np.ndarray, middle: float, p: np.ndarray) -> ResponseMap:
+    """The design at the device's height (quadratic through three levels, linear through two), friction and lag."""
+    height_mm = _height(heights, middle, p)
     weights = np.ones(len(heights))
     for i, h in enumerate(heights):
         for j, other in enumerate(heights):
             if i != j:
                 weights[i] *= (height_mm - other) / (h - other)
-    coefficients = sum(w * level.coefficients for w, level in zip(weights, levels, strict=True))
-    slope = sum(w * level.depth_slope for w, level in zip(weights, levels, strict=True))
-    return np.asarray(coefficients), np.asarray(slope)
+    friction = np.array([1.0, 1 + p[1], 1 + p[1]])[:, None, None, None]
+    coefficients = np.tensordot(weights, np.stack([level.coefficients for level in levels]), 1)
+    slope = np.tensordot(weights, np.stack([level.depth_slope for level in levels]), 1)
+    return replace(
+        levels[0], coefficients=friction * coefficients, depth_slope=slope, lag_s=float(max(p[2], 0.0))
+    )
 
 
-def _moved(
-    levels: list[ResponseMap],
-    heights: np.ndarray,
-    middle: float,
-    sensor: Sensor,
-    p: np.ndarray,
-    slide: CalibrationSlide,
-) -> np.ndarray:
+def _shown(design: ResponseMap, sensor: Sensor, p: np.ndarray, slide: CalibrationSlide) -> np.ndarray:
     """What the moved design shows along a slide (m, C) V."""
-    coefficients, slope = _between(levels, heights, float(np.clip(middle + p[0], heights[0], heights[-1])))
-    response = replace(levels[0], coefficients=coefficients, depth_slope=slope)
-    contact_x, contact_y = slide.place(0.0, max(p[2], 0.0))
-    volts = np.empty((len(contact_x), response.channels))
-    for k in range(response.channels // 2):
+    contact = slide.place(0.0, design.lag_s)
+    boards = []
+    for k in range(design.channels // 2):
         gain, turn = p[COMMON + 4 * k : COMMON + 2 + 4 * k]
-        x, y = _placed(contact_x, contact_y, sensor, k, p)
-        pair = slice(2 * k, 2 * k + 2)
-        one = replace(response, coefficients=response.coefficients[..., pair], depth_slope=slope[..., pair])
-        plain = one.response(x, y, slide.direction_rad, slide.depth_mm)
-        still = replace(one, coefficients=one.coefficients * np.array([1.0, 0, 0])[:, None, None, None])
-        still_volts = still.response(x, y, slide.direction_rad, slide.depth_mm)
-        volts[:, pair] = np.exp(gain) * _rotated(still_volts + (1 + p[1]) * (plain - still_volts), turn)
-    return volts
+        volts = _board(design, k).response(
+            *_placed(*contact, sensor, k, p), slide.direction_rad, slide.depth_mm
+        )
+        boards.append(np.exp(gain) * _rotated(volts, turn))
+    return np.hstack(boards)
+
+
+def _board(design: ResponseMap, k: int) -> ResponseMap:
+    """One board's channels alone."""
+    pair = slice(2 * k, 2 * k + 2)
+    return replace(
+        design, coefficients=design.coefficients[..., pair], depth_slope=design.depth_slope[..., pair]
+    )
 
 
 def _rotated(volts: np.ndarray, turn_rad: float) -> np.ndarray:
@@ -189,28 +192,21 @@ def _placed(
     return home.x_mm + narrow * (x_mm - home.x_mm - dx), home.y_mm + narrow * (y_mm - home.y_mm - dy)
 
 
-def _warped(
-    levels: list[ResponseMap], heights: np.ndarray, height_mm: float, sensor: Sensor, p: np.ndarray
-) -> ResponseMap:
+def _warped(design: ResponseMap, sensor: Sensor, p: np.ndarray) -> ResponseMap:
     """The moved design as a map of its own."""
-    coefficients, slope = _between(levels, heights, height_mm)
-    base = levels[0]
-    grid = np.arange(-base.half_mm, base.half_mm + GRID_MM / 2, GRID_MM)
+    grid = np.arange(-design.half_mm, design.half_mm + GRID_MM / 2, GRID_MM)
     x, y = (axis.ravel() for axis in np.meshgrid(grid, grid, indexing="ij"))
-    out, deep = np.empty_like(coefficients), np.empty_like(slope)
-    scale = np.array([1.0, 1 + p[1], 1 + p[1]])
-    for k in range(base.channels // 2):
+    boards = []
+    for k in range(design.channels // 2):
         gain, turn = p[COMMON + 4 * k : COMMON + 2 + 4 * k]
-        placed = _placed(x, y, sensor, k, p)
-        pair = slice(2 * k, 2 * k + 2)
-        surfaces = [*(coefficients[..., pair] * scale[:, None, None, None]), slope[..., pair]]
-        none = np.zeros_like(slope[..., pair])
-        for part, surface in enumerate(surfaces):
-            one = replace(base, coefficients=np.stack([surface, none, none]), depth_slope=none)
-            values = np.exp(gain) * _rotated(one.response(*placed, 0.0), turn)
-            fitted = spline_coefficients(values.reshape(len(grid), len(grid), 2), grid, base.half_mm)
-            if part < 3:
-                out[part, ..., pair] = fitted
-            else:
-                deep[..., pair] = fitted
-    return replace(base, coefficients=out, depth_slope=deep, lag_s=float(max(p[2], 0.0)))
+        placed, one = _placed(x, y, sensor, k, p), _board(design, k)
+        surfaces = []
+        for surface in (*one.coefficients, one.depth_slope):
+            still = replace(one, coefficients=np.stack([surface, 0 * surface, 0 * surface]))
+            values = np.exp(gain) * _rotated(still.response(*placed, 0.0), turn)
+            surfaces.append(
+                spline_coefficients(values.reshape(len(grid), len(grid), 2), grid, design.half_mm)
+            )
+        boards.append(np.stack(surfaces))
+    moved = np.concatenate(boards, axis=-1)
+    return replace(design, coefficients=moved[:PARTS], depth_slope=moved[PARTS])

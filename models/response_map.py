@@ -67,11 +67,10 @@ class ResponseMap:
         if depth_mm is not None and depth_mm != self.depth_mm:
             weights = np.concatenate([weights, np.full((1, *a.shape), depth_mm - self.depth_mm)])
             surfaces = np.concatenate([surfaces, self.depth_slope[None]])
-        parts, k, _, channels = surfaces.shape
-        bx, by = spline_basis(x_mm, self.half_mm), spline_basis(y_mm, self.half_mm)
-        across = bx @ surfaces.transpose(1, 0, 2, 3).reshape(k, -1)
-        values = (across.reshape(-1, parts, k, channels) * by[:, None, :, None]).sum(axis=2)
-        return (weights * values.transpose(1, 0, 2)).sum(axis=0)
+        (i, across), (j, up) = (splines_at(place, self.half_mm) for place in (x_mm, y_mm))
+        patch = surfaces.transpose(1, 2, 0, 3)[i[:, :, None], j[:, None, :]]
+        each = across[:, :, None, None] * up[:, None, :, None] * weights.transpose(1, 2, 0)[:, :, None]
+        return (each.reshape(len(i), 1, -1) @ patch.reshape(len(i), -1, self.channels))[:, 0]
 
     def scaled(self, gain: float) -> "ResponseMap":
         """The same map with every response times `gain`."""
@@ -83,14 +82,26 @@ def knots(half_mm: float) -> int:
     return round(2 * half_mm / SPACING_MM) + 3
 
 
-def spline_basis(position_mm: np.ndarray, half_mm: float) -> np.ndarray:
-    """Uniform cubic B-splines at (n,) positions -> (n, K); zero beyond the outermost ones.
+def splines_at(position_mm: np.ndarray, half_mm: float) -> tuple[np.ndarray, np.ndarray]:
+    """The four uniform cubic B-splines around (n,) positions -> their numbers (n, 4) and values (n, 4).
 
-    B(z) = (2 - |z|)+^3 / 6 - 4 (1 - |z|)+^3 / 6, z the distance to a spline's centre over the spacing.
+    B(z) = (2 - |z|)+^3 / 6 - 4 (1 - |z|)+^3 / 6, z the distance to a spline's centre over the spacing; zero where
+    there is no such spline.
     """
-    centres = -half_mm + SPACING_MM * (np.arange(knots(half_mm)) - 1)
-    z = np.abs((np.asarray(position_mm, dtype=float)[:, None] - centres) / SPACING_MM)
-    return (np.maximum(2 - z, 0) ** 3 - 4 * np.maximum(1 - z, 0) ** 3) / 6
+    u = (np.asarray(position_mm, dtype=float)[:, None] + half_mm) / SPACING_MM
+    number = np.floor(u).astype(int) + np.arange(4)
+    z = np.abs(u - (number - 1))
+    value = (np.maximum(2 - z, 0) ** 3 - 4 * np.maximum(1 - z, 0) ** 3) / 6
+    inside = np.clip(number, 0, knots(half_mm) - 1)
+    return inside, np.where(number == inside, value, 0.0)
+
+
+def spline_basis(position_mm: np.ndarray, half_mm: float) -> np.ndarray:
+    """Every spline at (n,) positions -> (n, K)."""
+    number, value = splines_at(position_mm, half_mm)
+    basis = np.zeros((len(number), knots(half_mm)))
+    np.add.at(basis, (np.arange(len(number))[:, None], number), value)
+    return basis
 
 
 def spline_coefficients(values: np.ndarray, grid_mm: np.ndarray, half_mm: float) -> np.ndarray:
