@@ -18,12 +18,11 @@ from pipeline.atlas import Atlas
 from pipeline.sensor import Sensor
 
 FOLDS = 4
-HELD_OUT_ITERATIONS = 2  # fewer alternations will do where only the errors are wanted
 LEAST_ALONE = 24  # slides; fewer leave the map without an atlas full of holes
 # Times the penalties on what moves the map away from its prior; first: where in doubt.
 STIFFNESS = (30.0, 5.0, 1.0)
 
-Fit = Callable[[list[CalibrationSlide], ResponseMap | None, int], tuple[ResponseMap, dict[str, float]]]
+Fit = Callable[[list[CalibrationSlide], ResponseMap | None], tuple[ResponseMap, dict[str, float]]]
 
 
 @dataclass(frozen=True)
@@ -59,14 +58,14 @@ def device_maps(
     ways = _ways(len(slides), blank_map(sensor, depth), atlas is not None, config)
     held_out = {
         name: [
-            (fit(part, prior, HELD_OUT_ITERATIONS)[0], lines)
+            (fit(part, prior)[0], lines)
             for part, prior, lines in zip(parts[1:], priors[1:], unseen, strict=True)
         ]
         for name, fit in ways.items()
     }
     left = {name: _residual_share(slides, maps) for name, maps in held_out.items()}
     best = min(ways, key=lambda name: left[name])
-    response, summary = ways[best](slides, priors[0], config.iterations)
+    response, summary = ways[best](slides, priors[0])
     shares = {f"heldout_residual_{name}": share for name, share in left.items() if unseen}
     return DeviceMaps(
         response, held_out[best], moved[0][1] | summary | shares | {"from_atlas": float(best != "alone")}
@@ -92,18 +91,16 @@ def _ways(slides: int, blank: ResponseMap, has_atlas: bool, config: CalibrationC
     def near(stiffness: float) -> Fit:
         stiff = config.stiffened(stiffness)
 
-        def fit(part: list[CalibrationSlide], prior: ResponseMap | None, iterations: int):
+        def fit(part: list[CalibrationSlide], prior: ResponseMap | None):
             assert prior is not None
-            return (
-                calibrate(part, prior, True, replace(stiff, iterations=iterations)) if part else (prior, {})
-            )
+            return calibrate(part, prior, True, stiff) if part else (prior, {})
 
         return fit
 
-    def alone(part: list[CalibrationSlide], prior: ResponseMap | None, iterations: int):
+    def alone(part: list[CalibrationSlide], prior: ResponseMap | None):
         # Recordings of one depth say nothing of others: that part is the design's in any case.
         start = blank if prior is None else replace(blank, depth_slope=prior.depth_slope)
-        return calibrate(part, start, False, replace(config, iterations=iterations))
+        return calibrate(part, start, False, config)
 
     ways: dict[str, Fit] = {f"atlas_{s:g}": near(s) for s in STIFFNESS} if has_atlas else {}
     return ways | ({"alone": alone} if slides >= LEAST_ALONE else {})
