@@ -8,11 +8,13 @@ shows what it is worth.
 
 import argparse
 import json
+import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
 
+from features.errors import InputError
 from models.calibration import CalibrationSlide, calibration_slides
 from models.cnn import CnnConfig, signed_errors
 from models.device import device_maps
@@ -26,10 +28,19 @@ from pipeline.recordings import Folder, read_folder
 def study(
     folder: Folder, counts: Sequence[int], draws: int, splits: Sequence[str], atlas: Atlas
 ) -> Iterator[dict[str, float]]:
-    """Mean and largest errors at the end of the stroke for each number of slides and each random draw of them."""
+    """Mean and largest errors at the end of the stroke for each number of slides and each random draw of them.
+
+    Raises:
+        InputError: a number of slides or draws that is none, or no labelled slide of the splits.
+    """
+    if min(counts) < 0 or draws < 1:
+        raise InputError(f"{min(counts)} slides in {draws} draws; take 0 or more in at least one")
     config = CnnConfig()
     slides = calibration_slides(folder.select("calibration", "train").labelled(), config.conditioning)
-    windows = labelled_windows(folder.select(*splits).labelled(), config.conditioning, (1.0,))
+    scored = folder.select(*splits).labelled()
+    if not len(scored):
+        raise InputError(f"{folder.root}: no labelled slide of a split {' or '.join(splits)}*; name another")
+    windows = labelled_windows(scored, config.conditioning, (1.0,))
     for count in counts:
         for draw in range(draws if 0 < count < len(slides) else 1):
             chosen = np.random.default_rng(draw).choice(len(slides), min(count, len(slides)), replace=False)
@@ -55,8 +66,8 @@ def _errors(found: np.ndarray, windows: LabelledWindows) -> dict[str, float]:
     }
 
 
-def main(argv: Sequence[str] | None = None) -> None:
-    """Prints one JSON object a draw."""
+def main(argv: Sequence[str] | None = None) -> int:
+    """Prints one JSON object a draw. Returns 0, or 2 on bad input."""
     parser = argparse.ArgumentParser(prog="python -m experiments.few", description=__doc__.split("\n\n")[0])
     parser.add_argument(
         "--recordings", type=Path, required=True, metavar="DIR", help="a folder of one sensor"
@@ -78,11 +89,16 @@ def main(argv: Sequence[str] | None = None) -> None:
         help="beginnings of the splits scored (default: test)",
     )
     arguments = parser.parse_args(argv)
-    folder = read_folder(arguments.recordings)
-    atlas = atlas_of(folder.sensor)
-    for row in study(folder, arguments.slides, arguments.draws, arguments.split, atlas):
-        print(json.dumps(row), flush=True)
+    try:
+        folder = read_folder(arguments.recordings)
+        atlas = atlas_of(folder.sensor)
+        for row in study(folder, arguments.slides, arguments.draws, arguments.split, atlas):
+            print(json.dumps(row), flush=True)
+    except InputError as error:
+        print(f"few: {error}", file=sys.stderr)
+        return 2
+    return 0
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -5,11 +5,13 @@ python -m experiments.injection --model BUNDLE --recordings DIR [--every N]
 
 import argparse
 import json
-from collections.abc import Callable, Iterator
+import sys
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
 
+from features.errors import InputError
 from pipeline.recordings import Folder, read_folder
 from pipeline.sensor import Sensor
 from serve.localizer import Localizer
@@ -93,19 +95,30 @@ def _zero(sensor: Sensor) -> np.ndarray:
     return np.repeat([board.zero_g_v for board in sensor.accelerometers], 3)
 
 
-def main() -> None:
-    """Prints the figures as one JSON object."""
+def main(argv: Sequence[str] | None = None) -> int:
+    """Prints the figures as one JSON object. Returns 0, or 2 on bad input."""
     parser = argparse.ArgumentParser(prog="python -m experiments.injection", description=__doc__)
     parser.add_argument("--model", type=Path, required=True, metavar="BUNDLE")
     parser.add_argument(
         "--recordings", type=Path, required=True, metavar="DIR", help="its test splits are used"
     )
     parser.add_argument("--every", type=int, default=1, metavar="N", help="every Nth recording only")
-    arguments = parser.parse_args()
-    folder = read_folder(arguments.recordings).select("test")
-    some = Folder(folder.root, folder.sensor, folder.manifest.iloc[:: arguments.every])
-    print(json.dumps(study(arguments.model, some), indent=1))
+    arguments = parser.parse_args(argv)
+    try:
+        if arguments.every < 1:
+            raise InputError(f"--every {arguments.every}: take every first, second or later one")
+        folder = read_folder(arguments.recordings).select("test").labelled()
+        if not len(folder):
+            raise InputError(
+                f"{arguments.recordings}: no labelled slide of a split test*; name another folder"
+            )
+        some = Folder(folder.root, folder.sensor, folder.manifest.iloc[:: arguments.every])
+        print(json.dumps(study(arguments.model, some), indent=1))
+    except InputError as error:
+        print(f"injection: {error}", file=sys.stderr)
+        return 2
+    return 0
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

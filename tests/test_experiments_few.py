@@ -2,7 +2,9 @@
 
 from pathlib import Path
 
-from experiments.few import study
+import pytest
+
+from experiments import few, injection
 from pipeline.atlas_library import atlas_of
 from pipeline.recordings import Folder, read_folder
 
@@ -15,8 +17,25 @@ def test_twelve_recordings_are_better_than_none():
     scored = manifest.index[manifest["split"] == "test"][:4]
     taught = manifest.index[manifest["split"].str.startswith("calibration")]
     some = Folder(folder.root, folder.sensor, manifest.loc[[*taught, *scored]])
-    none, twelve = study(some, [0, 12], 1, ["test"], atlas_of(folder.sensor))
+    none, twelve = few.study(some, [0, 12], 1, ["test"], atlas_of(folder.sensor))
     assert (none["slides"], twelve["slides"]) == (0, 12)
     assert twelve["offset_mm_mean"] < none["offset_mm_mean"] < 2.0
     assert twelve["speed_percent_mean"] < 3.0
     assert twelve["direction_deg_max"] < 6.0
+
+
+@pytest.mark.parametrize(
+    ("command", "line", "said"),
+    [
+        (few, ["--recordings", "nowhere"], "nowhere"),
+        (few, ["--recordings", str(SAMPLE), "--draws", "0"], "in 0 draws"),
+        (few, ["--recordings", str(SAMPLE), "--split", "holiday"], "holiday"),
+        (injection, ["--model", "nowhere", "--recordings", str(SAMPLE)], "nowhere"),
+        (injection, ["--model", "nowhere", "--recordings", str(SAMPLE), "--every", "0"], "--every 0"),
+    ],
+)
+def test_bad_input_is_one_line(command, line, said, capsys):
+    assert command.main(line) == 2
+    *_, last = capsys.readouterr().err.splitlines()
+    assert last.startswith(command.__name__.rpartition(".")[2])
+    assert said in last
