@@ -13,6 +13,7 @@ from features.card import Card, write_card
 from features.conditioning import Conditioning
 from features.vector import feature_matrix
 from models.fitted import FittedModel
+from models.packing import unpack
 from pipeline.dataset import LabelledWindows
 from pipeline.sensor import Sensor
 from pipeline.staging import staged
@@ -107,8 +108,10 @@ def believed(rows: np.ndarray, fitted: FittedModel) -> np.ndarray:
 
 
 def read_graph(bundle: Path) -> onnx.ModelProto:
-    """The graph of a bundle, to train on from it."""
-    return onnx.load_model_from_string((bundle / "model.onnx").read_bytes())
+    """The graph of a bundle, its constants in single precision."""
+    graph = onnx.load_model_from_string((bundle / "model.onnx").read_bytes())
+    unpack(graph)
+    return graph
 
 
 def relative_differences(a: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Torch to ONNX, one file, any batch."""
+"""Torch to ONNX, one file, any batch, as few bytes as will do."""
 
 import contextlib
 import io
@@ -9,6 +9,7 @@ import onnx
 import torch
 
 from features.window import WINDOW_BINS
+from models.packing import pack
 
 
 def export_graph(network: torch.nn.Module, accelerometers: int) -> onnx.ModelProto:
@@ -36,6 +37,7 @@ def export_graph(network: torch.nn.Module, accelerometers: int) -> onnx.ModelPro
     assert program is not None
     graph = program.model_proto
     strip(graph)
+    pack(graph)
     onnx.checker.check_model(graph, full_check=True)
     return graph
 

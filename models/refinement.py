@@ -14,6 +14,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from features.window import WINDOW_BINS
+from models.packing import rounded
 from models.response_map import SPACING_MM, ResponseMap
 
 PEAK_SHARE = 0.003  # what the map leaves over, as a share of the slide's largest output
@@ -108,7 +109,7 @@ class Refinement(nn.Module):
         # Direction cos, sin, offset, log speed, along; and deviations of turn, offset, log speed, along.
         self.register_buffer("order", torch.tensor([0, 1, 3, 2, 4]))
         self.register_buffer("sd_order", torch.tensor([0, 2, 1, 3]))
-        self.register_buffer("table", torch.tensor(table, dtype=torch.float32))
+        self.register_buffer("table", rounded(torch.tensor(table, dtype=torch.float32)))
         self.register_buffer("patch", torch.tensor([cells * i + j for i in range(4) for j in range(4)]))
         self.channels, self.last_cell = response.channels, cells - 3.001
         self.block_s, self.lag_s, self.floor_v = block_s, response.lag_s, response.floor_v

@@ -16,7 +16,7 @@ from onnxruntime.quantization import CalibrationDataReader, QuantFormat, QuantTy
 
 from features.card import Card, write_card
 from features.errors import InputError
-from models.bundle import graph_inputs
+from models.bundle import graph_inputs, read_graph
 from models.c_code.node import NoForm
 from models.c_code.source import sources
 from models.intervals import angle_error_deg
@@ -47,7 +47,7 @@ def export(bundle: Path, shape: str, out: Path) -> dict[str, Any]:
 def _as_c(card: Card, path: Path, out: Path) -> dict[str, Any]:
     """model.c and model.h, check.c that works the card's example with them, and the card as it is."""
     try:
-        files, figures = sources(onnx.load_model_from_string(path.read_bytes()), card)
+        files, figures = sources(read_graph(path.parent), card)
     except NoForm as error:
         raise InputError(f"{path}: {error} has no form in C; use --to ort on a small processor") from None
     with staged(out) as folder:
@@ -74,7 +74,7 @@ def _as_ort(card: Card, path: Path, out: Path) -> dict[str, Any]:
 
 def _as_int8(card: Card, path: Path, out: Path) -> dict[str, Any]:
     """Weights per channel in S8, activations in U8, of the products with constant weights; the rest stays float32."""
-    graph = onnx.load_model_from_string(path.read_bytes())
+    graph = read_graph(path.parent)
     names = _weighted(graph)
     if not names:
         raise InputError(f"{path}: a {card.model} graph holds no convolution or dense layer to quantize")

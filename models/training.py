@@ -9,6 +9,7 @@ from torch import Tensor
 from torch.nn.utils import clip_grad_norm_
 
 from models.network import LENGTH_MM, NetworkConfig, Proposal
+from models.packing import rounded
 from models.synthetic_windows import WindowSource
 
 
@@ -31,7 +32,9 @@ def train_proposal(
     start: Proposal | None = None,
     progress: Callable[[int, float], None] = lambda step, loss: None,
 ) -> Proposal:
-    """The trained network. Seeded: the same configuration gives the same weights on the same machine.
+    """The trained network, its weights rounded to half precision.
+
+    Seeded: the same configuration gives the same weights on the same machine.
 
     start: a network to go on from. progress: told the step and the loss, now and then.
     """
@@ -61,6 +64,9 @@ def train_proposal(
             progress(step, loss.item())
     kept = averaged.module
     assert isinstance(kept, Proposal)
+    with torch.no_grad():
+        for values in kept.parameters():
+            values.copy_(rounded(values))
     return kept.eval()
 
 

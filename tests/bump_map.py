@@ -11,7 +11,7 @@ REFERENCE_MM = (5.0, 0.0)
 def bump_map(places: tuple[tuple[float, float], ...] = (REFERENCE_MM,), **changes) -> ResponseMap:
     """V_x = -0.02 u exp(-(u^2 + w^2) / 2 10^2) V with (u, w) from the board, V_y likewise in w; friction adds 2 %.
 
-    places: of the boards.
+    places: of the boards. The coefficients are those that half precision holds.
     """
     grid = np.arange(-30.0, 30.5, 1.0)
     x, y = np.meshgrid(grid, grid, indexing="ij")
@@ -23,7 +23,10 @@ def bump_map(places: tuple[tuple[float, float], ...] = (REFERENCE_MM,), **change
         drags += [0.004 * bell, 0 * bell]
     tilt, drag = np.stack(tilts, axis=2), np.stack(drags, axis=2)
     across = drag.reshape(*x.shape, -1, 2)[..., ::-1].reshape(drag.shape)
-    surfaces = [spline_coefficients(values, grid, 30.0) for values in (tilt, drag, across, 0.2 * tilt)]
+    surfaces = [
+        spline_coefficients(values, grid, 30.0).astype(np.float16).astype(float)
+        for values in (tilt, drag, across, 0.2 * tilt)
+    ]
     values = {
         "coefficients": np.stack(surfaces[:PARTS]),
         "depth_slope": surfaces[PARTS],

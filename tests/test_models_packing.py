@@ -1,0 +1,62 @@
+"""Half-precision storage: the same answers to the last bit from half the bytes, and nothing that it would round."""
+
+import numpy as np
+import onnx
+import onnxruntime as ort
+import torch
+from onnx import TensorProto, helper, numpy_helper
+
+from models.packing import LEAST, pack, rounded, unpack
+
+
+def dense(weights: np.ndarray) -> onnx.ModelProto:
+    """y = x W, W (n, m)."""
+    n, m = weights.shape
+    graph = helper.make_graph(
+        [helper.make_node("MatMul", ["x", "w"], ["y"])],
+        "dense",
+        [helper.make_tensor_value_info("x", TensorProto.FLOAT, [1, n])],
+        [helper.make_tensor_value_info("y", TensorProto.FLOAT, [1, m])],
+        [numpy_helper.from_array(weights, "w")],
+    )
+    return helper.make_model(graph, opset_imports=[helper.make_opsetid("", 18)], ir_version=9)
+
+
+def weights(*shape: int) -> np.ndarray:
+    return np.random.default_rng(0).normal(size=shape).astype(np.float32)
+
+
+def answer(model: onnx.ModelProto) -> np.ndarray:
+    onnx.checker.check_model(model, full_check=True)
+    x = weights(1, 32)
+    return ort.InferenceSession(model.SerializeToString(), providers=["CPUExecutionProvider"]).run(
+        None, {"x": x}
+    )[0]
+
+
+def test_packing_halves_the_bytes_and_changes_no_bit():
+    model = dense(rounded(torch.tensor(weights(32, 64))).numpy())
+    plain, size = answer(model), len(model.SerializeToString())
+    pack(model)
+    assert len(model.SerializeToString()) < 0.55 * size
+    np.testing.assert_array_equal(answer(model), plain)
+    unpack(model)
+    assert len(model.SerializeToString()) == size
+    np.testing.assert_array_equal(answer(model), plain)
+
+
+def test_what_half_precision_would_round_or_is_small_stays():
+    for values in (
+        weights(32, 64),
+        np.full((32, 64), 1e6, np.float32),
+        np.ones((32, LEAST // 32 - 1), np.float32),
+    ):
+        model = dense(values)
+        before = model.SerializeToString()
+        pack(model)
+        assert model.SerializeToString() == before
+
+
+def test_rounding_keeps_eleven_bits():
+    values = torch.tensor(weights(1000))
+    assert ((rounded(values) - values).abs() <= values.abs() * 2.0**-11 + 2.0**-25).all()
