@@ -21,7 +21,6 @@ from experiments.comparison_table import error_rows, markdown
 from experiments.peers import MODELS, Study, kept, map_settings, read_out
 from experiments.scoring import score
 from features.errors import InputError
-from models.cnn import CnnConfig
 
 
 @dataclass
@@ -97,7 +96,9 @@ def compare_on(study: Study, models: Sequence[str]) -> Findings:
 def _bounds(study: Study) -> pd.DataFrame:
     def made() -> tuple[pd.DataFrame, dict[str, float]]:
         print(f"{study.place.name}: the Cramer-Rao bound", file=sys.stderr)
-        return efficiency.bound(study.response, CnnConfig().conditioning.block_s, study.windows), {}
+        return efficiency.bound(
+            study.device.maps.response, study.device.conditioning.block_s, study.windows
+        ), {}
 
     return kept(study.place / "bound", {"map": map_settings(), **study.hashes}, made)[0]
 

@@ -10,15 +10,16 @@ import argparse
 import json
 import sys
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from features.errors import InputError
-from models.calibration import CalibrationSlide, calibration_slides
+from models.calibration import calibration_slides
 from models.cnn import CnnConfig, signed_errors
-from models.device import device_maps
 from models.inversion import Inversion
+from models.lag import calibrated_device
 from pipeline.atlas import Atlas
 from pipeline.atlas_library import atlas_of
 from pipeline.dataset import LabelledWindows, labelled_windows
@@ -36,19 +37,19 @@ def study(
     if min(counts) < 0 or draws < 1:
         raise InputError(f"{min(counts)} slides in {draws} draws; take 0 or more in at least one")
     config = CnnConfig()
-    slides = calibration_slides(folder.select("calibration", "train").labelled(), config.conditioning)
+    taught = folder.select("calibration", "train").labelled()
+    names = [slide.recording for slide in calibration_slides(taught, config.conditioning)]
     scored = folder.select(*splits).labelled()
     if not len(scored):
         raise InputError(f"{folder.root}: no labelled slide of a split {' or '.join(splits)}*; name another")
-    windows = labelled_windows(scored, config.conditioning, (1.0,))
     for count in counts:
-        for draw in range(draws if 0 < count < len(slides) else 1):
-            chosen = np.random.default_rng(draw).choice(len(slides), min(count, len(slides)), replace=False)
-            part: list[CalibrationSlide] = [slides[n] for n in np.sort(chosen)]
-            maps = device_maps(part, folder.sensor, atlas, config.calibration, config.spread)
-            found = Inversion(maps.response, config.conditioning.block_s).predict(
-                windows.volts, windows.elapsed_s
-            )
+        for draw in range(draws if 0 < count < len(names) else 1):
+            chosen = np.random.default_rng(draw).choice(len(names), min(count, len(names)), replace=False)
+            part = replace(taught, manifest=taught.manifest.loc[[names[n] for n in np.sort(chosen)]])
+            device = calibrated_device(part, atlas, config.conditioning, config.calibration, config.spread)
+            windows = labelled_windows(scored, device.conditioning, (1.0,))
+            inversion = Inversion(device.maps.response, device.conditioning.block_s)
+            found = inversion.predict(windows.volts, windows.elapsed_s)
             yield {"slides": len(part), "draw": draw, **_errors(found, windows)}
 
 

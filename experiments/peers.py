@@ -20,12 +20,10 @@ from features.conditioning import Conditioning
 from features.errors import InputError
 from features.window import Window
 from models import baselines
-from models.calibration import calibration_slides
 from models.cnn import CnnConfig
-from models.device import device_maps
 from models.fit import default_config
 from models.inversion import STARTS, Inversion
-from models.response_map import ResponseMap
+from models.lag import Device, calibrated_device
 from pipeline.dataset import LabelledWindows, labelled_windows
 from pipeline.recordings import Folder, read_folder
 from pipeline.staging import staged
@@ -68,12 +66,11 @@ class Study:
         return labelled_windows(self.scored)
 
     @cached_property
-    def response(self) -> ResponseMap:
-        """The calibrated map inside the default model: the same fit once more, without its network."""
-        config = CnnConfig()
+    def device(self) -> Device:
+        """What lies inside the default model: the same calibration once more, without its network."""
+        c = CnnConfig()
         atlas = design_of(self.taught, None)
-        slides = calibration_slides(self.taught, config.conditioning)
-        return device_maps(slides, self.taught.sensor, atlas, config.calibration, config.spread).response
+        return calibrated_device(self.taught, atlas, c.conditioning, c.calibration, c.spread)
 
     @cached_property
     def hashes(self) -> dict[str, Any]:
@@ -167,8 +164,8 @@ def _read_bundle(study: Study, bundle: Path) -> Readout:
 
 
 def _read_inversion(study: Study) -> Readout:
-    conditioning = CnnConfig().conditioning
-    inversion = Inversion(study.response, conditioning.block_s)
+    conditioning = study.device.conditioning
+    inversion = Inversion(study.device.maps.response, conditioning.block_s)
     sensor = study.scored.sensor
     card = window_card("inversion", inversion.outputs, sensor, conditioning, INVERSION_VALIDITY, NORMAL)
     table = window_predictions(inversion.predict, card, study.scored)

@@ -97,8 +97,8 @@ def train(
                 "train for more steps ([training] of --config), or look at the recordings with 'softslide health'",
                 file=sys.stderr,
             )
-        windows = fitted.windows or labelled_windows(folder, settings.conditioning)
-        difference = write_bundle(fitted, folder.sensor, settings.conditioning, windows, provenance, out)
+        windows = fitted.windows or labelled_windows(folder, fitted.conditioning)
+        difference = write_bundle(fitted, folder.sensor, windows, provenance, out)
         logged = run.model(out, model)
         run.losses(losses)
         run.metrics({**fitted.summary, "parity": difference}, logged)

@@ -28,6 +28,8 @@ class Conditioning:
         a touch: something set down or lifted off, or a jump of the zero.
     longest_blocks: a slide that has not ended after so many blocks is none: slower than any that a model knows,
         or a zero that has moved.
+    delayed, tau_s: the skin's lag as a standard linear solid: of every change the share `delayed` creeps in with
+        the retardation time `tau_s`. It is undone in a slide's history; 0 for a skin whose lag is not known.
     """
 
     block_s: float = 0.02
@@ -42,16 +44,34 @@ class Conditioning:
     least_blocks: int = 8
     touch_blocks: int = 12
     longest_blocks: int = 15_000
+    delayed: float = 0.0
+    tau_s: float = 0.15
 
     def __post_init__(self) -> None:
         for field in fields(self):
             value = getattr(self, field.name)
             if isinstance(value, bool) or not isinstance(value, int if field.type is int else int | float):
                 raise ValueError(f"{field.name} is {value!r}, not a number of its kind")
-            if not 0 < value < math.inf:
+            if not 0 < value < math.inf and not (field.name == "delayed" and value == 0):
                 raise ValueError(f"{field.name} is {value}; it must be positive and finite")
+        if self.delayed >= 1:
+            raise ValueError(f"delayed is {self.delayed}; it is a share, below 1")
         if self.release_v > self.trigger_v:
             raise ValueError("release_v exceeds trigger_v; a slide would end as it begins")
+
+    @property
+    def lag_s(self) -> float:
+        """What the skin's answer to a steady change comes late by."""
+        return self.delayed * self.tau_s
+
+    @property
+    def creep(self) -> float:
+        """How far the creeping part z comes nearer to the output y in a block.
+
+        y = (1 - d) r + d z with tau z' = r - z gives (1 - d) tau z' = y - z: z is known from the output alone, and so
+        is the equilibrium's integral, int r = int y + d tau z.
+        """
+        return 1.0 - math.exp(-self.block_s / ((1.0 - self.delayed) * self.tau_s))
 
 
 class Blocks:

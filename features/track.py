@@ -1,8 +1,8 @@
 """Follows one stream of blocks through rest, slide and end, and keeps the slide's history.
 
-The history is the running integral of the subtracted output since the trigger, in a buffer that drops every
-other knot when it is full. Its memory is bounded and its resolution is a fixed share of the slide's duration:
-a time scale that does not depend on speed. A mean over any stretch is the difference of two integrals, so
+The history is the running integral since the trigger of the subtracted output, the skin's lag undone, in a buffer
+that drops every other knot when it is full. Its memory is bounded and its resolution is a fixed share of the slide's
+duration: a time scale that does not depend on speed. A mean over any stretch is the difference of two integrals, so
 nothing measured is thrown away (the longer the stretch, the lower its noise).
 """
 
@@ -47,6 +47,7 @@ class SlideTracker:
         self._integral = np.zeros((channels, KNOTS + 2))
         self._recent = np.zeros((conditioning.trigger_blocks, channels))
         self._most_rested = max(conditioning.rest_blocks, 10 * conditioning.trigger_blocks)
+        self._lag_blocks, self._creep = conditioning.lag_s / conditioning.block_s, conditioning.creep
         self._quiet_v = min(conditioning.calm_v, conditioning.trigger_v)
         self.reset()
 
@@ -190,6 +191,7 @@ class SlideTracker:
         self._peak = 0.0
         self._knots = 0
         self._sum = np.zeros(len(self.static))
+        self._crept = np.zeros(len(self.static))
         self._integral[:, 0] = 0.0
         self._stop_level = None
         for block in self._recent:
@@ -198,18 +200,23 @@ class SlideTracker:
         self._settled = False
 
     def _extend(self, block: np.ndarray) -> None:
-        self._sum += block - self.static
-        self._peak = max(self._peak, float(np.abs((block - self.static)[self._watched]).max()))
+        subtracted = block - self.static
+        self._sum += subtracted
+        so_far = self._sum
+        if self._lag_blocks:
+            self._crept += self._creep * (subtracted - self._crept)
+            so_far = so_far + self._lag_blocks * self._crept
+        self._peak = max(self._peak, float(np.abs(subtracted[self._watched]).max()))
         self._blocks += 1
         if self._blocks % self._stride == 0:
             self._knots += 1
-            self._integral[:, self._knots] = self._sum
+            self._integral[:, self._knots] = so_far
             if self._knots == KNOTS:
                 self._integral[:, : KNOTS // 2 + 1] = self._integral[:, : KNOTS + 1 : 2]
                 self._knots //= 2
                 self._stride *= 2
-        # Behind the last knot the sum as it stands.
-        self._integral[:, self._knots + 1] = self._sum
+        # Behind the last knot the integral as it stands.
+        self._integral[:, self._knots + 1] = so_far
 
     def _integral_at(self, blocks: np.ndarray) -> np.ndarray:
         """Integral of the subtracted output (V blocks) at block counts (m,) since the trigger -> (C, m)."""

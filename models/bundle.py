@@ -10,7 +10,6 @@ import onnx
 import onnxruntime as ort
 
 from features.card import Card, write_card
-from features.conditioning import Conditioning
 from features.vector import feature_matrix
 from models.fitted import FittedModel
 from models.packing import unpack
@@ -40,7 +39,6 @@ def graph_inputs(model_input: str, volts: np.ndarray, elapsed_s: np.ndarray) -> 
 def write_bundle(
     fitted: FittedModel,
     sensor: Sensor,
-    conditioning: Conditioning,
     windows: LabelledWindows,
     provenance: dict[str, Any],
     out: Path,
@@ -80,7 +78,7 @@ def write_bundle(
         channels=sensor.channels,
         sample_rate_hz=sensor.sample_rate_hz,
         reference_mm=sensor.reference_mm,
-        conditioning=conditioning,
+        conditioning=fitted.conditioning,
         intervals=fitted.intervals,
         validity=fitted.validity,
         provenance={**provenance, "fit": fitted.summary, "parity": difference},

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import sparse
 from scipy.linalg import solveh_banded
+from scipy.signal import lfilter
 
 from features.conditioning import BlockMean, Conditioning
 from models.response_map import MARGIN_MM, PARTS, ResponseMap, knots, splines_at
@@ -53,7 +54,7 @@ class CalibrationSlide:
     """One labelled slide as the fit sees it: m short stretches of its line.
 
     travelled_mm, speed_mm_s: (m,) along the line from the start; volts: (m, C) V, subtracted; blocks: how many blocks
-    a stretch holds.
+    a stretch holds, step_s in time.
     """
 
     recording: str
@@ -64,6 +65,7 @@ class CalibrationSlide:
     speed_mm_s: np.ndarray
     volts: np.ndarray
     blocks: int
+    step_s: float
     rest_noise_v: np.ndarray
 
     @property
@@ -98,6 +100,7 @@ def calibration_slides(folder: Folder, conditioning: Conditioning) -> list[Calib
         recording = folder.load(str(name))
         blocks = BlockMean(recording.volts.shape[1], size).push(recording.volts)[:, tilt]
         time_s = recording.time_s[0] + (np.arange(len(blocks)) + 0.5) * conditioning.block_s
+        level = _without_lag(blocks, conditioning)
         rest = blocks[time_s < row.motion_start_s - conditioning.block_s]
         if len(rest) < 5:
             continue
@@ -113,12 +116,22 @@ def calibration_slides(folder: Folder, conditioning: Conditioning) -> list[Calib
                 depth_mm=float(row.depth_mm),
                 travelled_mm=travelled[:whole].reshape(-1, count).mean(axis=1),
                 speed_mm_s=speed[:whole].reshape(-1, count).mean(axis=1),
-                volts=(blocks[moving][:whole] - rest.mean(axis=0)).reshape(-1, count, len(tilt)).mean(axis=1),
+                volts=(level[moving][:whole] - rest.mean(axis=0)).reshape(-1, count, len(tilt)).mean(axis=1),
                 blocks=count,
+                step_s=count * conditioning.block_s,
                 rest_noise_v=np.diff(rest, axis=0).std(axis=0) / np.sqrt(2),
             )
         )
     return slides
+
+
+def _without_lag(blocks: np.ndarray, conditioning: Conditioning) -> np.ndarray:
+    """Blocks' means (m, C) V with the skin's lag undone, as features/track.py does it to a slide's history."""
+    rate = conditioning.creep
+    crept = lfilter([rate], [1.0, rate - 1.0], blocks - blocks[0], axis=0)
+    return blocks + conditioning.lag_s / conditioning.block_s * np.diff(
+        crept, axis=0, prepend=0.0 * crept[:1]
+    )
 
 
 def _stage(time_s: np.ndarray, row) -> tuple[np.ndarray, np.ndarray]:
@@ -159,7 +172,7 @@ def calibrate(
         )
         rms, means = np.empty(len(slides)), np.empty((len(slides), response.channels))
         for i, slide in enumerate(slides):
-            gains[i], shifts[i], left = _fit_slide(slide, gains[i], shifts[i], response, config)
+            gains[i], shifts[i], left = fit_slide(slide, gains[i], shifts[i], response, config)
             rms[i], means[i] = np.sqrt(np.mean(left**2)), left.mean(axis=0)
         # A slide whose labels are wrong must not bend the map: it stands out by its residual.
         keep = rms < 4 * np.median(rms)
@@ -170,7 +183,7 @@ def calibrate(
             if np.ptp(speeds[keep]) > 1 and keep.sum() > 8
             else 0.0
         )
-        lag = max(0.0, float(response.lag_s + slope))
+        lag = float(response.lag_s + slope)
         shifts -= (lag - response.lag_s) * speeds
         response = replace(response, lag_s=lag)
     peaks = np.array([np.abs(s.volts).max() for s in slides])
@@ -192,7 +205,7 @@ def calibrate(
 
 def slide_residual(slide: CalibrationSlide, response: ResponseMap) -> float:
     """Rms (V) that a map leaves over of a slide, its gain and shift fitted."""
-    left = _fit_slide(slide, 1.0, 0.0, response, CalibrationConfig())[2]
+    left = fit_slide(slide, 1.0, 0.0, response, CalibrationConfig())[2]
     return float(np.sqrt(np.mean(left**2)))
 
 
@@ -285,7 +298,7 @@ def _rim_gram(response: ResponseMap) -> sparse.csr_matrix:
     return rows.T @ rows
 
 
-def _fit_slide(slide, gain, shift, response, config) -> tuple[float, float, np.ndarray]:
+def fit_slide(slide, gain, shift, response, config) -> tuple[float, float, np.ndarray]:
     """A slide's gain and shift (mm) given the map, by Gauss-Newton with priors; and what is left (m, C) V."""
     noise = float(np.hypot(np.median(response.noise_v) / np.sqrt(slide.blocks), 5e-4))
 

@@ -111,6 +111,7 @@ def fit_classical(name: str, folder: Folder, config: ClassicalConfig) -> FittedM
         original=lambda inputs: model.predict(inputs["features"]),
         intervals=intervals,
         validity=Validity(offset_mm=reach),
+        conditioning=config.conditioning,
         summary=summary,
     )
 

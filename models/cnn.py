@@ -1,7 +1,7 @@
 """Fits the default model: a calibrated response map, and the network trained on slides drawn from it."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import onnx
@@ -9,11 +9,12 @@ import torch
 
 from features.card import Interval, Validity
 from features.conditioning import Conditioning
-from models.calibration import CalibrationConfig, calibration_slides
-from models.device import DeviceMaps, device_maps
+from models.calibration import CalibrationConfig
+from models.device import DeviceMaps
 from models.export import export_graph
 from models.fitted import FittedModel
 from models.intervals import angle_error_deg, conformal_interval
+from models.lag import calibrated_device
 from models.network import OUTPUTS, NetworkConfig, Proposal, SlideNetwork
 from models.prior import DeviceSpread
 from models.refinement import Refinement
@@ -66,8 +67,8 @@ def fit_cnn(
     """
     # At this size threads wait for each other more than they work.
     torch.set_num_threads(1)
-    slides = calibration_slides(folder, config.conditioning)
-    maps = device_maps(slides, folder.sensor, atlas, config.calibration, config.spread)
+    device = calibrated_device(folder, atlas, config.conditioning, config.calibration, config.spread)
+    config, maps = replace(config, conditioning=device.conditioning), device.maps
     response = maps.response
     source = WindowSource(response, config.conditioning.block_s, config.synthesis)
     begun = None if init is None else initial_proposal(init, response.channels, config.network)
@@ -88,8 +89,9 @@ def fit_cnn(
         original=lambda inputs: _run(network, **inputs),
         intervals=intervals,
         validity=validity,
+        conditioning=config.conditioning,
         summary=summary,
-        windows=None if slides else source.draw(200, torch.Generator().manual_seed(1)).labelled(),
+        windows=None if device.slides else source.draw(200, torch.Generator().manual_seed(1)).labelled(),
     )
 
 

@@ -7,6 +7,7 @@ import numpy as np
 import onnx
 
 from features.card import Interval, Validity
+from features.conditioning import Conditioning
 from pipeline.dataset import LabelledWindows
 
 
@@ -16,6 +17,7 @@ class FittedModel:
 
     input: "window" or "features" (features/card.py). outputs: columns of the graph's row.
     original: graph inputs by name -> (B, K), what the exported graph must reproduce.
+    conditioning: of the signal that it reads.
     summary: figures of the fit, for the record.
     windows: what export is checked on where there are no recordings; None: the recordings' own.
     """
@@ -27,5 +29,6 @@ class FittedModel:
     original: Callable[[dict[str, np.ndarray]], np.ndarray]
     intervals: dict[str, Interval]
     validity: Validity
+    conditioning: Conditioning
     summary: dict[str, float] = field(default_factory=dict)
     windows: LabelledWindows | None = None

@@ -117,7 +117,7 @@ def device_map(
     report = {
         "height_mm": _height(heights, middle, start),
         "friction": 1 + float(start[1]),
-        "lag_s": float(max(start[2], 0.0)),
+        "lag_s": float(start[2]),
     }
     report["width"] = float(np.exp(start[3]))
     for k, board in enumerate(sensor.accelerometers):
@@ -151,9 +151,7 @@ def _mixed(levels: list[ResponseMap], heights: np.ndarray, middle: float, p: np.
     friction = np.array([1.0, 1 + p[1], 1 + p[1]])[:, None, None, None]
     coefficients = np.tensordot(weights, np.stack([level.coefficients for level in levels]), 1)
     slope = np.tensordot(weights, np.stack([level.depth_slope for level in levels]), 1)
-    return replace(
-        levels[0], coefficients=friction * coefficients, depth_slope=slope, lag_s=float(max(p[2], 0.0))
-    )
+    return replace(levels[0], coefficients=friction * coefficients, depth_slope=slope, lag_s=float(p[2]))
 
 
 def _shown(design: ResponseMap, sensor: Sensor, p: np.ndarray, slide: CalibrationSlide) -> np.ndarray:

@@ -48,8 +48,8 @@ def localizer(tmp_path_factory: pytest.TempPathFactory) -> Localizer:
     taught = lines((0, 45, 90, 180, 225, 270), (-9, -6, -3, 0, 3, 6, LARGEST_OFFSET_MM), (5, 9, 15))
     folder = bump_folder(root / "lab", SENSOR, {"calibration": taught})
     fitted = fit_cnn(folder, CONFIG)
-    windows = labelled_windows(folder, CONFIG.conditioning)
-    write_bundle(fitted, SENSOR, CONFIG.conditioning, windows, {}, root / "bundle")
+    windows = labelled_windows(folder, fitted.conditioning)
+    write_bundle(fitted, SENSOR, windows, {}, root / "bundle")
     return Localizer.load(root / "bundle")
 
 

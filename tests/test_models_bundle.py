@@ -38,13 +38,14 @@ def a_model(wrong: np.ndarray) -> FittedModel:
         original=lambda inputs: inputs["volts"].mean(axis=2) + wrong[:, None],
         intervals={"offset_mm": Interval(1.0, 1.0)},
         validity=Validity(),
+        conditioning=Conditioning(),
     )
 
 
 def written(wrong: np.ndarray, out: Path) -> float:
     sensor = a_sensor()
     assert isinstance(sensor, Sensor)
-    return write_bundle(a_model(wrong), sensor, Conditioning(), WINDOWS, {}, out)
+    return write_bundle(a_model(wrong), sensor, WINDOWS, {}, out)
 
 
 def test_a_graph_that_agrees_is_written(tmp_path: Path) -> None:

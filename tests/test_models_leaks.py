@@ -33,9 +33,9 @@ def localizer(folder, tmp_path_factory):
         training=TrainingConfig(steps=200, batch=64, average=0.9),
     )
     fitted = fit_cnn(folder, config)
-    windows = labelled_windows(folder, config.conditioning, [1.0])
+    windows = labelled_windows(folder, fitted.conditioning, [1.0])
     bundle = tmp_path_factory.mktemp("leaks") / "bundle"
-    write_bundle(fitted, folder.sensor, config.conditioning, windows, {}, bundle)
+    write_bundle(fitted, folder.sensor, windows, {}, bundle)
     return Localizer.load(bundle)
 
 

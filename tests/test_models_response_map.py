@@ -68,6 +68,7 @@ def slides_of(response, lines, speeds, gains, noise_v=0.0, seed=0, lag_s=0.0):
                 speed_mm_s=np.full(len(travelled), speed),
                 volts=volts,
                 blocks=blocks,
+                step_s=0.5 / speed,
                 rest_noise_v=np.full(2, 1.4e-3),
             )
         )

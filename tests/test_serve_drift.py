@@ -23,8 +23,8 @@ def test_drift_at_most_doubles_the_errors(tmp_path: Path) -> None:
     learning = folder.select("calibration")
     config = CnnConfig(training=TrainingConfig(steps=1500, batch=192))
     fitted = fit_cnn(learning, config)
-    windows = labelled_windows(learning, config.conditioning)
-    write_bundle(fitted, folder.sensor, config.conditioning, windows, {}, tmp_path / "bundle")
+    windows = labelled_windows(learning, fitted.conditioning)
+    write_bundle(fitted, folder.sensor, windows, {}, tmp_path / "bundle")
     figures = study(tmp_path / "bundle", folder.select("test"))
     clean = figures.pop("clean")
     assert clean["valid"] > 0.95

@@ -1,0 +1,85 @@
+"""The skin's lag: what the simulator's solid puts on, a slide's history is free of, and calibration finds."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from bump_map import bump_map
+
+from features.conditioning import BlockMean, Conditioning
+from features.track import track
+from models.calibration import CalibrationSlide
+from models.lag import TAU_S, retardation_s
+from pipeline.lag import standard_solid
+
+DELAYED, TAUS = 0.15, (0.05, 0.2, 0.6)
+
+
+def window_of(signal: np.ndarray, conditioning: Conditioning, end: int) -> tuple[np.ndarray, np.ndarray]:
+    """A signal (n, 3) V at 1 kHz: its window's bins (3, 64) V when `end` samples were seen, and the bins' edges."""
+    blocks = BlockMean(3, 20).push(signal)
+    (window,) = track(blocks, conditioning, np.array([end // 20]))
+    assert window is not None
+    return window.volts, end - 1000 * window.elapsed_s * np.linspace(1, 0, 65)
+
+
+@pytest.mark.parametrize("tau_s", TAUS)
+def test_a_slides_history_is_free_of_the_lag(tau_s):
+    t = np.arange(0, 8, 1e-3) - 6.0
+    bell = np.exp(-((t / 0.6) ** 2))
+    still = np.stack([-0.4 * t * bell, 0.15 * bell, 0 * t], axis=1)
+    lagging = standard_solid(still, 1e-3, DELAYED, tau_s)
+    errors = []
+    for conditioning in (Conditioning(), Conditioning(delayed=DELAYED, tau_s=tau_s)):
+        volts, edges = window_of(lagging, conditioning, 6800)
+        integral = np.concatenate([np.zeros((1, 3)), np.cumsum(still, axis=0)])
+        means = np.diff([np.interp(edges, np.arange(len(integral)), c) for c in integral.T]) / np.diff(edges)
+        errors.append(np.abs(volts - means).max())
+    left, undone = errors
+    assert undone < 5e-4
+    assert left > 2e-3
+
+
+def slides_with(tau_s: float, speeds: np.ndarray) -> list[CalibrationSlide]:
+    """Noisy slides over the formula's map with a solid's lag."""
+    response, random = bump_map(), np.random.default_rng(1)
+    slides = []
+    for n, speed in enumerate(speeds):
+        angle, offset = (n % 4) * np.pi / 2, random.uniform(-10, 10)
+        on = np.array([np.cos(angle), np.sin(angle)])
+        start = np.array(response.reference_mm) + offset * np.array([-on[1], on[0]]) - 35.0 * on
+        travelled = np.arange(0.25, 70.0, 0.5)
+        x, y = start[:, None] + travelled * on[:, None]
+        volts = standard_solid(response.response(x, y, angle), 0.5 / speed, DELAYED, tau_s)
+        noise = 1.4e-3 * np.sqrt(0.02 * speed / 0.5)
+        slides.append(
+            CalibrationSlide(
+                recording=f"r{n}",
+                start_mm=(float(start[0]), float(start[1])),
+                direction_rad=angle,
+                depth_mm=0.5,
+                travelled_mm=travelled,
+                speed_mm_s=np.full(len(travelled), speed),
+                volts=volts + noise * random.standard_normal(volts.shape),
+                blocks=max(1, round(25 / speed)),
+                step_s=0.5 / speed,
+                rest_noise_v=np.full(2, 1.4e-3),
+            )
+        )
+    return slides
+
+
+@pytest.mark.parametrize("tau_s", TAUS)
+def test_fast_slides_tell_how_the_lag_is_spread(tau_s):
+    slides = slides_with(tau_s, np.geomspace(1.0, 12.0, 40))
+    lag_s = DELAYED * tau_s
+    known = replace(bump_map(), lag_s=lag_s)
+    found = retardation_s(slides, [(known, np.array([s.recording for s in slides]))], lag_s)
+    assert tau_s / 1.6 < found < tau_s * 1.6
+
+
+def test_slow_slides_and_none_leave_it_to_the_prior():
+    slides = slides_with(0.05, np.full(12, 0.5))
+    known = replace(bump_map(), lag_s=DELAYED * 0.05)
+    assert retardation_s(slides, [(known, np.array([s.recording for s in slides]))], known.lag_s) == TAU_S
+    assert retardation_s(slides, [], known.lag_s) == TAU_S
