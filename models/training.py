@@ -18,7 +18,7 @@ class TrainingConfig:
     """steps of batch windows each; rate: AdamW's peak learning rate, cosine to zero; average: the decay of the
     moving average of the weights that is kept."""
 
-    steps: int = 5000
+    steps: int = 3000
     batch: int = 512
     rate: float = 3e-3
     average: float = 0.998
