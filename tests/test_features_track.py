@@ -26,10 +26,13 @@ def run(tracker: SlideTracker, means: np.ndarray, healthy: np.ndarray | None = N
     return states
 
 
-def test_the_batch_form_is_the_stream() -> None:
+@pytest.mark.parametrize(
+    "conditioning", [CONDITIONING, Conditioning(delayed=0.2)], ids=["plain", "lag undone"]
+)
+def test_the_batch_form_is_the_stream(conditioning: Conditioning) -> None:
     means = blocks(still(0.6), pass_over(2.0), still(0.6))
-    tracker = SlideTracker(CONDITIONING, 3)
-    for count, window in enumerate(track(means, CONDITIONING, np.arange(1, len(means) + 1)), 1):
+    tracker = SlideTracker(conditioning, 3)
+    for count, window in enumerate(track(means, conditioning, np.arange(1, len(means) + 1)), 1):
         tracker.push(means[count - 1])
         streamed = tracker.window()
         assert (window is None) == (streamed is None)
@@ -171,3 +174,12 @@ def test_long_rest_goes_a_shorter_way_to_the_same_numbers() -> None:
     assert {*states} == {State.REST, State.SLIDE, State.ENDED}
     # What it skips is the counting, so that is how it shows.
     assert short._rested.max() < counting._rested.max()
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"delayed": 1.0}, {"delayed": -0.1}, {"tau_s": 0.0}, {"block_s": float("nan")}, {"release_v": 0.006}],
+)
+def test_constants_that_make_no_sense_are_refused(wrong: dict[str, float]) -> None:
+    with pytest.raises(ValueError, match=next(iter(wrong))):
+        Conditioning(**wrong)
