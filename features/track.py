@@ -263,11 +263,13 @@ class SlideTracker:
         quarter = span // 4
         marks = self._integral_at(self._blocks - quarter * QUARTERS)
         levels = (marks[:, 1:] - marks[:, :-1]) / quarter
-        watched = levels[self._watched]
-        if np.abs(watched[:, 2:]).max() < c.release_v:
+        levels = levels[self._watched]
+        # The output itself creeps after what its history shows; until it is back, it would begin a slide of its own.
+        level = self._level() - self.static
+        if max(np.abs(levels[:, 2:]).max(), np.abs(level[self._watched]).max()) < c.release_v:
             self._end(self._blocks, None)
-        elif self._peak > c.still_peak_v and np.ptp(watched, axis=1).max() < c.still_change * self._peak:
-            self._end(self._blocks - 4 * quarter, levels[:, 3])
+        elif self._peak > c.still_peak_v and np.ptp(levels, axis=1).max() < c.still_change * self._peak:
+            self._end(self._blocks - 4 * quarter, level)
 
     def _end(self, blocks: int, level: np.ndarray | None) -> None:
         """Ends the slide with its first `blocks`; level: (C,) V subtracted output at the stop, None: released."""
