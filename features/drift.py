@@ -25,6 +25,8 @@ class Drift(NamedTuple):
 
 
 UNKNOWN = Drift()
+# By how much gravity may seem to change in a slide: what a robot's arm shakes a skin with, but no other thing's signal.
+WEIGHT_G = 0.25
 
 
 class DriftWatch:
@@ -51,6 +53,21 @@ class DriftWatch:
             self._first[fresh] = static_v.reshape(-1, 3)[fresh]
             self._awaited = self._awaited & ~fresh
             self.complete = not self._awaited.any()
+
+    def weighs_the_same(self, static_v: np.ndarray, subtracted_v: np.ndarray, usable: np.ndarray) -> bool:
+        """Whether gravity keeps its length while something slides, as it does on a skin that only tilts.
+
+        static_v: (C,) V; subtracted_v: (C,) V, a slide's mean; usable: (A,), the accelerometers to ask.
+        """
+        static, during = static_v.tolist(), (static_v + subtracted_v).tolist()
+        for n, (zero, sensitivity) in enumerate(self._boards):
+            before_g, during_g = (
+                math.dist(volts[3 * n : 3 * n + 3], (zero, zero, zero)) / sensitivity
+                for volts in (static, during)
+            )
+            if usable[n] and abs(during_g - before_g) > WEIGHT_G:
+                return False
+        return True
 
     def read(self, static_v: np.ndarray, usable: np.ndarray) -> Drift:
         """static_v: (C,) V; usable: (A,), the accelerometers to read it from."""

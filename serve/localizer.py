@@ -153,6 +153,7 @@ class Localizer:
             estimate.valid
             and self._whole
             and tracker.moved
+            and self._drift.weighs_the_same(tracker.static, window.volts.mean(axis=1), tracker.usable)
             and (self.card.input == "window" or bool(tracker.usable.all()))
         )
         return estimate._replace(

@@ -207,6 +207,15 @@ def test_gravity_tells_gain_and_turn(localizer: Localizer) -> None:
     assert last.turn_deg == pytest.approx(5.0, abs=0.1)
 
 
+def test_what_weighs_nothing_is_no_slide(localizer: Localizer) -> None:
+    """A skin that tilts turns gravity and keeps its length; a signal of something else need not."""
+    slide = pass_over(1.2)
+    assert valid(localizer.push(stream(still(0.6), slide, still(0.6)))).any()
+    localizer.reset()
+    slide[:, 2] -= GRAVITY_V
+    assert not valid(localizer.push(stream(still(0.6), slide, still(0.6)))).any()
+
+
 def test_a_gap_in_time_begins_anew_and_a_lost_sample_does_not(localizer: Localizer) -> None:
     volts = stream(still(0.6), pass_over(1.2), still(0.6))
     time_s = 50.0 + np.arange(len(volts)) / RATE_HZ
