@@ -20,6 +20,7 @@ from models.bundle import graph_inputs, read_graph
 from models.c_code.node import NoForm
 from models.c_code.source import sources
 from models.intervals import angle_error_deg
+from models.packing import pack
 from pipeline.dataset import LabelledWindows, labelled_windows
 from pipeline.recordings import SAMPLE, read_folder
 from pipeline.staging import staged
@@ -94,7 +95,9 @@ def _as_int8(card: Card, path: Path, out: Path) -> dict[str, Any]:
             nodes_to_quantize=names,
         )
         logging.disable(logging.NOTSET)
-        small = target.read_bytes()
+        quantized = onnx.load_model_from_string(target.read_bytes())
+        pack(quantized)
+        small = quantized.SerializeToString()
     fine, coarse = (_errors(card, content, path, windows) for content in (path.read_bytes(), small))
     for quantity, error in coarse.items():
         if not error <= WORSE * fine[quantity] + 1e-3:
