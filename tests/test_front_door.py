@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from functools import partial
 from pathlib import Path
 
 import pandas as pd
@@ -173,7 +174,11 @@ def test_every_option_of_every_command_is_explained() -> None:
 
 def test_ctrl_c_is_one_line_and_130(tmp_path: Path) -> None:
     command = [sys.executable, str(HERE / "softslide.py"), "synthesize", "--slides", "500"]
-    with subprocess.Popen([*command, "--out", str(tmp_path / "out")], stderr=subprocess.PIPE) as running:
+    # What is started in the background is deaf to Ctrl-C, and hands that on.
+    heard = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)
+    with subprocess.Popen(
+        [*command, "--out", str(tmp_path / "out")], stderr=subprocess.PIPE, preexec_fn=heard
+    ) as running:
         while not list(tmp_path.iterdir()):
             time.sleep(0.05)
         running.send_signal(signal.SIGINT)
