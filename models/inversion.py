@@ -16,7 +16,7 @@ from models.refinement import Refinement, RefinementConfig
 from models.response_map import ResponseMap
 from pipeline.dataset import LabelledWindows
 
-STARTS = RefinementConfig(steps=14, trust=1.0, least_prior=(3.0, 20.0, 1.5, 25.0))
+STARTS = RefinementConfig(checked=True, steps=14, trust=1.0, least_prior=(3.0, 20.0, 1.5, 25.0))
 HEADINGS, OFFSETS_MM, LENGTHS_MM = 12, (-15.0, -5.0, 5.0, 15.0), (6.0, 9.0)
 MISFIT = OUTPUTS.index("misfit")
 
@@ -92,8 +92,12 @@ def cramer_rao(response: ResponseMap, block_s: float, windows: LabelledWindows) 
                 torch.full((len(truth), 4), -20.0),
             )
 
-    _, state, _, _ = refined(RefinementConfig(steps=8, trust=1.0, least_prior=(1e-4, 1e-3, 1e-4, 10.0)))
+    _, state, _, _ = refined(
+        RefinementConfig(checked=True, steps=8, trust=1.0, least_prior=(1e-4, 1e-3, 1e-4, 10.0))
+    )
     line = torch.cat([line[:, :4], state[:, 3:4]], 1)
-    _, _, covariance, _ = refined(RefinementConfig(steps=0, trust=1.0, least_prior=(1e3, 1e3, 1e3, 1e3)))
+    _, _, covariance, _ = refined(
+        RefinementConfig(checked=True, steps=0, trust=1.0, least_prior=(1e3, 1e3, 1e3, 1e3))
+    )
     sd = covariance.diagonal(dim1=1, dim2=2).sqrt().numpy()
     return np.stack([np.degrees(sd[:, 0]), sd[:, 2], sd[:, 1]], axis=1)

@@ -28,7 +28,9 @@ FIRST_DAMPING = 1e-3
 
 @dataclass(frozen=True)
 class RefinementConfig:
-    """steps: of Levenberg-Marquardt. trust: the proposal's standard deviations times this are the prior, but never less
+    """steps: of Levenberg-Marquardt. checked: whether the last one, too, is taken back where it does not help, which
+    costs an evaluation more. Without it the misfit is the one before that step, and tells what had not converged.
+    trust: the proposal's standard deviations times this are the prior, but never less
     than least_prior (rad, mm, log, mm): a proposal that is wrong must not hold it back.
 
     same_depth: prior probability that a slide has the calibration's contact depth; depth_sd_mm: standard deviation
@@ -38,13 +40,18 @@ class RefinementConfig:
         end, V; 0 for a device that stands still. An accelerometer off the skin tells it from the skin's answer.
     """
 
-    steps: int = 3
+    steps: int = 2
+    checked: bool = False
     trust: float = 3.0
     least_prior: tuple[float, float, float, float] = (0.1, 1.5, 0.1, 2.0)
     same_depth: float = 0.9
     depth_sd_mm: float = 0.35
     askew: float = 0.01
     lean_v: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.steps + self.checked < 1:
+            raise ValueError(f"steps is {self.steps}; take at least one")
 
 
 class Refinement(nn.Module):
@@ -116,7 +123,8 @@ class Refinement(nn.Module):
         self.depth_mm = response.depth_mm
         self.depth_sd_mm, self.same_depth = config.depth_sd_mm, config.same_depth
         self.knows_depth = bool(np.any(response.depth_slope))
-        self.steps, self.trust, self.askew = config.steps, config.trust, config.askew
+        self.steps, self.checked = config.steps, config.checked
+        self.trust, self.askew = config.trust, config.askew
         self.leans = config.lean_v > 0
 
     def forward(
@@ -150,7 +158,7 @@ class Refinement(nn.Module):
         precision = F.pad(sd**-2, (0, 0, 0, 2)) + self.nuisance_precision
         trial, damping = 0.0 * centre, torch.tensor(FIRST_DAMPING, dtype=torch.float64)
         best, held = trial, trial
-        for step in range(self.steps + 1):
+        for step in range(self.steps + self.checked):
             rows = self._rows(tilt, start, centre + trial, ago_s)
             off = self.each - F.pad(trial, (STATE, 0))
             gram = ((rows @ inverse) @ rows.transpose(2, 3)).sum(1) + off.transpose(1, 2) @ (precision * off)
@@ -171,6 +179,7 @@ class Refinement(nn.Module):
         covariance = inverted(held[:, :STATE, :STATE])
         chi2 = held[:, STATE, STATE] - (precision * best * best).sum((1, 2))
         misfit = chi2 / (2 * weight.sum(1) * BINS).clamp(min=1.0)
+        best = best if self.checked else trial
         best, covariance = self._same_depth(best[:, :, 0], covariance)
         turn = best[:, :1, None]
         heading = (start @ self._rotation(turn.cos(), turn.sin()))[:, :, 0]

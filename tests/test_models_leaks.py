@@ -29,7 +29,7 @@ def localizer(folder, tmp_path_factory):
     """A network hardly trained: what it must not depend on does not need it to be right."""
     config = CnnConfig(
         calibration=CalibrationConfig(iterations=1),
-        network=NetworkConfig(refinement=RefinementConfig(steps=1)),
+        network=NetworkConfig(refinement=RefinementConfig(steps=2)),
         training=TrainingConfig(steps=200, batch=64, average=0.9),
     )
     fitted = fit_cnn(folder, config)
