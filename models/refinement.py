@@ -40,7 +40,7 @@ class RefinementConfig:
         end, V; 0 for a device that stands still. An accelerometer off the skin tells it from the skin's answer.
     """
 
-    steps: int = 2
+    steps: int = 3
     checked: bool = False
     trust: float = 3.0
     least_prior: tuple[float, float, float, float] = (0.1, 1.5, 0.1, 2.0)

@@ -23,8 +23,6 @@ from features.estimate import Estimate
 from features.track import State
 from models.bundle import write_bundle
 from models.cnn import CnnConfig, fit_cnn
-from models.network import NetworkConfig
-from models.refinement import RefinementConfig
 from models.training import TrainingConfig
 from pipeline.dataset import labelled_windows
 from serve.localizer import Localizer
@@ -33,11 +31,7 @@ from serve.localizer import Localizer
 pytestmark = pytest.mark.long
 SENSOR = bump_sensor(2)
 LARGEST_OFFSET_MM = 9.0
-# Few steps: the export's time grows with them.
-CONFIG = CnnConfig(
-    network=NetworkConfig(refinement=RefinementConfig(steps=2)),
-    training=TrainingConfig(steps=2000, batch=128, average=0.99),
-)
+CONFIG = CnnConfig(training=TrainingConfig(steps=2000, batch=128, average=0.99))
 DEAD_V = 1.2
 both_and_one = pytest.mark.parametrize("dead", [False, True], ids=["both", "one dead"])
 
