@@ -69,6 +69,10 @@ def fit_cnn(
     torch.set_num_threads(1)
     device = calibrated_device(folder, atlas, config.conditioning, config.calibration, config.spread)
     config, maps = replace(config, conditioning=device.conditioning), device.maps
+    if not device.slides:
+        # On a map of the design alone a step goes astray more often.
+        refinement = replace(config.network.refinement, checked=True)
+        config = replace(config, network=replace(config.network, refinement=refinement))
     response = maps.response
     source = WindowSource(response, config.conditioning.block_s, config.synthesis)
     begun = None if init is None else initial_proposal(init, response.channels, config.network)
