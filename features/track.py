@@ -206,7 +206,7 @@ class SlideTracker:
         if self._lag_blocks:
             self._crept += self._creep * (subtracted - self._crept)
             so_far = so_far + self._lag_blocks * self._crept
-        self._peak = max(self._peak, float(np.abs(subtracted[self._watched]).max()))
+        self._peak = max(self._peak, *map(abs, subtracted[self._watched].tolist()))
         self._blocks += 1
         if self._blocks % self._stride == 0:
             self._knots += 1
@@ -220,10 +220,13 @@ class SlideTracker:
 
     def _integral_at(self, blocks: np.ndarray) -> np.ndarray:
         """Integral of the subtracted output (V blocks) at block counts (m,) since the trigger -> (C, m)."""
-        count = self._knots + 2
-        position = self._stride * np.arange(float(count))
-        position[-1] = self._blocks
-        return np.array([np.interp(blocks, position, integral[:count]) for integral in self._integral])
+        place = blocks / self._stride
+        below = np.minimum(place.astype(np.intp), self._knots)
+        share = place - below
+        # From the last knot it is not a whole stride to the integral as it stands.
+        share[below == self._knots] *= self._stride / max(self._blocks - self._stride * self._knots, 1)
+        low = self._integral.take(below, axis=1)
+        return low + share * (self._integral.take(below + 1, axis=1) - low)
 
     def _window(self, blocks: int) -> Window:
         integral = self._integral_at(EDGES * (blocks / WINDOW_BINS))

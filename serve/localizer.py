@@ -153,13 +153,15 @@ class Localizer:
             estimate.valid
             and self._whole
             and tracker.moved
-            and self._drift.weighs_the_same(tracker.static, window.volts.mean(axis=1), tracker.usable)
+            and self._drift.weighs_the_same(
+                tracker.static, np.add.reduce(window.volts, axis=1) / WINDOW_BINS, tracker.usable
+            )
             and (self.card.input == "window" or bool(tracker.usable.all()))
         )
         return estimate._replace(
             valid=believed,
-            accelerometers=int(tracker.usable.sum()),
-            **self._drift.read(tracker.static, tracker.usable)._asdict(),
+            accelerometers=tracker.usable.tolist().count(True),
+            **self._drifted._asdict(),
         )
 
     def _whole_blocks(self, volts: np.ndarray, time_s: np.ndarray | None) -> Iterator[np.ndarray]:
@@ -169,18 +171,21 @@ class Localizer:
 
     def _advance(self, samples: np.ndarray) -> None:
         tracker = self._tracker
-        sliding = tracker.state is State.SLIDE
+        sliding, usable = tracker.state is State.SLIDE, tracker.usable
         judged = self._watch.push(samples)
         tracker.push(judged.mean, judged.healthy)
         self._count += 1
         self._healthy = judged.healthy
         if not self._drift.complete:
             self._drift.note(tracker.static, tracker.known)
-        if self._count % DRIFT_BLOCKS == 0:
+        if tracker.state is not State.SLIDE and self._count % DRIFT_BLOCKS == 0:
             self._drifted = self._drift.read(tracker.static, judged.healthy)
         if tracker.state is State.SLIDE:
             if not sliding:
                 self._bridged = self._slide_blocks = 0
+            if not sliding or tracker.usable is not usable:
+                # The static output stays as it is while something slides.
+                self._drifted = self._drift.read(tracker.static, tracker.usable)
             self._slide_blocks += 1
             bridged = bool((judged.bridged & tracker.usable).any())
             self._bridged += bridged
