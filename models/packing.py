@@ -1,16 +1,17 @@
-"""Large constants of a graph in half precision: half the bytes of a bundle, single precision at work.
+"""Large constants of a graph in as few bytes as hold them to the last bit: half of a bundle, all precision at work.
 
-Only what half precision holds to the last bit is packed, so that the graph computes the same; a model that wants to be
-small rounds its weights first (`rounded`). ONNX Runtime undoes the casts once, as it loads the graph.
+Nothing is rounded, so that the graph computes the same; a model that wants to be small rounds its constants first
+(`rounded`). ONNX Runtime undoes the casts once, as it loads the graph.
 """
 
 import numpy as np
 import onnx
 import torch
-from onnx import TensorProto, helper, numpy_helper
+from onnx import helper, numpy_helper
 
 # Numbers in a constant; below this a cast takes as many bytes as it saves.
 LEAST = 128
+_WHOLE = "_"  # ends the name of what a cast gives
 
 
 def rounded(values: torch.Tensor) -> torch.Tensor:
@@ -19,21 +20,21 @@ def rounded(values: torch.Tensor) -> torch.Tensor:
 
 
 def pack(graph: onnx.ModelProto) -> None:
-    """Stores the graph's large float32 constants as float16, each with a cast in front of what reads it."""
+    """Stores the graph's large constants in half or single precision where that is exact, each with a cast in front of
+    what reads it."""
     casts = []
     for item in graph.graph.initializer:
         value = numpy_helper.to_array(item)
-        if item.data_type != TensorProto.FLOAT or value.size < LEAST:
+        if value.dtype not in (np.float32, np.float64) or value.size < LEAST:
             continue
-        with np.errstate(over="ignore"):
-            half = value.astype(np.float16)
-        if not np.array_equal(half.astype(np.float32), value):
+        packed = _smallest(value)
+        if packed.dtype == value.dtype:
             continue
-        name = item.name
-        item.CopyFrom(numpy_helper.from_array(half, name))
-        casts.append(helper.make_node("Cast", [name], [f"{name}_"], to=TensorProto.FLOAT))
+        name, kind = item.name, item.data_type
+        item.CopyFrom(numpy_helper.from_array(packed, name))
+        casts.append(helper.make_node("Cast", [name], [name + _WHOLE], to=kind))
         for node in graph.graph.node:
-            node.input[:] = [f"{name}_" if given == name else given for given in node.input]
+            node.input[:] = [name + _WHOLE if given == name else given for given in node.input]
     nodes = [*casts, *graph.graph.node]
     del graph.graph.node[:]
     graph.graph.node.extend(nodes)
@@ -41,17 +42,27 @@ def pack(graph: onnx.ModelProto) -> None:
 
 def unpack(graph: onnx.ModelProto) -> None:
     """Undoes `pack`."""
-    packed = {item.name: item for item in graph.graph.initializer if item.data_type == TensorProto.FLOAT16}
+    constants = {item.name: item for item in graph.graph.initializer}
     names: dict[str, str] = {}
     nodes = []
     for node in graph.graph.node:
-        if node.op_type == "Cast" and node.input[0] in packed:
-            item = packed[node.input[0]]
-            value = numpy_helper.to_array(item).astype(np.float32)
-            item.CopyFrom(numpy_helper.from_array(value, item.name))
-            names[node.output[0]] = item.name
+        name = node.input[0] if node.input else ""
+        if node.op_type == "Cast" and name in constants and node.output[0] == name + _WHOLE:
+            kind = helper.tensor_dtype_to_np_dtype(node.attribute[0].i)
+            value = numpy_helper.to_array(constants[name]).astype(kind)
+            constants[name].CopyFrom(numpy_helper.from_array(value, name))
+            names[node.output[0]] = name
         else:
             node.input[:] = [names.get(given, given) for given in node.input]
             nodes.append(node)
     del graph.graph.node[:]
     graph.graph.node.extend(nodes)
+
+
+def _smallest(value: np.ndarray) -> np.ndarray:
+    """The value in the least precision that holds it."""
+    with np.errstate(over="ignore"):
+        for kind in (np.float16, np.float32):
+            if np.array_equal(value.astype(kind).astype(value.dtype), value):
+                return value.astype(kind)
+    return value

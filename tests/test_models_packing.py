@@ -45,6 +45,23 @@ def test_packing_halves_the_bytes_and_changes_no_bit():
     np.testing.assert_array_equal(answer(model), plain)
 
 
+def test_doubles_are_stored_in_the_least_precision_that_holds_them():
+    """1, 1 + 2^-20 and 1/3 need 2, 4 and 8 bytes each."""
+    for value, size in ((1.0, 2), (1.0 + 2.0**-20, 4), (1 / 3, 8)):
+        x = helper.make_tensor_value_info("x", TensorProto.DOUBLE, [1])
+        y = helper.make_tensor_value_info("y", TensorProto.DOUBLE, [1000])
+        constant = numpy_helper.from_array(np.full(1000, value), "w")
+        graph = helper.make_graph([helper.make_node("Add", ["x", "w"], ["y"])], "sum", [x], [y], [constant])
+        model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 18)], ir_version=9)
+        before = model.SerializeToString()
+        pack(model)
+        assert abs(len(model.SerializeToString()) - 1000 * size) < 200
+        session = ort.InferenceSession(model.SerializeToString(), providers=["CPUExecutionProvider"])
+        assert (session.run(None, {"x": np.zeros(1)})[0] == value).all()
+        unpack(model)
+        assert model.SerializeToString() == before
+
+
 def test_what_half_precision_would_round_or_is_small_stays():
     for values in (
         weights(32, 64),
