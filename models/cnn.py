@@ -69,10 +69,6 @@ def fit_cnn(
     torch.set_num_threads(1)
     device = calibrated_device(folder, atlas, config.conditioning, config.calibration, config.spread)
     config, maps = replace(config, conditioning=device.conditioning), device.maps
-    if not device.slides:
-        # On a map of the design alone a step goes astray more often.
-        refinement = replace(config.network.refinement, checked=True)
-        config = replace(config, network=replace(config.network, refinement=refinement))
     response = maps.response
     source = WindowSource(response, config.conditioning.block_s, config.synthesis)
     begun = None if init is None else initial_proposal(init, response.channels, config.network)
@@ -110,8 +106,6 @@ def initial_proposal(graph: onnx.ModelProto, channels: int, config: NetworkConfi
     state = proposal.state_dict()
     for name, value in state.items():
         stored = found.get(f"proposal.{name}")
-        if name == "bins":
-            continue
         if stored is None or stored.shape != tuple(value.shape):
             raise ValueError(
                 f"proposal.{name} is missing or of another shape; name a cnn bundle of a like sensor"

@@ -16,7 +16,7 @@ from models.refinement import Refinement, RefinementConfig
 from models.response_map import ResponseMap
 from pipeline.dataset import LabelledWindows
 
-STARTS = RefinementConfig(checked=True, steps=14, trust=1.0, least_prior=(3.0, 20.0, 1.5, 25.0))
+STARTS = RefinementConfig(steps=15, trust=1.0, least_prior=(3.0, 1.5, 20.0, 25.0))
 HEADINGS, OFFSETS_MM, LENGTHS_MM = 12, (-15.0, -5.0, 5.0, 15.0), (6.0, 9.0)
 MISFIT = OUTPUTS.index("misfit")
 
@@ -84,20 +84,17 @@ def cramer_rao(response: ResponseMap, block_s: float, windows: LabelledWindows) 
 
     def refined(config: RefinementConfig) -> tuple[Tensor, ...]:
         with torch.no_grad():
-            return Refinement(response, block_s, config)(
-                torch.tensor(windows.volts, dtype=torch.float32),
+            columns = Refinement(response, block_s, config)(
+                torch.tensor(windows.volts, dtype=torch.float32).unflatten(1, (boards, 3)),
                 torch.tensor(windows.elapsed_s, dtype=torch.float32),
                 torch.ones(len(truth), boards),
                 line,
                 torch.full((len(truth), 4), -20.0),
             )
+        return tuple(column.flatten(1) for column in columns)
 
-    _, state, _, _ = refined(
-        RefinementConfig(checked=True, steps=8, trust=1.0, least_prior=(1e-4, 1e-3, 1e-4, 10.0))
-    )
-    line = torch.cat([line[:, :4], state[:, 3:4]], 1)
-    _, _, covariance, _ = refined(
-        RefinementConfig(checked=True, steps=0, trust=1.0, least_prior=(1e3, 1e3, 1e3, 1e3))
-    )
-    sd = covariance.diagonal(dim1=1, dim2=2).sqrt().numpy()
-    return np.stack([np.degrees(sd[:, 0]), sd[:, 2], sd[:, 1]], axis=1)
+    _, state, _, _ = refined(RefinementConfig(steps=8, trust=1.0, least_prior=(1e-4, 1e-4, 1e-3, 10.0)))
+    line = torch.cat([line[:, :4], state[:, 3:4].float()], 1)
+    _, _, variance, _ = refined(RefinementConfig(steps=1, trust=1.0, least_prior=(1e3, 1e3, 1e3, 1e3)))
+    sd = variance.sqrt().numpy()
+    return np.stack([np.degrees(sd[:, 0]), sd[:, 1], sd[:, 2]], axis=1)

@@ -38,13 +38,13 @@ class SynthesisConfig:
     midway: float = 0.15
     trigger_v: tuple[float, float] = (0.0035, 0.010)
     depth_mm: float = 0.2
-    dead: float = 0.1
+    dead: float = 0.25
     channel_gain: float = 0.003
 
 
 @dataclass(frozen=True)
 class WindowBatch:
-    """volts (B, C, 64) V of the tilt channels, elapsed_s (B,), weight (B, C); targets (B, 6): direction cos, sin,
+    """volts (B, C, 64) V of the tilt channels, elapsed_s (B,), weight (B, A); targets (B, 6): direction cos, sin,
     log speed, offset mm, along mm, depth mm."""
 
     volts: Tensor
@@ -162,8 +162,7 @@ class WindowSource:
             weight[torch.arange(count), lost] = 1.0 - chance(c.dead).float()
         elapsed = seconds * (1 - start / KNOTS)
         targets = torch.stack([cos, sin, speed.log(), offset, first + length, response.depth_mm + depth], 1)
-        weight = weight.repeat_interleave(2, 1)
-        windows = windows * weight[:, :, None]
+        windows = windows * weight.repeat_interleave(2, 1)[:, :, None]
         return WindowBatch(windows[sound], elapsed[sound], weight[sound], targets[sound])
 
     def _response(self, x: Tensor, y: Tensor, cos: Tensor, sin: Tensor, depth: Tensor) -> Tensor:

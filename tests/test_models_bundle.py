@@ -53,22 +53,9 @@ def test_a_graph_that_agrees_is_written(tmp_path: Path) -> None:
     assert (tmp_path / "bundle" / "model.onnx").is_file()
 
 
-def test_one_undecided_window_of_hundreds_is_borne(tmp_path: Path) -> None:
-    wrong = np.zeros(len(WINDOWS))
-    wrong[7] = 5e-6
-    assert written(wrong, tmp_path / "bundle") < 1e-5
-
-
-@pytest.mark.parametrize("share", [0.02, 1.0])
-def test_a_graph_that_computes_something_else_is_refused(tmp_path: Path, share: float) -> None:
-    wrong = np.where(np.arange(len(WINDOWS)) < share * len(WINDOWS), 3e-5, 0.0)
+@pytest.mark.parametrize("windows", [1, len(WINDOWS)])
+def test_a_graph_that_computes_something_else_is_refused(tmp_path: Path, windows: int) -> None:
+    wrong = np.where(np.arange(len(WINDOWS)) < windows, 3e-5, 0.0)
     with pytest.raises(ParityError, match="differ by"):
         written(wrong, tmp_path / "bundle")
     assert not (tmp_path / "bundle").exists()
-
-
-def test_one_window_that_is_far_off_is_refused(tmp_path: Path) -> None:
-    wrong = np.zeros(len(WINDOWS))
-    wrong[7] = 0.01
-    with pytest.raises(ParityError, match="at most"):
-        written(wrong, tmp_path / "bundle")

@@ -39,6 +39,7 @@ from models.training import TrainingConfig, train_proposal
 pytestmark = pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler here")
 
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-O2")
+ONNX_RUNTIME = "com.microsoft"
 SANITIZED = (*STRICT, "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
 RUN = """
 #include "model.h"
@@ -143,6 +144,11 @@ def unreal(g: GraphBuilder, x: str) -> str:
     return g.op("Sqrt", x)
 
 
+def square(g: GraphBuilder, x: str) -> str:
+    """(1, 1, 3, 3)."""
+    return g.op("Slice", x, ints(g, 0, 1), ints(g, 1, 4), ints(g, 1, 3))
+
+
 # Each takes x (1, 2, 3, 4), uneven numbers about 0, and gives a value of any shape.
 OPERATORS: dict[str, Callable[[GraphBuilder, str], str]] = {
     **{
@@ -234,6 +240,11 @@ OPERATORS: dict[str, Callable[[GraphBuilder, str], str]] = {
         alpha=0.5,
     ),
     "Einsum": lambda g, x: g.op("Einsum", x, randoms(g, 3, 2, 5), equation="bcij,ick->bjk"),
+    "Inverse": lambda g, x: g.op("Inverse", square(g, x), domain=ONNX_RUNTIME),
+    "Inverse in doubles": lambda g, x: g.op("Inverse", double(g, square(g, x)), domain=ONNX_RUNTIME),
+    "Inverse of what begins with 0": lambda g, x: g.op(
+        "Inverse", g.op("Mul", square(g, x), g.constant(1 - np.eye(3), np.float32)), domain=ONNX_RUNTIME
+    ),
     "Conv": lambda g, x: g.op(
         "Conv", x, randoms(g, 5, 2, 2, 3), randoms(g, 5), pads=[1, 0, 0, 2], strides=[1, 2], dilations=[2, 1]
     ),
@@ -253,7 +264,7 @@ def graph_of(g: GraphBuilder, outputs: dict[str, int | None]) -> bytes:
         ],
         g.constants,
     )
-    opsets = [onnx.helper.make_opsetid("", OPSET)]
+    opsets = [onnx.helper.make_opsetid("", OPSET), onnx.helper.make_opsetid(ONNX_RUNTIME, 1)]
     return onnx.helper.make_model(graph, opset_imports=opsets, ir_version=10).SerializeToString()
 
 
@@ -346,7 +357,7 @@ def a_network() -> Case:
     ).eval()
     drawn = source.draw(160, torch.Generator().manual_seed(3))
     volts = torch.cat([drawn.volts, torch.zeros_like(drawn.volts[:, :1])], 1)
-    inputs = {"volts": volts, "elapsed_s": drawn.elapsed_s, "weight": drawn.weight[:, :1]}
+    inputs = {"volts": volts, "elapsed_s": drawn.elapsed_s, "weight": drawn.weight}
     with torch.no_grad():
         column = dict(zip(OUTPUTS, network(**inputs).T, strict=False))
     stands = (column["misfit"] < 5) & (column["direction_sd_deg"] < 8) & (column["log_speed_sd"] < 0.15)

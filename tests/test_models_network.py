@@ -58,7 +58,7 @@ def test_export_agrees_and_can_be_gone_on_from(trained, windows):
     graph = export_graph(network, 1)
     session = ort.InferenceSession(graph.SerializeToString(), providers=["CPUExecutionProvider"])
     volts = torch.cat([windows.volts, torch.zeros_like(windows.volts[:, :1])], 1)
-    inputs = {"volts": volts, "elapsed_s": windows.elapsed_s, "weight": windows.weight[:, :1]}
+    inputs = {"volts": volts, "elapsed_s": windows.elapsed_s, "weight": windows.weight}
     (row,) = session.run(None, {k: v.numpy() for k, v in inputs.items()})
     with torch.no_grad():
         expected = network(**inputs).numpy()

@@ -6,6 +6,7 @@ import numpy as np
 from onnx import helper
 
 from models.c_code import moves, products
+from models.c_code.inverse import inverse
 from models.c_code.memory import Statement
 from models.c_code.nest import Nest
 from models.c_code.node import Done, Node, NoForm
@@ -164,6 +165,7 @@ OPERATORS: dict[str, Callable[[Node], Done]] = {
     "Conv": products.conv,
     "Einsum": products.einsum,
     "Gemm": products.gemm,
+    "Inverse": inverse,
     "MatMul": products.matmul,
     "Pad": moves.pad,
     "TreeEnsembleRegressor": _trees,

@@ -8,6 +8,7 @@ import onnx
 from onnx import helper
 from onnx.reference import ReferenceEvaluator
 
+from models.c_code.inverse import Inverse
 from models.c_code.memory import Statement
 from models.c_code.nest import Nest
 from models.c_code.node import Node
@@ -32,7 +33,7 @@ def program(model: onnx.ModelProto) -> Program:
     """
     graph = model.graph
     # Of each operator only its own reference is run, on constants, shapes and places: never a whole graph.
-    evaluator = ReferenceEvaluator(model)
+    evaluator = ReferenceEvaluator(model, new_ops=[Inverse])
     inputs = {value.name: _parameter(value) for value in graph.input}
     known: dict[str, Tensor] = {
         name: constant(np.asarray(value)) for name, value in evaluator.rt_inits_.items()
