@@ -231,7 +231,8 @@ class SlideTracker:
     def _window(self, blocks: int) -> Window:
         integral = self._integral_at(EDGES * (blocks / WINDOW_BINS))
         means = (integral[:, 1:] - integral[:, :-1]) * (WINDOW_BINS / blocks)
-        means[np.repeat(~self.usable, 3)] = 0.0
+        if not all(self.usable.tolist()):
+            means[np.repeat(~self.usable, 3)] = 0.0
         return Window(means.astype(np.float32), blocks * self.conditioning.block_s)
 
     def _watch_motion(self) -> None:

@@ -21,6 +21,7 @@ from models.packing import rounded
 from models.response_map import SPACING_MM, ResponseMap
 
 PEAK_SHARE = 0.003  # what the map leaves over, as a share of the slide's largest output
+FLOOR_SHARE = 0.6  # and of what it left over in calibration, most of which bins hold alike
 DOUBT = 9.0  # variance of the depth's error over the one that noise explains, on held-out lines
 BINS = (
     16  # of time in the refinement: a window's bins in fours; what the map leaves over is alike in neighbours
@@ -134,7 +135,7 @@ class Refinement(nn.Module):
         self.register_buffer(
             "patch", torch.tensor([cells * i + j for i in range(-1, 3) for j in range(-1, 3)])
         )
-        self.last_cell = cells - 3.001
+        self.last_cell, self.corners = cells - 3.001, (cells + 1, (cells + 1) * (cells - 3))
         self.block_s, self.floor_v, self.askew = block_s, response.floor_v, config.askew
         self.depth_mm = response.depth_mm
         self.depth_sd_mm, self.same_depth = config.depth_sd_mm, config.same_depth
@@ -214,7 +215,7 @@ class Refinement(nn.Module):
         tilt: (B, A, 2, 1, 16) V. ripple: (B, A, 1, 1, 16) V, what each board's own V_z swings about its mean.
         """
         blocks = (elapsed_s / (self.block_s * BINS)).clamp(min=0.3)
-        floor = PEAK_SHARE**2 * (tilt * tilt).amax((1, 2, 3, 4), keepdim=True) + (0.4 * self.floor_v) ** 2
+        floor = PEAK_SHARE**2 * (tilt * tilt).amax((1, 2, 3, 4), keepdim=True) + (FLOOR_SHARE * self.floor_v) ** 2
         variance = self.noise / blocks + floor
         wander = self.drift / (variance + BINS * self.drift)
         swing = ripple.transpose(3, 4)
@@ -246,7 +247,8 @@ class Refinement(nn.Module):
         cell = place.floor()
         cubes = ((place - cell)[..., None] + self.shifts) ** 3
         across, up = (cubes @ self.weights).split(1, 3)
-        corner = (self.stride @ cell).long().reshape(-1, BINS, 1)
+        # What is no number is looked up somewhere, and remains none.
+        corner = (self.stride @ cell).long().clamp(*self.corners).reshape(-1, BINS, 1)
         coefficients = F.embedding(corner + self.patch, self.table).double()
         basis = (across * up).reshape(-1, BINS, 3, 16) @ coefficients
         return (

@@ -6,9 +6,10 @@ import pytest
 import torch
 from bump_map import bump_map
 
+from features.window import WINDOW_BINS
 from models.cnn import initial_proposal
 from models.export import export_graph
-from models.network import NetworkConfig, Proposal, SlideNetwork
+from models.network import OUTPUTS, NetworkConfig, Proposal, SlideNetwork
 from models.refinement import Refinement, RefinementConfig
 from models.synthetic_windows import SynthesisConfig, WindowSource
 from models.training import TrainingConfig, likelihood_loss, train_proposal
@@ -30,6 +31,13 @@ def trained():
         NetworkConfig(refinement=RefinementConfig(steps=2)),
         TrainingConfig(steps=60, batch=64, seed=7),
     )
+
+
+@pytest.fixture(scope="module")
+def session(trained):
+    config = NetworkConfig()
+    graph = export_graph(SlideNetwork(trained, Refinement(bump_map(), BLOCK_S, config.refinement)).eval(), 1)
+    return ort.InferenceSession(graph.SerializeToString(), providers=["CPUExecutionProvider"])
 
 
 def test_training_is_seeded_and_lowers_the_loss(trained):
@@ -70,6 +78,20 @@ def test_export_agrees_and_can_be_gone_on_from(trained, windows):
     with pytest.raises(ValueError, match="another shape"):
         initial_proposal(graph, 4, config)
     assert sum(p.numel() for p in trained.parameters()) < 60_000
+
+
+@pytest.mark.parametrize("volts", [0.0, 1e-30, 1e3, 1e30, np.inf, np.nan])
+@pytest.mark.parametrize("elapsed_s", [0.0, 1e-30, 3.0, 1e30])
+@pytest.mark.parametrize("weight", [0.0, 1.0])
+def test_no_window_is_too_much_for_the_graph(session, volts, elapsed_s, weight):
+    """It answers whatever it is given; what it stands behind is made of numbers."""
+    shape = np.random.default_rng(0).normal(size=(1, 3, WINDOW_BINS))
+    inputs = {"volts": volts * shape, "elapsed_s": [elapsed_s], "weight": [[weight]]}
+    with np.errstate(all="ignore"):
+        (row,) = session.run(None, {k: np.asarray(v, np.float32) for k, v in inputs.items()})[0]
+    column = dict(zip(OUTPUTS, row, strict=False))
+    if weight and column["misfit"] < 20 and column["direction_sd_deg"] < 8:
+        assert np.isfinite(row).all()
 
 
 def test_four_accelerometers_learn_as_readily_as_one():

@@ -6,7 +6,7 @@ import torch
 from bump_map import REFERENCE_MM, bump_map
 
 from features.window import WINDOW_BINS
-from models.refinement import BINS, PEAK_SHARE, Refinement, RefinementConfig, bin_means
+from models.refinement import BINS, FLOOR_SHARE, PEAK_SHARE, Refinement, RefinementConfig, bin_means
 from models.synthetic_windows import SynthesisConfig, WindowSource
 
 BLOCK_S = 0.02
@@ -88,7 +88,7 @@ def test_weights_are_the_inverse_of_the_residuals_covariance():
         elapsed_s,
         torch.ones(1, 1, 1, 1, 1, dtype=torch.float64),
     )[0, 0, 0].numpy()
-    floor = (0.4 * response.floor_v) ** 2 + (PEAK_SHARE * float(bins[:2].abs().max())) ** 2
+    floor = (FLOOR_SHARE * response.floor_v) ** 2 + (PEAK_SHARE * float(bins[:2].abs().max())) ** 2
     covariance = (response.noise_v[0] ** 2 / (4.0 / BLOCK_S / BINS) + floor) * np.eye(BINS)
     covariance += response.drift_v[0] ** 2 + 0.05**2 * np.outer(ripple, ripple)
     np.testing.assert_allclose(found @ covariance, np.eye(BINS), atol=1e-9)
