@@ -90,8 +90,8 @@ class Proposal(nn.Module):
     def forward(self, volts: Tensor, elapsed_s: Tensor, weight: Tensor) -> tuple[Tensor, Tensor]:
         elapsed_s = elapsed_s[:, None, None]
         energy = (volts * volts).sum(1, keepdim=True)
-        peak = (energy.amax(2, keepdim=True) + 1e-9).sqrt()
-        share = energy / (energy.sum(2, keepdim=True) + 1e-9)
+        peak = energy.amax(2, keepdim=True).clamp(min=1e-9).sqrt()
+        share = energy / energy.sum(2, keepdim=True).clamp(min=1e-9)
         centre = (share * self.bins).sum(2, keepdim=True)
         width = ((share * (self.bins - centre) ** 2).sum(2, keepdim=True) + 1e-4).sqrt()
         h = F.silu(self.conv1(volts / peak))

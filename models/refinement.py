@@ -215,7 +215,9 @@ class Refinement(nn.Module):
         tilt: (B, A, 2, 1, 16) V. ripple: (B, A, 1, 1, 16) V, what each board's own V_z swings about its mean.
         """
         blocks = (elapsed_s / (self.block_s * BINS)).clamp(min=0.3)
-        floor = PEAK_SHARE**2 * (tilt * tilt).amax((1, 2, 3, 4), keepdim=True) + (FLOOR_SHARE * self.floor_v) ** 2
+        floor = (
+            PEAK_SHARE**2 * (tilt * tilt).amax((1, 2, 3, 4), keepdim=True) + (FLOOR_SHARE * self.floor_v) ** 2
+        )
         variance = self.noise / blocks + floor
         wander = self.drift / (variance + BINS * self.drift)
         swing = ripple.transpose(3, 4)
