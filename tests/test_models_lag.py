@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from bump_map import bump_map
+from calibration_slides import slides_of
 
 from features.conditioning import BlockMean, Conditioning
 from features.track import track
@@ -42,31 +43,16 @@ def test_a_slides_history_is_free_of_the_lag(tau_s):
 
 def slides_with(tau_s: float, speeds: np.ndarray) -> list[CalibrationSlide]:
     """Noisy slides over the formula's map with a solid's lag."""
-    response, random = bump_map(), np.random.default_rng(1)
-    slides = []
-    for n, speed in enumerate(speeds):
-        angle, offset = (n % 4) * np.pi / 2, random.uniform(-10, 10)
-        on = np.array([np.cos(angle), np.sin(angle)])
-        start = np.array(response.reference_mm) + offset * np.array([-on[1], on[0]]) - 35.0 * on
-        travelled = np.arange(0.25, 70.0, 0.5)
-        x, y = start[:, None] + travelled * on[:, None]
-        volts = standard_solid(response.response(x, y, angle), 0.5 / speed, DELAYED, tau_s)
-        noise = 1.4e-3 * np.sqrt(0.02 * speed / 0.5)
-        slides.append(
-            CalibrationSlide(
-                recording=f"r{n}",
-                start_mm=(float(start[0]), float(start[1])),
-                direction_rad=angle,
-                depth_mm=0.5,
-                travelled_mm=travelled,
-                speed_mm_s=np.full(len(travelled), speed),
-                volts=volts + noise * random.standard_normal(volts.shape),
-                blocks=max(1, round(25 / speed)),
-                step_s=0.5 / speed,
-                rest_noise_v=np.full(2, 1.4e-3),
-            )
+    random = np.random.default_rng(1)
+    lines = [(90.0 * (n % 4), random.uniform(-10, 10)) for n in range(len(speeds))]
+    return [
+        replace(
+            slide,
+            volts=standard_solid(slide.volts, slide.step_s, DELAYED, tau_s)
+            + 1.4e-3 / np.sqrt(slide.blocks) * random.standard_normal(slide.volts.shape),
         )
-    return slides
+        for slide in slides_of(bump_map(), lines, speeds, np.ones(len(speeds)))
+    ]
 
 
 @pytest.mark.parametrize("tau_s", TAUS)

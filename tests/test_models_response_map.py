@@ -5,10 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from bump_map import bump_map
+from calibration_slides import slides_of
 from hypothesis import given
 from hypothesis import strategies as st
 
-from models.calibration import CalibrationConfig, CalibrationSlide, calibrate
+from models.calibration import CalibrationConfig, calibrate
 from models.response_map import spline_basis, spline_coefficients
 
 HALF_MM = 30.0
@@ -43,36 +44,6 @@ def test_depth_acts_through_its_slope_alone():
     shallow, deep = (response.response(x, y, 0.3, depth) for depth in (0.5, 1.0))
     np.testing.assert_allclose(deep - shallow, 0.5 * (response.response(x, y, 0.3, 1.5) - shallow), rtol=1e-9)
     assert np.abs(deep - shallow).max() > 1e-3
-
-
-def slides_of(response, lines, speeds, gains, noise_v=0.0, seed=0, lag_s=0.0):
-    """Labelled slides along (direction_deg, offset_mm) lines through the map's chamber."""
-    rng = np.random.default_rng(seed)
-    slides = []
-    for number, ((direction, offset), speed, gain) in enumerate(zip(lines, speeds, gains, strict=True)):
-        a = np.deg2rad(direction)
-        foot = np.array(response.reference_mm) + offset * np.array([-np.sin(a), np.cos(a)])
-        start = foot - 36.0 * np.array([np.cos(a), np.sin(a)])
-        travelled = np.arange(0.25, 72.0, 0.5)
-        blocks = max(1, round(0.5 / speed / 0.02))
-        s = travelled - speed * lag_s
-        clean = response.response(start[0] + s * np.cos(a), start[1] + s * np.sin(a), a)
-        volts = gain * clean + noise_v / np.sqrt(blocks) * rng.standard_normal(clean.shape)
-        slides.append(
-            CalibrationSlide(
-                recording=f"r{number}",
-                start_mm=(float(start[0]), float(start[1])),
-                direction_rad=a,
-                depth_mm=0.5,
-                travelled_mm=travelled,
-                speed_mm_s=np.full(len(travelled), speed),
-                volts=volts,
-                blocks=blocks,
-                step_s=0.5 / speed,
-                rest_noise_v=np.full(2, 1.4e-3),
-            )
-        )
-    return slides
 
 
 LINES = [(d, o) for d in (0.0, 90.0, 180.0, 270.0, 37.0, 142.0, 255.0) for o in np.arange(-20.0, 21.0, 5.0)]
