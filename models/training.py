@@ -18,8 +18,8 @@ class TrainingConfig:
     """steps of batch windows each; rate: AdamW's peak learning rate, cosine to zero; average: the decay of the
     moving average of the weights that is kept."""
 
-    steps: int = 3000
-    batch: int = 512
+    steps: int = 10_000
+    batch: int = 128
     rate: float = 3e-3
     average: float = 0.998
     seed: int = 0
