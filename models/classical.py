@@ -158,7 +158,8 @@ def _judge(
         return {}, {}
     errors = _errors(rows[known], windows[known], outputs)
     whole = windows.stroke_fraction[known] > 0.99
-    intervals = {name: conformal_interval(e, np.zeros(len(e))) for name, e in errors.items()}
+    slide = windows.recording[known]
+    intervals = {name: conformal_interval(e, np.zeros(len(e)), slide) for name, e in errors.items()}
     means = {f"heldout_{name}": float(np.abs(e[whole]).mean()) for name, e in errors.items() if whole.any()}
     return intervals, means
 

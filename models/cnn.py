@@ -163,10 +163,11 @@ def _judge(rows: np.ndarray, windows: LabelledWindows) -> tuple[dict[str, Interv
     )
     if believed.sum() < 20:
         return dict(UNCALIBRATED), validity
+    slide = windows.recording[believed]
     return {
-        "direction_deg": conformal_interval(turn[believed], column["direction_sd_deg"][believed]),
-        "log_speed": conformal_interval(speed[believed], column["log_speed_sd"][believed]),
-        "offset_mm": conformal_interval(offset[believed], column["offset_sd_mm"][believed]),
+        "direction_deg": conformal_interval(turn[believed], column["direction_sd_deg"][believed], slide),
+        "log_speed": conformal_interval(speed[believed], column["log_speed_sd"][believed], slide),
+        "offset_mm": conformal_interval(offset[believed], column["offset_sd_mm"][believed], slide),
     }, validity
 
 

@@ -15,8 +15,13 @@ COVERAGE = 0.9
 GROUPS = 5  # of equally many windows, by their deviation
 
 
-def conformal_interval(errors: np.ndarray, sd: np.ndarray, coverage: float = COVERAGE) -> Interval:
+def conformal_interval(
+    errors: np.ndarray, sd: np.ndarray, slide: np.ndarray | None = None, coverage: float = COVERAGE
+) -> Interval:
     """errors, sd (n,) in one unit; sd all zero gives a constant half-width.
+
+    slide: (n,), which slide each is of: windows of one slide err alike, so that only slides count for how many there
+        are. None: each is of its own.
 
     Raises:
         ValueError: there are no errors to calibrate on.
@@ -24,7 +29,9 @@ def conformal_interval(errors: np.ndarray, sd: np.ndarray, coverage: float = COV
     errors, sd = np.abs(np.asarray(errors, float)), np.asarray(sd, float)
     if not errors.size:
         raise ValueError("no held-out errors to calibrate an interval on")
-    rank = min(math.ceil(coverage * (len(errors) + 1)), len(errors)) - 1
+    count = len(errors) if slide is None else len(np.unique(slide))
+    share = min(math.ceil(coverage * (count + 1)) / count, 1.0)
+    rank = math.ceil(share * len(errors) - 1e-9) - 1
     floors = max(float(np.median(errors)), 1e-9) * np.geomspace(0.02, 5.0, 60)
     groups = np.array_split(np.argsort(sd, kind="stable"), min(GROUPS, len(errors)))
     best: tuple[float, Interval] | None = None

@@ -22,7 +22,7 @@ from models.response_map import SPACING_MM, ResponseMap
 
 PEAK_SHARE = 0.003  # what the map leaves over, as a share of the slide's largest output
 FLOOR_SHARE = 0.6  # and of what it left over in calibration, most of which bins hold alike
-DOUBT = 9.0  # variance of the depth's error over the one that noise explains, on held-out lines
+DOUBT = 2.0  # variance of the depth's error over the one that noise explains, on held-out lines
 BINS = (
     16  # of time in the refinement: a window's bins in fours; what the map leaves over is alike in neighbours
 )

@@ -17,6 +17,20 @@ def test_ninety_percent_are_covered_whatever_the_tail(tail):
     assert 0.88 < np.mean(np.abs(errors[4000:]) <= half) < 0.92
 
 
+def test_windows_of_one_slide_count_as_one():
+    """The mean coverage over many calibrations on 36 slides, ten windows each that err alike: 34 / 37, not 33 / 37."""
+    rng = np.random.default_rng(2)
+    slide = np.repeat(np.arange(36), 10)
+    covered: dict[bool, list[float]] = {True: [], False: []}
+    for _ in range(400):
+        errors, fresh = np.repeat(rng.standard_normal(36), 10), np.abs(rng.standard_normal(400))
+        for told, values in covered.items():
+            interval = conformal_interval(errors, np.zeros(360), slide if told else None)
+            values.append(float(np.mean(fresh <= interval.half_width(0.0))))
+    assert np.mean(covered[True]) == pytest.approx(34 / 37, abs=0.007)
+    assert np.mean(covered[False]) == pytest.approx(33 / 37, abs=0.007)
+
+
 def test_without_deviations_the_width_is_constant():
     interval = conformal_interval(np.linspace(-1, 1, 1001), np.zeros(1001))
     assert interval.half_width(0.0) == pytest.approx(0.9, abs=0.01)
