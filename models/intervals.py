@@ -21,7 +21,7 @@ def conformal_interval(
     """errors, sd (n,) in one unit; sd all zero gives a constant half-width.
 
     slide: (n,), which slide each is of: windows of one slide err alike, so that only slides count for how many there
-        are. None: each is of its own.
+        are (hierarchical conformal prediction; Lee, Barber and Willett 2023). None: each is of its own.
 
     Raises:
         ValueError: there are no errors to calibrate on.
@@ -30,8 +30,7 @@ def conformal_interval(
     if not errors.size:
         raise ValueError("no held-out errors to calibrate an interval on")
     count = len(errors) if slide is None else len(np.unique(slide))
-    share = min(math.ceil(coverage * (count + 1)) / count, 1.0)
-    rank = math.ceil(share * len(errors) - 1e-9) - 1
+    rank = min(math.ceil(coverage * (1 + 1 / count) * len(errors) - 1e-9), len(errors)) - 1
     floors = max(float(np.median(errors)), 1e-9) * np.geomspace(0.02, 5.0, 60)
     groups = np.array_split(np.argsort(sd, kind="stable"), min(GROUPS, len(errors)))
     best: tuple[float, Interval] | None = None
