@@ -33,7 +33,7 @@ UNCALIBRATED = {
 }
 
 # Reduced chi-square of a signal of something else, where no recording shows what the sensor's own leave over.
-UNCALIBRATED_MISFIT = 20.0
+UNCALIBRATED_MISFIT = 10.0
 # A held-out window that is further off than this was lost; what it leaves over says nothing of those that were not.
 ORDINARY_DEG = 20.0
 

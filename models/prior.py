@@ -18,6 +18,7 @@ GRID_MM = 1.0
 DEPTH_STEP_MM = 0.1
 SAMPLE_MM = 2.0
 MOST_SLIDES = 24
+LEFT_G = 0.01  # what a design leaves over of a device that nothing is known of
 COMMON = 4  # numbers that all boards share: height, friction, lag, width
 
 
@@ -75,7 +76,7 @@ def design_map(atlas: Atlas, sensor: Sensor, height_mm: float, depth_mm: float) 
         depth_mm=depth_mm,
         noise_v=np.full(channels, 1.4e-3),
         drift_v=np.full(channels, 7e-4),
-        floor_v=4e-3,
+        floor_v=LEFT_G * float(np.mean([a.sensitivity_v_per_g for a in sensor.accelerometers])),
         gain_sd=0.1,
     )
 
