@@ -32,8 +32,10 @@ UNCALIBRATED = {
     "offset_mm": Interval(1.645, 1.0),
 }
 
-# Reduced chi-square of a signal of something else, where no recording shows what the sensor's own leave over.
-UNCALIBRATED_MISFIT = 10.0
+# Nor what is no slide of this sensor.
+UNCALIBRATED_VALIDITY = Validity(misfit=10.0, direction_sd_deg=15.0, log_speed_sd=0.3)
+# A design's proposal lies further from where a device's signal leads.
+UNCALIBRATED_STEPS = 2  # more than else
 # A held-out window that is further off than this was lost; what it leaves over says nothing of those that were not.
 ORDINARY_DEG = 20.0
 
@@ -69,13 +71,18 @@ def fit_cnn(
     torch.set_num_threads(1)
     device = calibrated_device(folder, atlas, config.conditioning, config.calibration, config.spread)
     config, maps = replace(config, conditioning=device.conditioning), device.maps
+    if not device.slides:
+        refinement = replace(
+            config.network.refinement, steps=config.network.refinement.steps + UNCALIBRATED_STEPS
+        )
+        config = replace(config, network=replace(config.network, refinement=refinement))
     response = maps.response
     source = WindowSource(response, config.conditioning.block_s, config.synthesis)
     begun = None if init is None else initial_proposal(init, response.channels, config.network)
     proposal = train_proposal(source, config.network, config.training, begun, progress)
     network = _network(proposal, response, config)
     intervals = dict(UNCALIBRATED)
-    validity = Validity(misfit=UNCALIBRATED_MISFIT, direction_sd_deg=8.0, log_speed_sd=0.15)
+    validity = UNCALIBRATED_VALIDITY
     summary = dict(maps.summary)
     if maps.held_out:
         held = _held_out(folder, maps, proposal, config)
@@ -149,7 +156,7 @@ def _judge(rows: np.ndarray, windows: LabelledWindows) -> tuple[dict[str, Interv
     turn, speed, offset = signed_errors(rows, windows)
     late = windows.stroke_fraction > 0.35
     ordinary = late & (np.abs(turn) < ORDINARY_DEG)
-    misfit = UNCALIBRATED_MISFIT
+    misfit = UNCALIBRATED_VALIDITY.misfit
     # A network that is lost more often than not finds its way by chance, and leaves over whatever it likes.
     if ordinary.sum() > late.sum() / 2:
         # Twice what nearly every recorded slide leaves over is a signal of something else.
