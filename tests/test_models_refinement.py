@@ -6,7 +6,8 @@ import torch
 from bump_map import REFERENCE_MM, bump_map
 
 from features.window import WINDOW_BINS
-from models.refinement import BINS, FLOOR_SHARE, PEAK_SHARE, Refinement, RefinementConfig, bin_means
+from models.prediction import BINS
+from models.refinement import FLOOR_SHARE, PEAK_SHARE, Refinement, RefinementConfig, bin_means
 from models.synthetic_windows import SynthesisConfig, WindowSource
 
 BLOCK_S = 0.02
@@ -53,7 +54,7 @@ def test_rows_are_the_map_and_its_derivatives():
         return np.exp(gain) * response.response(x, y, a, response.depth_mm + depth).T
 
     one = (1, 1, 1)
-    rows = refinement._rows(
+    rows = refinement.predicted(
         measured,
         start.reshape(*one, 2, 2),
         torch.tensor(state).reshape(*one, 6, 1),
