@@ -1,13 +1,25 @@
 """The card suffices: another language runs a bundle and gets the same numbers."""
 
+import hashlib
 import json
 import shutil
 import subprocess
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+import onnxruntime as ort
 import pytest
+import torch
+from bump_map import bump_map
 from small_bundle import write_small_bundle
 from streams import a_sensor
+
+from features.card import read_card, write_card
+from models.export import export_graph
+from models.network import NetworkConfig, Proposal, SlideNetwork
+from models.refinement import Refinement
 
 PACKAGE = "onnxruntime-node@1.30.0"
 
@@ -27,8 +39,32 @@ def packages(request: pytest.FixtureRequest) -> Path:
     return folder
 
 
-def test_javascript_gets_the_same_numbers(packages: Path, tmp_path: Path) -> None:
-    bundle = write_small_bundle(tmp_path / "bundle", a_sensor(2), offset_mm_per_v=50.0)
+def network_bundle(folder: Path) -> Path:
+    """The default model's graph, not trained, with an example worked out by ONNX Runtime."""
+    torch.manual_seed(0)
+    config = NetworkConfig()
+    network = SlideNetwork(Proposal(2, config), Refinement(bump_map(), 0.02, config.refinement)).eval()
+    graph = export_graph(network, 1).SerializeToString()
+    bundle = write_small_bundle(folder, a_sensor())
+    card = read_card(bundle / "model.json")
+    inputs = {name: np.array(value, np.float32) for name, value in card.golden["inputs"].items()}
+    row = ort.InferenceSession(graph, providers=["CPUExecutionProvider"]).run(None, inputs)[0][0]
+    golden = {"inputs": card.golden["inputs"], "estimate": row.tolist()}
+    sha = hashlib.sha256(graph).hexdigest()
+    (bundle / "model.onnx").write_bytes(graph)
+    write_card(replace(card, outputs=network.outputs, golden=golden, graph_sha256=sha), bundle / "model.json")
+    return bundle
+
+
+def small_bundle(folder: Path) -> Path:
+    return write_small_bundle(folder, a_sensor(2), offset_mm_per_v=50.0)
+
+
+@pytest.mark.parametrize("write", [small_bundle, network_bundle])
+def test_javascript_gets_the_same_numbers(
+    packages: Path, tmp_path: Path, write: Callable[[Path], Path]
+) -> None:
+    bundle = write(tmp_path / "bundle")
     shutil.copy(Path(__file__).with_name("run_bundle.js"), packages)
     done = subprocess.run(
         ["node", "run_bundle.js", str(bundle)], cwd=packages, capture_output=True, check=True, timeout=60
