@@ -41,7 +41,7 @@ class RefinementConfig:
     least_prior: tuple[float, float, float, float] = (0.1, 0.1, 1.5, 2.0)
     same_depth: float = 0.9
     depth_sd_mm: float = 0.35
-    askew: float = 0.01
+    askew: float = 0.02
     lean_v: float = 0.0
 
     def __post_init__(self) -> None:
