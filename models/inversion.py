@@ -72,8 +72,8 @@ def _fan(elapsed_s: float, centre: float, width: float) -> Tensor:
 def cramer_rao(response: ResponseMap, block_s: float, windows: LabelledWindows) -> np.ndarray:
     """Least standard deviations (n, 3) that any unbiased estimate can have: direction deg, log speed, offset mm.
 
-    The inverse Fisher information of the map at the true line, with gain and zero unknown within their spread. The
-    place along the line is fitted: a window whose slide is over ends before its label does.
+    The inverse Fisher information of the map at the true line, with gain and zero unknown within their spread, and the
+    depth known. The place along the line is fitted: a window whose slide is over ends before its label does.
     """
     angle = np.radians(windows.direction_deg)
     truth = np.stack(
@@ -82,7 +82,8 @@ def cramer_rao(response: ResponseMap, block_s: float, windows: LabelledWindows) 
     )
     line, boards = torch.tensor(truth, dtype=torch.float32), windows.volts.shape[1] // 3
 
-    def refined(config: RefinementConfig) -> tuple[Tensor, ...]:
+    def refined(steps: int, least_prior: tuple[float, float, float, float]) -> tuple[Tensor, ...]:
+        config = RefinementConfig(steps=steps, trust=1.0, least_prior=least_prior, depth_sd_mm=1e-6)
         with torch.no_grad():
             columns = Refinement(response, block_s, config)(
                 torch.tensor(windows.volts, dtype=torch.float32).unflatten(1, (boards, 3)),
@@ -93,8 +94,8 @@ def cramer_rao(response: ResponseMap, block_s: float, windows: LabelledWindows) 
             )
         return tuple(column.flatten(1) for column in columns)
 
-    _, state, _, _ = refined(RefinementConfig(steps=8, trust=1.0, least_prior=(1e-4, 1e-4, 1e-3, 10.0)))
+    _, state, _, _ = refined(8, (1e-4, 1e-4, 1e-3, 10.0))
     line = torch.cat([line[:, :4], state[:, 3:4].float()], 1)
-    _, _, variance, _ = refined(RefinementConfig(steps=1, trust=1.0, least_prior=(1e3, 1e3, 1e3, 1e3)))
+    _, _, variance, _ = refined(1, (1e3, 1e3, 1e3, 1e3))
     sd = variance.sqrt().numpy()
     return np.stack([np.degrees(sd[:, 0]), sd[:, 1], sd[:, 2]], axis=1)
