@@ -39,7 +39,7 @@ def write_bundle(
     provenance: dict[str, Any],
     out: Path,
 ) -> float:
-    """Writes the bundle; returns the largest relative difference of graph and original.
+    """Writes the bundle; returns the largest relative difference of graph and original where the model answers.
 
     Raises:
         ParityError: it is more than PARITY; nothing is written.

@@ -32,10 +32,10 @@ UNCALIBRATED = {
     "offset_mm": Interval(1.645, 1.0),
 }
 
-# Nor what is no slide of this sensor.
+# Without recordings nothing says either what is no slide of this sensor.
 UNCALIBRATED_VALIDITY = Validity(misfit=10.0, direction_sd_deg=15.0, log_speed_sd=0.3)
 # A design's proposal lies further from where a device's signal leads.
-UNCALIBRATED_STEPS = 2  # more than else
+UNCALIBRATED_STEPS = 2  # more than with recordings
 # A held-out window that is further off than this was lost; what it leaves over says nothing of those that were not.
 ORDINARY_DEG = 20.0
 

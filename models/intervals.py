@@ -21,7 +21,8 @@ def conformal_interval(
     """errors, sd (n,) in one unit; sd all zero gives a constant half-width.
 
     slide: (n,), which slide each is of: windows of one slide err alike, so that only slides count for how many there
-        are (hierarchical conformal prediction; Lee, Barber and Willett 2023). None: each is of its own.
+        are (hierarchical conformal prediction, Lee, Barber and Willett 2023, as if each had equally many windows; with
+        fewer than nine slides the largest ratio). None: each is of its own.
 
     Raises:
         ValueError: there are no errors to calibrate on.

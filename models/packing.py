@@ -1,4 +1,4 @@
-"""Large constants of a graph in as few bytes as hold them to the last bit: half of a bundle, all precision at work.
+"""Large constants of a graph in as few bytes as hold them to the last bit: half a bundle, all precision at work.
 
 Nothing is rounded, so that the graph computes the same; a model that wants to be small rounds its constants first
 (`rounded`). ONNX Runtime undoes the casts once, as it loads the graph.

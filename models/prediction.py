@@ -25,7 +25,7 @@ PHASES = np.array([[0.5, 1.0], [0.0, 0.5]]) * np.pi
 
 
 class Prediction(nn.Module):
-    """The signal that the map predicts, less the measured one, and its derivatives."""
+    """The measured signal less what the map predicts, and the prediction's derivatives."""
 
     table: Tensor
     patch: Tensor

@@ -18,7 +18,7 @@ from models.response_map import ResponseMap
 
 PEAK_SHARE = 0.003  # what the map leaves over, as a share of the slide's largest output
 FLOOR_SHARE = 0.6  # and of what it left over in calibration, most of which bins hold alike
-DOUBT = 2.0  # variance of the depth's error over the one that noise explains, on held-out lines
+DOUBT = 2.0  # variance of the depth's error over the one that noise explains: 1 and 4 on two benches' held-out lines
 DEPTH = 5  # place of the depth in the state
 LONGEST_STEP = (0.3, 0.4, 5.0, 6.0, 0.1, 0.5)  # of each number of the state
 

@@ -178,8 +178,6 @@ class Localizer:
         self._healthy = judged.healthy
         if not self._drift.complete:
             self._drift.note(tracker.static, tracker.known)
-        if tracker.state is not State.SLIDE and self._count % DRIFT_BLOCKS == 0:
-            self._drifted = self._drift.read(tracker.static, judged.healthy)
         if tracker.state is State.SLIDE:
             if not sliding:
                 self._bridged = self._slide_blocks = 0
@@ -195,6 +193,8 @@ class Localizer:
         elif self._held is None or self._held[0] is not tracker.final:
             # Worked out as the slide ends, so that it does not matter when it is read.
             self._held = tracker.final, self._estimate(tracker.final, 0.0)
+        if tracker.state is not State.SLIDE and self._count % DRIFT_BLOCKS == 0:
+            self._drifted = self._drift.read(tracker.static, judged.healthy)
 
     def _checked(self, volts: np.ndarray, time_s: np.ndarray | None) -> tuple[np.ndarray, np.ndarray | None]:
         channels = len(self.card.channels)

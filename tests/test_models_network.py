@@ -61,7 +61,7 @@ def test_training_is_seeded_and_lowers_the_loss(trained):
 
 
 def test_export_agrees_and_can_be_gone_on_from(trained, windows):
-    config = NetworkConfig(refinement=RefinementConfig(steps=2))
+    config = NetworkConfig(refinement=RefinementConfig(steps=8))
     network = SlideNetwork(trained, Refinement(bump_map(), BLOCK_S, config.refinement)).eval()
     graph = export_graph(network, 1)
     session = ort.InferenceSession(graph.SerializeToString(), providers=["CPUExecutionProvider"])
@@ -71,7 +71,10 @@ def test_export_agrees_and_can_be_gone_on_from(trained, windows):
     with torch.no_grad():
         expected = network(**inputs).numpy()
     assert row.shape == (len(volts), len(network.outputs))
-    assert np.quantile(np.abs(row - expected) / np.abs(expected).max(axis=0), 0.99) < 1e-4
+    column = dict(zip(OUTPUTS, expected.T, strict=False))
+    stands = (column["misfit"] < 20) & (column["direction_sd_deg"] < 8) & (column["log_speed_sd"] < 0.15)
+    assert stands.sum() >= 10
+    assert np.max(np.abs(row - expected)[stands] / np.abs(expected[stands]).max(axis=0)) < 1e-4
     again = initial_proposal(graph, 2, config)
     for a, b in zip(trained.state_dict().values(), again.state_dict().values(), strict=True):
         assert torch.equal(a, b)
@@ -84,13 +87,12 @@ def test_export_agrees_and_can_be_gone_on_from(trained, windows):
 @pytest.mark.parametrize("elapsed_s", [0.0, 1e-30, 3.0, 1e30])
 @pytest.mark.parametrize("weight", [0.0, 1.0])
 def test_no_window_is_too_much_for_the_graph(session, volts, elapsed_s, weight):
-    """It answers whatever it is given; what it stands behind is made of numbers."""
+    """It answers whatever it is given, and in numbers what has any length and is no more than volts can be."""
     shape = np.random.default_rng(0).normal(size=(1, 3, WINDOW_BINS))
-    inputs = {"volts": volts * shape, "elapsed_s": [elapsed_s], "weight": [[weight]]}
     with np.errstate(all="ignore"):
+        inputs = {"volts": volts * shape, "elapsed_s": [elapsed_s], "weight": [[weight]]}
         (row,) = session.run(None, {k: np.asarray(v, np.float32) for k, v in inputs.items()})[0]
-    column = dict(zip(OUTPUTS, row, strict=False))
-    if weight and column["misfit"] < 20 and column["direction_sd_deg"] < 8:
+    if volts <= 1e3 and elapsed_s > 0:
         assert np.isfinite(row).all()
 
 

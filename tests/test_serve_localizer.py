@@ -68,6 +68,21 @@ def test_answers_do_not_depend_on_the_chunks(localizer: Localizer, data: st.Data
     assert answers(localizer, volts, cuts, time_s) == answers(localizer, volts, [], time_s)
 
 
+def test_the_drift_told_with_a_slide_is_of_the_accelerometers_it_was_read_from(pair: Localizer) -> None:
+    """One that leans and was lost as the slide began is back before it ends, on whatever block that is."""
+    rest, slide = still(0.6), pass_over(1.0)
+    for blocks in range(50):
+        lead = still(0.02 * blocks)
+        volts = stream(lead, rest, slide, still(0.6), accelerometers=2)
+        volts[:, 4] += 0.1
+        begin = len(lead) + len(rest)
+        volts[begin - 150 : begin + 200, 3:] = np.nan
+        pair.reset()
+        ended = [e for e in pair.push(volts) if e.state is State.ENDED]
+        assert ended[0].accelerometers == 1
+        assert ended[0].turn_deg < 1.0
+
+
 def test_single_samples_and_other_layouts_give_the_same(localizer: Localizer) -> None:
     whole = answers(localizer, TWO_SLIDES, [])
     assert answers(localizer, TWO_SLIDES, list(range(1, len(TWO_SLIDES)))) == whole
