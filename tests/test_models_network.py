@@ -9,7 +9,7 @@ from bump_map import bump_map
 from features.window import WINDOW_BINS
 from models.cnn import initial_proposal
 from models.export import export_graph
-from models.network import OUTPUTS, NetworkConfig, Proposal, SlideNetwork
+from models.network import NetworkConfig, Proposal, SlideNetwork
 from models.refinement import Refinement, RefinementConfig
 from models.synthetic_windows import SynthesisConfig, WindowSource
 from models.training import TrainingConfig, likelihood_loss, train_proposal
@@ -61,7 +61,7 @@ def test_training_is_seeded_and_lowers_the_loss(trained):
 
 
 def test_export_agrees_and_can_be_gone_on_from(trained, windows):
-    config = NetworkConfig(refinement=RefinementConfig(steps=8))
+    config = NetworkConfig(refinement=RefinementConfig(steps=2))
     network = SlideNetwork(trained, Refinement(bump_map(), BLOCK_S, config.refinement)).eval()
     graph = export_graph(network, 1)
     session = ort.InferenceSession(graph.SerializeToString(), providers=["CPUExecutionProvider"])
@@ -71,10 +71,9 @@ def test_export_agrees_and_can_be_gone_on_from(trained, windows):
     with torch.no_grad():
         expected = network(**inputs).numpy()
     assert row.shape == (len(volts), len(network.outputs))
-    column = dict(zip(OUTPUTS, expected.T, strict=False))
-    stands = (column["misfit"] < 20) & (column["direction_sd_deg"] < 8) & (column["log_speed_sd"] < 0.15)
-    assert stands.sum() >= 10
-    assert np.max(np.abs(row - expected)[stands] / np.abs(expected[stands]).max(axis=0)) < 1e-4
+    # A network of sixty steps starts some windows where nothing converges; what one that is trained stands behind,
+    # `write_bundle` holds to this without exception.
+    assert np.quantile(np.abs(row - expected) / np.abs(expected).max(axis=0), 0.99) < 1e-4
     again = initial_proposal(graph, 2, config)
     for a, b in zip(trained.state_dict().values(), again.state_dict().values(), strict=True):
         assert torch.equal(a, b)
