@@ -1,6 +1,7 @@
 """A real bundle whose graph is one matrix product: its answers can be worked out by hand."""
 
 import hashlib
+import json
 import math
 from dataclasses import asdict
 from pathlib import Path
@@ -88,3 +89,14 @@ def write_small_bundle(
     )
     write_card(card, folder / "model.json")
     return folder
+
+
+def resigned(bundle: Path) -> None:
+    """Makes the card fit a graph that was changed."""
+    content = (bundle / "model.onnx").read_bytes()
+    table = json.loads((bundle / "model.json").read_text())
+    inputs = {k: np.array(v, np.float32) for k, v in table["golden"]["inputs"].items()}
+    row = ort.InferenceSession(content, providers=["CPUExecutionProvider"]).run(None, inputs)[0][0]
+    table["golden"]["estimate"] = row.tolist()
+    table["graph_sha256"] = hashlib.sha256(content).hexdigest()
+    (bundle / "model.json").write_text(json.dumps(table))

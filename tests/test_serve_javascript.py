@@ -1,6 +1,5 @@
 """The card suffices: another language runs a bundle and gets the same numbers."""
 
-import hashlib
 import json
 import shutil
 import subprocess
@@ -8,12 +7,10 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-import onnxruntime as ort
 import pytest
 import torch
 from bump_map import bump_map
-from small_bundle import write_small_bundle
+from small_bundle import resigned, write_small_bundle
 from streams import a_sensor
 
 from features.card import read_card, write_card
@@ -44,15 +41,11 @@ def network_bundle(folder: Path) -> Path:
     torch.manual_seed(0)
     config = NetworkConfig()
     network = SlideNetwork(Proposal(2, config), Refinement(bump_map(), 0.02, config.refinement)).eval()
-    graph = export_graph(network, 1).SerializeToString()
     bundle = write_small_bundle(folder, a_sensor())
+    (bundle / "model.onnx").write_bytes(export_graph(network, 1).SerializeToString())
     card = read_card(bundle / "model.json")
-    inputs = {name: np.array(value, np.float32) for name, value in card.golden["inputs"].items()}
-    row = ort.InferenceSession(graph, providers=["CPUExecutionProvider"]).run(None, inputs)[0][0]
-    golden = {"inputs": card.golden["inputs"], "estimate": row.tolist()}
-    sha = hashlib.sha256(graph).hexdigest()
-    (bundle / "model.onnx").write_bytes(graph)
-    write_card(replace(card, outputs=network.outputs, golden=golden, graph_sha256=sha), bundle / "model.json")
+    write_card(replace(card, outputs=network.outputs), bundle / "model.json")
+    resigned(bundle)
     return bundle
 
 
