@@ -278,7 +278,7 @@ def _parser() -> argparse.ArgumentParser:
 
 def _demo(arguments: argparse.Namespace) -> int:
     from experiments.demo import demo
-    from models.bundle import ParityError
+    from models.export.bundle import ParityError
 
     try:
         print(demo(arguments.out))
@@ -291,8 +291,8 @@ def _demo(arguments: argparse.Namespace) -> int:
 def _check(arguments: argparse.Namespace) -> int:
     import json
 
-    from pipeline.health import as_json, examine
-    from pipeline.recordings import read_folder
+    from pipeline.checks.findings import as_json, examine
+    from pipeline.recordings.folder import read_folder
 
     recordings = read_folder(arguments.folder)
     findings = examine(recordings)
@@ -311,7 +311,7 @@ def _check(arguments: argparse.Namespace) -> int:
 
 
 def _import(arguments: argparse.Namespace) -> int:
-    from pipeline.importers.mapping import KINDS, read_map, template
+    from pipeline.importers.import_map import KINDS, read_map, template
 
     if arguments.map_template:
         if arguments.map_template not in KINDS:
@@ -332,7 +332,7 @@ def _import(arguments: argparse.Namespace) -> int:
 
 def _train(arguments: argparse.Namespace) -> int:
     from experiments.train import train
-    from models.bundle import ParityError
+    from models.export.bundle import ParityError
 
     try:
         done = train(
@@ -352,7 +352,7 @@ def _train(arguments: argparse.Namespace) -> int:
 
 
 def _sweep(arguments: argparse.Namespace) -> int:
-    from experiments.sweep import sweep
+    from experiments.sweep.search import sweep
 
     print(sweep(arguments.config), end="")
     return 0
@@ -380,7 +380,7 @@ def _predict(arguments: argparse.Namespace) -> int:
 
 
 def _serve(arguments: argparse.Namespace) -> int:
-    from serve.live import serve
+    from serve.stream.live import serve
 
     print(f"softslide serve: {arguments.source}; stop with Ctrl-C", file=sys.stderr)
     written = serve(
@@ -399,7 +399,7 @@ def _serve(arguments: argparse.Namespace) -> int:
 def _export(arguments: argparse.Namespace) -> int:
     import json
 
-    from models.shapes import export
+    from models.export.formats import export
 
     print(json.dumps(export(arguments.model, arguments.to, arguments.out)))
     print(f"softslide export: wrote {arguments.out}", file=sys.stderr)
@@ -412,25 +412,25 @@ def _bench(arguments: argparse.Namespace) -> int:
     if arguments.model is None:
         if arguments.page:
             raise InputError("--page: name a bundle with --model")
-        from pipeline.benchmarks import run_all
+        from experiments.bench.skin import run_all
 
         print(json.dumps(run_all()))
         return 0
     if arguments.decisions < 1:
         raise InputError(f"--decisions {arguments.decisions}: measure at least one")
     if arguments.page:
-        from serve.page_bench import bench_page
+        from serve.bench.page import bench_page
 
         print(json.dumps(bench_page(arguments.model, arguments.decisions)))
         return 0
-    from serve.bench import bench
+    from serve.bench.runtime import bench
 
     print(json.dumps(bench(arguments.model, arguments.decisions)))
     return 0
 
 
 def _simulate(arguments: argparse.Namespace) -> int:
-    from pipeline.solve import simulate
+    from pipeline.atlas.solve import simulate
 
     simulate(
         arguments.sensor,
@@ -444,7 +444,7 @@ def _simulate(arguments: argparse.Namespace) -> int:
 
 
 def _synthesize(arguments: argparse.Namespace) -> int:
-    from pipeline.synthesis import synthesize
+    from pipeline.synthesis.synthesize import synthesize
 
     folder = synthesize(arguments.atlas, arguments.sensor, arguments.slides, arguments.seed, arguments.out)
     counts = folder.manifest["split"].value_counts(sort=False)

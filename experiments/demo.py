@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import Any
 
 from experiments.evaluate import Evaluation, evaluate
-from experiments.report import number
-from experiments.scoring import QUANTITIES
+from experiments.evaluation.report import number
+from experiments.evaluation.scoring import QUANTITIES
 from experiments.train import train
 from features.errors import InputError
-from pipeline.recordings import SAMPLE
+from pipeline.recordings.folder import SAMPLE
 
 DEMO_MODELS = ("interpolation", "trees", "cnn")
 # Enough for the CNN to propose where its refinement finds the rest; a full training takes four times as many.

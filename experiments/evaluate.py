@@ -11,12 +11,19 @@ from typing import Any
 import pandas as pd
 from tqdm import tqdm
 
-from experiments.bounds import Verdict, check, read_bounds
-from experiments.readout import predictions
-from experiments.report import write_report
-from experiments.scoring import along_the_stroke, by_direction, by_distance, by_speed, score, summary
+from experiments.evaluation.bounds import Verdict, check, read_bounds
+from experiments.evaluation.readout import predictions
+from experiments.evaluation.report import write_report
+from experiments.evaluation.scoring import (
+    along_the_stroke,
+    by_direction,
+    by_distance,
+    by_speed,
+    score,
+    summary,
+)
 from features.errors import InputError
-from pipeline.recordings import Folder, read_folder
+from pipeline.recordings.folder import Folder, read_folder
 from pipeline.staging import staged
 
 

@@ -18,7 +18,7 @@ from typing import Any
 
 import onnx
 
-from pipeline.recordings import Folder
+from pipeline.recordings.folder import Folder
 
 # Set before the import: nothing is sent to anybody.
 os.environ.setdefault("MLFLOW_DISABLE_TELEMETRY", "true")

@@ -10,18 +10,19 @@ import onnx
 import pandas as pd
 from tqdm import tqdm
 
-from experiments import figures, tracking
+from experiments import tracking
 from experiments.configuration import configured
-from experiments.readout import predictions
-from experiments.scoring import score, summary
+from experiments.evaluation import figures
+from experiments.evaluation.readout import predictions
+from experiments.evaluation.scoring import score, summary
 from features.errors import InputError
-from models.bundle import read_graph, write_bundle
-from models.fit import default_config, fit_model
-from models.fitted import FittedModel
-from pipeline.atlas import Atlas
-from pipeline.atlas_library import atlas_of
-from pipeline.dataset import labelled_windows
-from pipeline.recordings import Folder, read_folder
+from models.export.bundle import read_graph, write_bundle
+from models.fitted_model import FittedModel
+from models.registry import default_config, fit_model
+from pipeline.atlas.atlas import Atlas
+from pipeline.atlas.library import atlas_of
+from pipeline.recordings.folder import Folder, read_folder
+from pipeline.recordings.windows import labelled_windows
 from pipeline.staging import check_replaceable
 from serve.localizer import Localizer
 

@@ -6,8 +6,8 @@ from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
-from features.conditioning import Conditioning
 from features.errors import InputError
+from features.stream.conditioning import Conditioning
 
 FORMAT = "softslide-model"
 VERSION = 1

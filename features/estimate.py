@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from features.card import Card, Interval
-from features.track import State
+from features.stream.tracker import State
 from features.window import Window
 
 
@@ -16,7 +16,7 @@ class Estimate(NamedTuple):
     time_s: of the samples seen so far. direction_deg in [0, 360); its lo and hi may pass that seam. offset_mm and
     the signs of x and y are the contract's. valid: false where the model abstains.
     accelerometers: number of those that a slide is read from, 0 where none is. zero_shift_v, gain, turn_deg: the
-    device's drift (features/drift.py).
+    device's drift (features/stream/drift.py).
     """
 
     time_s: float

@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from features.estimate import Estimate
-from features.track import State
+from features.stream.tracker import State
 
 HALF_WIDTH_SD = 1.645  # of a 90 % interval, in standard deviations
 ACCELERATION_MM_S2 = 2.0

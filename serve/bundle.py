@@ -9,7 +9,7 @@ from onnxruntime.capi.onnxruntime_pybind11_state import NotImplemented as Missin
 
 from features.card import Card, read_card
 from features.errors import InputError
-from features.vector import feature_names
+from features.vector.feature_vector import feature_names
 from features.window import WINDOW_BINS
 
 try:

@@ -8,17 +8,17 @@ import numpy as np
 import onnxruntime as ort
 
 from features.card import Card
-from features.conditioning import Blocks
-from features.drift import UNKNOWN, DriftWatch
-from features.energy import energy_width_s
 from features.errors import InputError
 from features.estimate import Estimate, decode
-from features.faults import BRIDGED_BLOCKS, SignalWatch
-from features.track import SlideTracker, State
-from features.vector import feature_vector
+from features.stream.conditioning import Blocks
+from features.stream.drift import UNKNOWN, DriftWatch
+from features.stream.faults import BRIDGED_BLOCKS, SignalWatch
+from features.stream.tracker import SlideTracker, State
+from features.vector.energy import energy_width_s
+from features.vector.feature_vector import feature_vector
 from features.window import WINDOW_BINS, Window
 from serve.bundle import open_bundle
-from serve.clock import SampleClock
+from serve.sample_slots import SampleClock
 
 # Share of a slide's blocks that older ones may stand in for before it is not believed.
 BRIDGED_SHARE = 0.05

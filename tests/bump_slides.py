@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from pipeline.recordings import Folder, Recording, write_folder
+from pipeline.recordings.folder import Folder, Recording, write_folder
 from pipeline.sensor import Accelerometer, Sensor
 
 RATE_HZ = 500.0

@@ -3,7 +3,7 @@
 import numpy as np
 
 from features.window import WINDOW_BINS
-from pipeline.dataset import LabelledWindows
+from pipeline.recordings.windows import LabelledWindows
 
 _REACH_MM = 8.0
 _DOME_MM = 25.0

@@ -12,7 +12,7 @@ import onnxruntime as ort
 from onnx import TensorProto, helper, numpy_helper
 
 from features.card import Card, Interval, Validity, write_card
-from features.conditioning import Conditioning
+from features.stream.conditioning import Conditioning
 from features.window import WINDOW_BINS
 from pipeline.sensor import Sensor
 

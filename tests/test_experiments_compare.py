@@ -14,16 +14,17 @@ from pandas.testing import assert_frame_equal
 from small_bundle import OUTPUTS, write_small_bundle
 
 import softslide
-from experiments import compare, comparison_figures, efficiency
-from experiments.comparison_table import error_rows, markdown
-from experiments.peers import Study, kept
-from experiments.readout import predictions
-from experiments.window_readout import window_card, window_predictions
+from experiments.comparison import compare, efficiency
+from experiments.comparison import figures as comparison_figures
+from experiments.comparison.peers import Study, kept
+from experiments.comparison.table import error_rows, markdown
+from experiments.evaluation.readout import predictions
+from experiments.evaluation.window_readout import window_card, window_predictions
 from features.card import Interval, Validity
-from features.conditioning import Conditioning
-from models import baselines
-from pipeline.dataset import labelled_windows
-from pipeline.recordings import Folder
+from features.stream.conditioning import Conditioning
+from models.classical import baselines
+from pipeline.recordings.folder import Folder
+from pipeline.recordings.windows import labelled_windows
 
 AXES, OFFSETS = (0.0, 90.0, 180.0, 270.0), (-9.0, -6.0, -3.0, 3.0, 6.0, 9.0)
 
@@ -304,7 +305,7 @@ def test_minirocket_learns_in_its_own_environment(lab: Folder, tmp_path: Path) -
 
 
 def test_minirocket_s_features_hold_no_time(lab: Folder) -> None:
-    from experiments.minirocket import shape_and_scale
+    from experiments.comparison.minirocket import shape_and_scale
 
     windows = labelled_windows(lab.select("test"))
     waves, scales = shape_and_scale(windows.volts)

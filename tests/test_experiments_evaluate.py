@@ -11,8 +11,8 @@ import pytest
 from small_bundle import write_small_bundle
 
 import softslide
-from experiments.readout import COLUMNS
-from pipeline.recordings import SAMPLE, Folder, Recording, read_folder, write_folder
+from experiments.evaluation.readout import COLUMNS
+from pipeline.recordings.folder import SAMPLE, Folder, Recording, read_folder, write_folder
 from pipeline.sensor import Accelerometer, Sensor
 from serve.localizer import Localizer
 

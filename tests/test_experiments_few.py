@@ -4,9 +4,10 @@ from pathlib import Path
 
 import pytest
 
-from experiments import few, injection
-from pipeline.atlas_library import atlas_of
-from pipeline.recordings import Folder, read_folder
+from experiments.studies import few_recordings as few
+from experiments.studies import sensor_drift as injection
+from pipeline.atlas.library import atlas_of
+from pipeline.recordings.folder import Folder, read_folder
 
 SAMPLE = Path(__file__).parents[1] / "pipeline" / "sample"
 

@@ -8,11 +8,19 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from experiments.bounds import Bound, check, read_bounds
-from experiments.readout import COLUMNS
-from experiments.scoring import along_the_stroke, by_direction, by_distance, by_speed, score, summary, turn
+from experiments.evaluation.bounds import Bound, check, read_bounds
+from experiments.evaluation.readout import COLUMNS
+from experiments.evaluation.scoring import (
+    along_the_stroke,
+    by_direction,
+    by_distance,
+    by_speed,
+    score,
+    summary,
+    turn,
+)
 from features.errors import InputError
-from pipeline.recordings import LABELS
+from pipeline.recordings.folder import LABELS
 from pipeline.sensor import Accelerometer, Sensor
 
 SENSOR = Sensor(

@@ -21,10 +21,10 @@ from optuna.storages.journal import JournalFileBackend
 from optuna.trial import TrialState
 
 import softslide
-from experiments.sweep_space import read_sweep
-from experiments.trial import overall
+from experiments.sweep.space import read_sweep
+from experiments.sweep.trial import overall
 from features.errors import InputError
-from pipeline.recordings import SAMPLE, read_folder, write_manifest
+from pipeline.recordings.folder import SAMPLE, read_folder, write_manifest
 from serve.localizer import Localizer
 
 CONFIG = """

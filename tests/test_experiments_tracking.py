@@ -9,7 +9,7 @@ import pytest
 from small_bundle import write_small_bundle
 
 from experiments.tracking import code_revision, data_hashes, flattened, tracked
-from pipeline.recordings import SAMPLE, Folder, read_folder, write_folder
+from pipeline.recordings.folder import SAMPLE, Folder, read_folder, write_folder
 
 
 @pytest.fixture(scope="module")

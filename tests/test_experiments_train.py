@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 
 import softslide
-from pipeline.recordings import SAMPLE, read_folder
+from pipeline.recordings.folder import SAMPLE, read_folder
 from serve.localizer import Localizer
 
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from streams import pass_over, still, stream
 
-from features.conditioning import BlockMean, Conditioning
-from features.faults import BRIDGED_BLOCKS, FROZEN_BLOCKS, SignalWatch
-from features.track import SlideTracker, State, track
+from features.stream.conditioning import BlockMean, Conditioning
+from features.stream.faults import BRIDGED_BLOCKS, FROZEN_BLOCKS, SignalWatch
+from features.stream.tracker import SlideTracker, State, track
 
 CONDITIONING = Conditioning()
 

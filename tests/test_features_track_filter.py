@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from features.estimate import Estimate
-from features.track import State
+from features.stream.tracker import State
 from features.track_filter import PATIENCE, TrackFilter
 
 BLOCK_S = 0.02

@@ -14,7 +14,7 @@ import pytest
 from small_bundle import write_small_bundle
 
 import softslide
-from pipeline.recordings import SAMPLE, read_folder
+from pipeline.recordings.folder import SAMPLE, read_folder
 
 HERE = Path(__file__).parents[1]
 # What a device does not have: everything but the base install, numpy and onnxruntime.

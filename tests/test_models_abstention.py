@@ -20,11 +20,11 @@ from bump_slides import (
 )
 
 from features.estimate import Estimate
-from features.track import State
-from models.bundle import write_bundle
-from models.cnn import CnnConfig, fit_cnn
-from models.training import TrainingConfig
-from pipeline.dataset import labelled_windows
+from features.stream.tracker import State
+from models.cnn.fit import CnnConfig, fit_cnn
+from models.cnn.training import TrainingConfig
+from models.export.bundle import write_bundle
+from pipeline.recordings.windows import labelled_windows
 from serve.localizer import Localizer
 
 # Training and export take a minute or two.

@@ -9,10 +9,10 @@ from slide_windows import labelled_slides
 from streams import a_sensor
 
 from features.card import Interval, Validity
-from features.conditioning import Conditioning
+from features.stream.conditioning import Conditioning
 from features.window import WINDOW_BINS
-from models.bundle import ParityError, write_bundle
-from models.fitted import FittedModel
+from models.export.bundle import ParityError, write_bundle
+from models.fitted_model import FittedModel
 from pipeline.sensor import Sensor
 
 WINDOWS = labelled_slides(np.arange(0.0, 360.0, 15.0), np.linspace(-12.0, 12.0, 10))

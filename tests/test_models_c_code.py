@@ -16,17 +16,18 @@ from streams import a_sensor
 
 import softslide
 from features.card import Card
-from models import classical, interpolation
-from models.baselines import float_features
-from models.c_code.memory import layout
-from models.c_code.program import program
-from models.c_code.tensors import Buffer
-from models.classical import GpConfig, InterpolationConfig, MlpConfig, TreesConfig
-from models.export import export_graph
-from models.network import OUTPUTS, NetworkConfig, SlideNetwork
-from models.refinement import Refinement
-from models.synthetic_windows import SynthesisConfig, WindowBatch, WindowSource
-from models.training import TrainingConfig, train_proposal
+from models.classical import fit as classical
+from models.classical import interpolation
+from models.classical.baselines import float_features
+from models.classical.fit import GpConfig, InterpolationConfig, MlpConfig, TreesConfig
+from models.cnn.gauss_newton import Refinement
+from models.cnn.network import OUTPUTS, NetworkConfig, SlideNetwork
+from models.cnn.training import TrainingConfig, train_proposal
+from models.cnn.training_windows import SynthesisConfig, WindowBatch, WindowSource
+from models.export.c99.memory import layout
+from models.export.c99.program import program
+from models.export.c99.tensors import Buffer
+from models.graph.from_torch import export_graph
 
 pytestmark = NEEDS_COMPILER
 

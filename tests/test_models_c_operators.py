@@ -10,9 +10,9 @@ from c_case import NEEDS_COMPILER, Case, any_card, difference
 from onnx import TensorProto
 
 from features.card import Card
-from models.c_code.node import NoForm
-from models.c_code.source import sources
-from models.graph import OPSET, GraphBuilder
+from models.export.c99.node import NoForm
+from models.export.c99.source import sources
+from models.graph.builder import OPSET, GraphBuilder
 
 pytestmark = NEEDS_COMPILER
 

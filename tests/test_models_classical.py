@@ -8,14 +8,15 @@ import onnxruntime as ort
 import pytest
 from slide_windows import labelled_slides
 
-from features.energy import energy_width_s
-from models import baselines, classical, interpolation
-from models.axis_interpolation import fit_interpolation
-from models.baselines import float_features
-from models.between_lines import with_lines_between
-from models.classical import GpConfig, InterpolationConfig, MlpConfig, TreesConfig
-from pipeline.dataset import labelled_windows
-from pipeline.recordings import SAMPLE, read_folder
+from features.vector.energy import energy_width_s
+from models.classical import baselines, interpolation
+from models.classical import fit as classical
+from models.classical.augmentation import with_lines_between
+from models.classical.axis_interpolation import fit_interpolation
+from models.classical.baselines import float_features
+from models.classical.fit import GpConfig, InterpolationConfig, MlpConfig, TreesConfig
+from pipeline.recordings.folder import SAMPLE, read_folder
+from pipeline.recordings.windows import labelled_windows
 
 OFFSETS = np.array([-15.0, -12.5, -10.0, -7.5, -5.0, -2.5, 2.5, 5.0, 7.5, 10.0, 12.5, 15.0])
 SLIDES = labelled_slides(interpolation.DIRECTIONS_DEG, OFFSETS)

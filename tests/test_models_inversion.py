@@ -7,10 +7,10 @@ import pytest
 import torch
 from bump_map import bump_map
 
+from models.cnn.inversion import Inversion, cramer_rao
+from models.cnn.training_windows import SynthesisConfig, WindowSource
 from models.intervals import angle_error_deg
-from models.inversion import Inversion, cramer_rao
-from models.synthetic_windows import SynthesisConfig, WindowSource
-from pipeline.dataset import LabelledWindows
+from pipeline.recordings.windows import LabelledWindows
 
 BLOCK_S = 0.02
 WHOLE = SynthesisConfig(

@@ -7,11 +7,11 @@ import pytest
 from bump_map import bump_map
 from calibration_slides import slides_of
 
-from features.conditioning import BlockMean, Conditioning
-from features.track import track
-from models.calibration import CalibrationSlide
-from models.lag import TAU_S, retardation_s
-from pipeline.lag import standard_solid
+from features.stream.conditioning import BlockMean, Conditioning
+from features.stream.tracker import track
+from models.response_map.calibrate import CalibrationSlide
+from models.response_map.lag import TAU_S, retardation_s
+from pipeline.synthesis.viscoelastic_lag import standard_solid
 
 DELAYED, TAUS = 0.15, (0.05, 0.2, 0.6)
 

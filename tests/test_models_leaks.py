@@ -5,15 +5,15 @@ import pytest
 import torch
 from bump_map import bump_map
 
-from models.bundle import write_bundle
-from models.calibration import CalibrationConfig
-from models.cnn import CnnConfig, fit_cnn
-from models.network import NetworkConfig
-from models.refinement import RefinementConfig
-from models.synthetic_windows import SynthesisConfig, WindowSource
-from models.training import TrainingConfig
-from pipeline.dataset import labelled_windows
-from pipeline.recordings import SAMPLE, read_folder
+from models.cnn.fit import CnnConfig, fit_cnn
+from models.cnn.gauss_newton import RefinementConfig
+from models.cnn.network import NetworkConfig
+from models.cnn.training import TrainingConfig
+from models.cnn.training_windows import SynthesisConfig, WindowSource
+from models.export.bundle import write_bundle
+from models.response_map.calibrate import CalibrationConfig
+from pipeline.recordings.folder import SAMPLE, read_folder
+from pipeline.recordings.windows import labelled_windows
 from serve.localizer import Localizer
 
 NUMBERS = ("direction_deg", "speed_mm_s", "offset_mm", "x_mm", "y_mm")

@@ -6,7 +6,7 @@ import onnxruntime as ort
 import torch
 from onnx import TensorProto, helper, numpy_helper
 
-from models.packing import LEAST, pack, rounded, unpack
+from models.graph.packing import LEAST, pack, rounded, unpack
 
 
 def dense(weights: np.ndarray) -> onnx.ModelProto:

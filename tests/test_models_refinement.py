@@ -6,9 +6,9 @@ import torch
 from bump_map import REFERENCE_MM, bump_map
 
 from features.window import WINDOW_BINS
-from models.prediction import BINS
-from models.refinement import FLOOR_SHARE, PEAK_SHARE, Refinement, RefinementConfig, bin_means
-from models.synthetic_windows import SynthesisConfig, WindowSource
+from models.cnn.forward_model import BINS
+from models.cnn.gauss_newton import FLOOR_SHARE, PEAK_SHARE, Refinement, RefinementConfig, bin_means
+from models.cnn.training_windows import SynthesisConfig, WindowSource
 
 BLOCK_S = 0.02
 WHOLE = SynthesisConfig(complete=1.0, paused=0.0, midway=0.0, depth_mm=0.0)

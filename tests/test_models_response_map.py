@@ -9,8 +9,8 @@ from calibration_slides import slides_of
 from hypothesis import given
 from hypothesis import strategies as st
 
-from models.calibration import CalibrationConfig, calibrate
-from models.response_map import spline_basis, spline_coefficients
+from models.response_map.calibrate import CalibrationConfig, calibrate
+from models.response_map.map import spline_basis, spline_coefficients
 
 HALF_MM = 30.0
 

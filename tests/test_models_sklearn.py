@@ -9,10 +9,10 @@ from sklearn.preprocessing import StandardScaler
 from sklearn.utils.estimator_checks import parametrize_with_checks
 from slide_windows import labelled_slides
 
-from features.vector import feature_names
-from models.axis_interpolation import AxisInterpolation
-from models.interpolation import DIRECTIONS_DEG
-from models.window_features import WindowFeatures, flat_windows, split_rows
+from features.vector.feature_vector import feature_names
+from models.classical.axis_interpolation import AxisInterpolation
+from models.classical.interpolation import DIRECTIONS_DEG
+from models.classical.sklearn_api import WindowFeatures, flat_windows, split_rows
 
 # The checks' tables have 1 to 30 columns: `pad` reads them as windows of which most channels are not wired.
 ESTIMATORS = [

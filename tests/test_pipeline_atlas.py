@@ -6,13 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-import pipeline.solve
+import pipeline.atlas.solve
 import softslide
 from features.errors import InputError
-from pipeline.atlas import DEFAULT_ATLAS, DEFAULT_SENSOR, Atlas, check_atlas, read_atlas, write_atlas
+from pipeline.atlas.atlas import DEFAULT_ATLAS, DEFAULT_SENSOR, Atlas, check_atlas, read_atlas, write_atlas
+from pipeline.atlas.solve import Grid, solve_atlas
 from pipeline.sensor import Accelerometer, MeshSize, design_hash, read_sensor
-from pipeline.skin.survey import join_families
-from pipeline.solve import Grid, solve_atlas
+from pipeline.skin.lines import join_families
 
 QUICK = Grid(depth_mm=(0.5,), line_mm=6.0, steps_per_line=5)
 
@@ -177,7 +177,7 @@ def test_a_failed_position_is_reported_and_left_out(quick, monkeypatch):
 
 
 def test_a_solved_atlas_answers_between_its_lines_as_the_solver_does(quick):
-    from pipeline.skin.survey import Line, skin_of, solve_line
+    from pipeline.skin.lines import Line, skin_of, solve_line
 
     sensor = quick_sensor()
     level = float(quick.pressure_mpa[0])
@@ -299,7 +299,7 @@ def test_default_atlas_gives_more_signal_with_more_pressure(default):
 )
 def test_default_atlas_answers_lines_it_was_not_solved_on(default, start, heading, depth, height):
     """Root mean square and largest error in g against the solver, between lines, depths, levels, askew."""
-    from pipeline.skin.survey import gravity, skin_of
+    from pipeline.skin.lines import gravity, skin_of
 
     sensor = read_sensor(DEFAULT_SENSOR)
     skin = skin_of(sensor)

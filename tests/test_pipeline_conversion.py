@@ -16,12 +16,12 @@ from hypothesis.extra import numpy as hnp
 from lab_files import FORMATS, RATE_HZ, a_sensor, slide, write_lab
 
 from features.errors import InputError
-from pipeline.importers.clock import ClockReport, Uneven, checked, kept, resampled, seconds, whole
-from pipeline.importers.conversion import POSITIONS, converter, read_calibration
-from pipeline.importers.delimited import CsvLayout, read_delimited
-from pipeline.importers.mapping import Board, Clock, Map, Signal, read_map
+from pipeline.importers.import_map import Board, Clock, Map, Signal, read_map
+from pipeline.importers.readers.delimited import CsvLayout, read_delimited
+from pipeline.importers.resampling import ClockReport, Uneven, checked, kept, resampled, seconds, whole
 from pipeline.importers.run import import_recordings
-from pipeline.recordings import read_folder
+from pipeline.importers.units import POSITIONS, converter, read_calibration
+from pipeline.recordings.folder import read_folder
 
 TURN_90 = np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1]])
 quick = settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -261,7 +261,7 @@ def test_any_map_is_read_or_refused_in_one_line(tmp_path: Path, changes: dict) -
 LARGE = """
 import sys
 from pathlib import Path
-from pipeline.importers.mapping import read_map
+from pipeline.importers.import_map import read_map
 from pipeline.importers.run import import_recordings
 
 root = Path(sys.argv[1])

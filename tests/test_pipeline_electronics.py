@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from scipy.signal import freqz, welch
 
-from pipeline.atlas import DEFAULT_SENSOR
-from pipeline.electronics import (
+from pipeline.atlas.atlas import DEFAULT_SENSOR
+from pipeline.sensor import Accelerometer, read_sensor
+from pipeline.synthesis.electronics import (
     BANDWIDTH_HZ,
     NOISE_G_RTHZ,
     SUPPLY_V,
@@ -18,7 +19,6 @@ from pipeline.electronics import (
     low_pass_pole,
     volts,
 )
-from pipeline.sensor import Accelerometer, read_sensor
 
 SENSOR = read_sensor(DEFAULT_SENSOR)
 IDEAL = replace(ideal_electronics(SENSOR), adc_step_v=0.0)

@@ -11,11 +11,11 @@ import pytest
 from lab_files import FORMATS, Format, a_sensor, slide, write_lab, write_two_topics
 
 import softslide
-from pipeline.health import examine
+from pipeline.checks.findings import examine
 from pipeline.importers import run
-from pipeline.importers.mapping import KINDS, read_map, template
+from pipeline.importers.import_map import KINDS, read_map, template
 from pipeline.importers.run import import_recordings
-from pipeline.recordings import SAMPLE, read_folder
+from pipeline.recordings.folder import SAMPLE, read_folder
 from pipeline.sensor import Accelerometer, write_sensor
 
 HAPMAT = Path(__file__).parents[1].parent / "shared" / "recordings" / "hapmat"

@@ -6,10 +6,10 @@ import pytest
 
 import softslide
 from features.errors import InputError
-from pipeline.atlas import DEFAULT_SENSOR
+from pipeline.atlas.atlas import DEFAULT_SENSOR
+from pipeline.atlas.solve import Grid, coarse, solve_atlas
 from pipeline.sensor import check_design, design_hash, read_sensor
 from pipeline.skin.mesh import skin_mesh
-from pipeline.solve import Grid, coarse, solve_atlas
 
 PLAIN = """name = "s"
 sample_rate_hz = 1000.0

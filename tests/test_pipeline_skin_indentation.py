@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from features.errors import InputError
-from pipeline.atlas import DEFAULT_ATLAS, Atlas, read_atlas
-from pipeline.indentation import find_indentation, height_by_atlas, height_by_formula
+from pipeline.atlas.atlas import DEFAULT_ATLAS, Atlas, read_atlas
+from pipeline.atlas.static_contact import find_indentation, height_by_atlas, height_by_formula
 
 
 @pytest.fixture(scope="module")

@@ -12,9 +12,9 @@ from pipeline.sensor import Accelerometer, MeshSize, Sensor
 from pipeline.skin import material
 from pipeline.skin.anderson import AndersonMixing
 from pipeline.skin.linear import linear_solver
+from pipeline.skin.lines import Line, gravity, mirror, solve_line
 from pipeline.skin.mesh import Mesh, plate, skin_mesh
 from pipeline.skin.solver import NoEquilibrium, Skin
-from pipeline.skin.survey import Line, gravity, mirror, solve_line
 from pipeline.skin.system import Load, Material, State, System
 
 ECOFLEX = Material(0.07 / 3, 2.0, 0.2, 3.0)

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from pipeline.sensor import Accelerometer, Sensor
+from pipeline.skin.lines import Line, gravity, solve_line
 from pipeline.skin.mesh import skin_mesh
 from pipeline.skin.solver import Skin
-from pipeline.skin.survey import Line, gravity, solve_line
 from pipeline.skin.system import Material
 
 mujoco = pytest.importorskip("mujoco")

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
+from experiments.bench.felupe_path import board_elements, felupe_path
 from pipeline.sensor import Accelerometer, MeshSize, Sensor
-from pipeline.skin.felupe_path import board_elements, felupe_path
+from pipeline.skin.lines import gravity
 from pipeline.skin.mesh import skin_mesh
 from pipeline.skin.solver import Skin
-from pipeline.skin.survey import gravity
 from pipeline.skin.system import Material
 
 fem = pytest.importorskip("felupe")

@@ -14,17 +14,17 @@ from scipy.spatial.transform import Rotation
 
 import softslide
 from features.errors import InputError
-from pipeline.atlas import Atlas, read_atlas, write_atlas
-from pipeline.board_gravity import in_tilted_device, upright
-from pipeline.distribution import SPLITS, Distribution
-from pipeline.health import examine
-from pipeline.lag import standard_solid
-from pipeline.motion import Stroke
-from pipeline.recordings import read_folder
+from pipeline.atlas.atlas import Atlas, read_atlas, write_atlas
+from pipeline.checks.findings import examine
+from pipeline.checks.zone_signs import sign_agreement
+from pipeline.recordings.folder import read_folder
 from pipeline.sensor import Accelerometer, design_hash, design_of
-from pipeline.skin.survey import gravity
-from pipeline.slide_plan import Slide, crossing
-from pipeline.synthesis import (
+from pipeline.skin.lines import gravity
+from pipeline.synthesis.board_gravity import in_tilted_device, upright
+from pipeline.synthesis.distribution import SPLITS, Distribution
+from pipeline.synthesis.motion import Stroke
+from pipeline.synthesis.slide_plan import Slide, crossing
+from pipeline.synthesis.synthesize import (
     Device,
     ideal_device,
     noise_of,
@@ -34,8 +34,8 @@ from pipeline.synthesis import (
     synthesize,
     synthetic_slides,
 )
-from pipeline.upsampling import upsampled
-from pipeline.wiring import sign_agreement
+from pipeline.synthesis.upsampling import upsampled
+from pipeline.synthesis.viscoelastic_lag import standard_solid
 
 ATLAS = read_atlas()
 SENSOR = sensor_of(ATLAS)
@@ -340,7 +340,7 @@ def test_an_atlas_of_another_version_or_design_and_an_unwritable_out_are_one_lin
     write_atlas(replace(small, meta={**ATLAS.meta, "version": 99}), old)
     write_atlas(replace(small, meta=two_boards().meta), other)
     file.write_text("")
-    sensor = str(Path("pipeline/default_sensor.toml").resolve())
+    sensor = str(Path("pipeline/atlas/default_sensor.toml").resolve())
     for arguments, words in (
         (["--atlas", str(old), "--out", str(tmp_path / "d")], "version 99"),
         (["--atlas", str(other), "--sensor", sensor, "--out", str(tmp_path / "d")], "another design"),

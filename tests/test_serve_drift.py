@@ -4,12 +4,12 @@ from pathlib import Path
 
 import pytest
 
-from experiments.injection import study
-from models.bundle import write_bundle
-from models.cnn import CnnConfig, fit_cnn
-from models.training import TrainingConfig
-from pipeline.dataset import labelled_windows
-from pipeline.recordings import read_folder
+from experiments.studies.sensor_drift import study
+from models.cnn.fit import CnnConfig, fit_cnn
+from models.cnn.training import TrainingConfig
+from models.export.bundle import write_bundle
+from pipeline.recordings.folder import read_folder
+from pipeline.recordings.windows import labelled_windows
 
 BENCH = Path(__file__).parents[1].parent / "shared" / "recordings" / "bench-a"
 

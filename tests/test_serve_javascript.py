@@ -14,9 +14,9 @@ from small_bundle import resigned, write_small_bundle
 from streams import a_sensor
 
 from features.card import read_card, write_card
-from models.export import export_graph
-from models.network import NetworkConfig, Proposal, SlideNetwork
-from models.refinement import Refinement
+from models.cnn.gauss_newton import Refinement
+from models.cnn.network import NetworkConfig, Proposal, SlideNetwork
+from models.graph.from_torch import export_graph
 
 PACKAGE = "onnxruntime-node@1.30.0"
 

@@ -18,9 +18,9 @@ from streams import RATE_HZ, a_sensor, pass_over, still, stream
 import softslide
 from features.errors import InputError
 from features.track_filter import TrackFilter
-from serve.framing import framing_of
 from serve.localizer import Localizer
 from serve.records import record
+from serve.stream.framing import framing_of
 
 VOLTS = stream(still(0.6), pass_over(1.0), still(0.4))
 TIME_S = np.arange(len(VOLTS)) / RATE_HZ

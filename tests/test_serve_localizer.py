@@ -15,7 +15,7 @@ from streams import GRAVITY_V, RATE_HZ, ZERO_V, a_sensor, pass_over, still, stre
 from features.card import Validity
 from features.errors import InputError
 from features.estimate import Estimate
-from features.track import State
+from features.stream.tracker import State
 from serve.localizer import Localizer
 
 TWO_SLIDES = stream(still(0.6), pass_over(1.2), still(0.8), pass_over(0.7), still(0.5))

@@ -8,8 +8,8 @@ import numpy as np
 import pandas as pd
 
 from features.errors import InputError
-from pipeline.importers.mapping import Label, Map
-from pipeline.recordings import LABELS
+from pipeline.importers.import_map import Label, Map
+from pipeline.recordings.folder import LABELS
 
 Row = dict[str, str | float]
 

@@ -22,19 +22,19 @@ from tqdm import tqdm
 
 from features.clock import check_clock
 from features.errors import InputError
-from pipeline.importers.clock import Samples
-from pipeline.importers.conversion import converter
-from pipeline.importers.journal import Journal, fingerprint, size_bytes
+from pipeline.checks.zone_signs import sign_agreement, start_mm
+from pipeline.importers.import_map import KINDS, Map
 from pipeline.importers.labels import Row, label_columns, label_row, read_sheet, recording_name
-from pipeline.importers.mapping import KINDS, Map
-from pipeline.importers.notes import clock_notes, inverted, mounting_notes
+from pipeline.importers.messages import clock_notes, inverted, mounting_notes
 from pipeline.importers.onset import INSIDE_MM, onset_s
+from pipeline.importers.resampling import Samples
+from pipeline.importers.resume import Journal, fingerprint, size_bytes
 from pipeline.importers.streams import Source, write_even
-from pipeline.recordings import Recording, check_manifest, write_manifest
+from pipeline.importers.units import converter
+from pipeline.recordings.folder import Recording, check_manifest, write_manifest
+from pipeline.recordings.slide_file import read_slide, read_slide_in_blocks, write_slide_in_blocks
 from pipeline.sensor import Sensor, write_sensor
-from pipeline.slides import read_slide, read_slide_in_blocks, write_slide_in_blocks
 from pipeline.staging import staged
-from pipeline.wiring import sign_agreement, start_mm
 
 # Signs and onsets look at a slide as a whole; a longer one than this (half an hour at 1 kHz) is left out.
 WHOLE_SAMPLES = 2_000_000

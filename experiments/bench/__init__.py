@@ -1,0 +1,1 @@
+"""What making data costs, beside a foreign solver."""

@@ -1,0 +1,1 @@
+"""Every model side by side on the same recordings."""

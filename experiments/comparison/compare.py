@@ -1,0 +1,161 @@
+"""One table with every baseline: fitted to the same calibration slides, read out alike on the same test slides.
+
+python -m experiments.comparison.compare --recordings DIR [DIR ...] --out DIR [--models NAME ...] [--jobs N]
+
+Writes comparison.csv, comparison.md, times.csv, efficiency.csv and figures. Below OUT each folder of recordings has
+its bundles and readouts; what an earlier run has left there, of the same configuration and data, is taken up again.
+"""
+
+import argparse
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import torch
+
+from experiments.comparison import efficiency
+from experiments.comparison import figures as comparison_figures
+from experiments.comparison.peers import MODELS, Study, kept, map_settings, read_out
+from experiments.comparison.table import error_rows, markdown
+from experiments.evaluation.scoring import score
+from features.errors import InputError
+
+
+@dataclass
+class Findings:
+    """One folder's rows of comparison.csv, times.csv and efficiency.csv, and the models left out, with the reason."""
+
+    sensor: str
+    errors: list[dict[str, Any]] = field(default_factory=list)
+    times: list[dict[str, Any]] = field(default_factory=list)
+    ratios: list[pd.DataFrame] = field(default_factory=list)
+    left_out: dict[str, str] = field(default_factory=dict)
+
+
+def compare(recordings: Sequence[Path], out: Path, models: Sequence[str] = MODELS, jobs: int = 1) -> None:
+    """Fits, reads out and scores every model on every folder, and writes tables and figures into `out`.
+
+    Raises:
+        InputError: an unknown model, a folder that is none, two of the same name, or no model that suits a folder.
+    """
+    if unknown := [name for name in models if name not in MODELS]:
+        raise InputError(f"no model '{unknown[0]}'; name some of {', '.join(MODELS)}")
+    names = [folder.resolve().name for folder in recordings]
+    if twice := [name for name in names if names.count(name) > 1]:
+        raise InputError(f"{twice[0]}: two folders of this name, which results go by; rename one")
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{out}: cannot be written ({error.strerror}); name another folder") from None
+    # At these sizes threads wait for each other more than they work.
+    torch.set_num_threads(1)
+    store = f"sqlite:///{out / 'mlflow.db'}"
+    studies = [Study(folder, out / name, store, jobs) for folder, name in zip(recordings, names, strict=True)]
+    for study in studies:
+        # Both are read before minutes are spent on either.
+        _ = study.taught, study.scored
+    found = {study.place.name: compare_on(study, models) for study in studies}
+    _write(found, out)
+
+
+def compare_on(study: Study, models: Sequence[str]) -> Findings:
+    """One folder's figures. A model that its sensor does not suit is left out.
+
+    Raises:
+        InputError: no model suits it.
+    """
+    name, found, scored = study.place.name, Findings(study.scored.sensor.name), {}
+    for model in models:
+        print(f"{name}: {model}", file=sys.stderr)
+        try:
+            readout = read_out(study, model)
+        except InputError as error:
+            print(f"{name}: {model} is left out: {error}", file=sys.stderr)
+            found.left_out[model] = str(error)
+            continue
+        scored[model] = score(readout.table, study.scored.manifest, study.scored.sensor)
+        head = {"folder": name, "model": model}
+        found.errors += [head | row for row in error_rows(scored[model])]
+        window_ms, one_node_ms = readout.window_ms, readout.one_node_ms
+        times = {"window_ms": window_ms, "one_node_ms": one_node_ms, "ratio": window_ms / one_node_ms}
+        found.times.append(head | times)
+    if not scored:
+        raise InputError(f"{study.recordings}: {next(iter(found.left_out.values()))}")
+    if against := [model for model in efficiency.COMPARED if model in scored]:
+        bounds = _bounds(study)
+        for model in against:
+            ratios = efficiency.ratios(scored[model], bounds)
+            ratios.insert(0, "folder", name)
+            ratios.insert(1, "model", model)
+            found.ratios.append(ratios)
+    return found
+
+
+def _bounds(study: Study) -> pd.DataFrame:
+    def made() -> tuple[pd.DataFrame, dict[str, float]]:
+        print(f"{study.place.name}: the Cramer-Rao bound", file=sys.stderr)
+        return efficiency.bound(
+            study.device.maps.response, study.device.conditioning.block_s, study.windows
+        ), {}
+
+    return kept(study.place / "bound", {"map": map_settings(), **study.hashes}, made)[0]
+
+
+def _write(found: dict[str, Findings], out: Path) -> None:
+    errors = pd.DataFrame([row for findings in found.values() for row in findings.errors])
+    # Model by model within each split, in the order in which they were named.
+    errors["model"] = pd.Categorical(errors["model"], errors["model"].unique())
+    errors = errors.sort_values(["folder", "split", "model", "stroke_fraction"])
+    times = pd.DataFrame([row for findings in found.values() for row in findings.times])
+    parts = [part for findings in found.values() for part in findings.ratios]
+    ratios = pd.concat(parts, ignore_index=True) if parts else pd.DataFrame(columns=["folder"])
+    for name, table in (("comparison", errors), ("times", times), ("efficiency", ratios)):
+        table.to_csv(out / f"{name}.csv", index=False, float_format="%.6g", lineterminator="\n")
+    text = []
+    for folder, findings in found.items():
+        e, t, r = (table[table["folder"] == folder] for table in (errors, times, ratios))
+        text.append(markdown(findings.sensor, e, t, r, findings.left_out))
+        (out / f"errors-{folder}.svg").write_text(comparison_figures.errors(e), encoding="utf-8")
+        if len(r):
+            (out / f"efficiency-{folder}.svg").write_text(comparison_figures.efficiency(r), encoding="utf-8")
+    (out / "comparison.md").write_text("\n".join(text), encoding="utf-8")
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Runs the comparison; returns 0, or 2 on bad input."""
+    parser = argparse.ArgumentParser(
+        prog="python -m experiments.comparison.compare", description=__doc__.split("\n\n")[0]
+    )
+    parser.add_argument(
+        "--recordings", type=Path, nargs="+", required=True, metavar="DIR", help="folders, one sensor each"
+    )
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="where everything goes")
+    parser.add_argument(
+        "--models",
+        nargs="+",
+        default=list(MODELS),
+        metavar="NAME",
+        help=f"of {', '.join(MODELS)} (default: all)",
+    )
+    parser.add_argument(
+        "--jobs",
+        type=int,
+        default=1,
+        metavar="N",
+        help="recordings a bundle reads at a time (default: %(default)s)",
+    )
+    arguments = parser.parse_args(argv)
+    try:
+        compare(arguments.recordings, arguments.out, arguments.models, arguments.jobs)
+    except InputError as error:
+        print(f"compare: {error}", file=sys.stderr)
+        return 2
+    print(arguments.out / "comparison.md")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

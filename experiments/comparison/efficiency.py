@@ -1,0 +1,65 @@
+"""How near an estimator's errors come to the least that any can have: the Cramer-Rao bound of the calibrated map.
+
+The bound is worked out at each window's true line with gain, zero and depth unknown within their spread, and holds for
+the map and the noise that the calibration found: a device that repeats better than its calibration says may pass it.
+"""
+
+import math
+from itertools import pairwise
+
+import numpy as np
+import pandas as pd
+
+from experiments.evaluation.scoring import turn
+from models.cnn.inversion import cramer_rao
+from models.response_map.map import ResponseMap
+from pipeline.recordings.windows import LabelledWindows
+
+# Estimators of the map's line, which the bound is one of.
+COMPARED = ("inversion", "cnn")
+QUANTITIES = ("direction_deg", "log_speed", "offset_mm")
+DISTANCE_MM = (0.0, 5.0, 10.0, 15.0, 22.5)
+EARLIEST = 0.2
+# The bound is taken at the calibration's contact depth; slides of other depths have another.
+SAME_DEPTH_MM = 0.02
+
+
+def bound(response: ResponseMap, block_s: float, windows: LabelledWindows) -> pd.DataFrame:
+    """One row a window of the calibration's depth: `recording`, `stroke_fraction`, and the least deviations, as
+    `<quantity>_bound`."""
+    known = (np.abs(windows.depth_mm - response.depth_mm) <= SAME_DEPTH_MM) & (
+        windows.stroke_fraction > EARLIEST - 0.05
+    )
+    windows = windows[known]
+    least = cramer_rao(response, block_s, windows)
+    return pd.DataFrame(
+        {"recording": windows.recording, "stroke_fraction": windows.stroke_fraction}
+        | {f"{name}_bound": column for name, column in zip(QUANTITIES, least.T, strict=True)}
+    )
+
+
+def ratios(scored: pd.DataFrame, bounds: pd.DataFrame) -> pd.DataFrame:
+    """Rms errors, rms bounds and their ratios over each bin of distance and each stroke fraction.
+
+    scored: from `scoring.score`; only its valid estimates count, and their bounds alone.
+    """
+    keys = ["recording", "stroke_fraction"]
+    table = scored[scored["valid"].astype(bool)].round({"stroke_fraction": 3})
+    table = table.merge(bounds.round({"stroke_fraction": 3}), on=keys)
+    errors: dict[str, pd.Series] = {
+        "direction_deg": turn(table["direction_deg"] - table["true_direction_deg"]),
+        "log_speed": (table["speed_mm_s"] / table["true_speed_mm_s"]).map(math.log),
+        "offset_mm": table["offset_mm"] - table["true_offset_mm"],
+    }
+    names = [f"{low:g}-{high:g}" for low, high in pairwise(DISTANCE_MM)]
+    table["distance_mm"] = pd.cut(
+        table["true_offset_mm"].abs(), DISTANCE_MM, labels=names, include_lowest=True
+    )
+    squares = {f"{name}_rms": errors[name] ** 2 for name in QUANTITIES}
+    squares |= {f"{name}_bound": table[f"{name}_bound"] ** 2 for name in QUANTITIES}
+    groups = table.assign(**squares).groupby(["distance_mm", "stroke_fraction"], observed=True)
+    result = groups[list(squares)].mean() ** 0.5
+    for name in QUANTITIES:
+        result[f"{name}_ratio"] = result[f"{name}_rms"] / result[f"{name}_bound"]
+    result.insert(0, "n", groups.size())
+    return result.reset_index().astype({"distance_mm": str})

@@ -1,0 +1,99 @@
+"""MiniRocket (Dempster, Schmidt, Webb 2021) with ridge regression as a peer, in an environment of its own.
+
+aeon holds numba, numpy and pandas below what this project uses. Nothing of either is mixed: arrays go over in files.
+"""
+
+import os
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+from features.errors import InputError
+from features.vector.energy import energy_clock, tilt_outputs
+from models.classical.baselines import OUTPUTS, targets
+from pipeline.atlas.library import cache_folder
+from pipeline.recordings.windows import LabelledWindows
+
+PACKAGES = (
+    "aeon==1.6.0",
+    "numba==0.63.1",
+    "numpy==2.3.5",
+    "pandas==3.0.6",
+    "scikit-learn==1.9.1",
+    "scipy==1.17.1",
+)
+SCRIPT = Path(__file__).with_name("minirocket_regressor.py")
+ONE_THREAD = {f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "NUMBA")}
+
+
+def fit_and_predict(taught: LabelledWindows, volts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Fits to the taught windows: rows (m, 4) of `OUTPUTS` for windows volts (m, 3 A, 64) V.
+
+    Also the time (w,) in s that each of the first windows took on its own.
+
+    Raises:
+        InputError: the environment cannot be built.
+    """
+    python = environment()
+    with tempfile.TemporaryDirectory() as folder:
+        given, found = Path(folder) / "given.npz", Path(folder) / "found.npz"
+        waves, scales = shape_and_scale(taught.volts)
+        asked_waves, asked_scales = shape_and_scale(volts)
+        np.savez(
+            given,
+            waves=waves,
+            scales=scales,
+            targets=targets(taught),
+            asked_waves=asked_waves,
+            asked_scales=asked_scales,
+        )
+        subprocess.run(
+            [python, SCRIPT, given, found], env={**os.environ, **ONE_THREAD, "PYTHONPATH": ""}, check=True
+        )
+        with np.load(found) as file:
+            rows, window_s = file["rows"], file["window_s"]
+    assert rows.shape == (len(volts), len(OUTPUTS))
+    return rows, window_s
+
+
+def shape_and_scale(volts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """V_x and V_y over their peak (n, 2 A, 64) float32; the peak's and the energy width's logarithms (n, 2).
+
+    The width is a share of the window: nothing here has a unit of time, so no speed leaks in.
+    """
+    tilt = tilt_outputs(volts)
+    peak = np.abs(tilt).max(axis=(1, 2)) + 1e-9
+    _, width = energy_clock(tilt)
+    return (tilt / peak[:, None, None]).astype(np.float32), np.log(np.stack([peak, width], axis=1))
+
+
+def environment() -> Path:
+    """The Python of an environment with PACKAGES, built once and kept in the user's cache folder.
+
+    Raises:
+        InputError: it cannot be built.
+    """
+    folder = cache_folder() / "minirocket"
+    python, built = folder / "bin" / "python", folder / "built"
+    wanted = "\n".join(PACKAGES)
+    if built.exists() and built.read_text(encoding="utf-8") == wanted:
+        return python
+    print(f"minirocket: building its environment in {folder}", file=sys.stderr)
+    commands: list[list[str | Path]] = [
+        [sys.executable, "-m", "venv", "--clear", folder],
+        [python, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", *PACKAGES],
+    ]
+    for command in commands:
+        try:
+            subprocess.run(command, check=True, capture_output=True, text=True)
+        except (OSError, subprocess.CalledProcessError) as error:
+            said = (getattr(error, "stderr", None) or str(error)).strip().splitlines()[-1]
+            raise InputError(
+                f"{folder}: no environment for MiniRocket ({said}); leave it out with --models"
+            ) from None
+    # Written last: without it a half-built environment is built anew.
+    built.write_text(wanted, encoding="utf-8")
+    return python

@@ -1,0 +1,208 @@
+"""Every baseline fitted to one folder's calibration slides and read out on its test slides; what is done is kept."""
+
+import json
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from experiments import tracking
+from experiments.comparison import minirocket
+from experiments.evaluation.readout import predictions
+from experiments.evaluation.window_readout import window_card, window_predictions
+from experiments.train import design_of, train
+from features.card import Interval, Validity, read_card
+from features.errors import InputError
+from features.stream.conditioning import Conditioning
+from features.window import Window
+from models.classical import baselines
+from models.cnn.fit import CnnConfig
+from models.cnn.inversion import STARTS, Inversion
+from models.registry import default_config
+from models.response_map.lag import Device, calibrated_device
+from pipeline.recordings.folder import Folder, read_folder
+from pipeline.recordings.windows import LabelledWindows, labelled_windows
+from pipeline.staging import staged
+from serve.bench.runtime import one_node
+from serve.localizer import Localizer
+
+MODELS = ("interpolation", "trees", "mlp", "gp", "minirocket", "inversion", "cnn")
+# The inversion is believed by its own deviations, which are taken at their word: 90 % of a normal distribution.
+INVERSION_VALIDITY = Validity(misfit=20.0, direction_sd_deg=6.0, log_speed_sd=0.1)
+NORMAL = {name: Interval(1.645, 0.0) for name in ("direction_deg", "log_speed", "offset_mm")}
+# Windows whose time is taken: of what answers within a millisecond or so, and of the inversion.
+TIMED, TIMED_SLOW = 200, 20
+
+
+@dataclass(frozen=True)
+class Study:
+    """One folder's comparison: its recordings, and where what is made of them is kept.
+
+    store: an MLflow tracking URI. jobs: recordings that a bundle reads at a time.
+    """
+
+    recordings: Path
+    place: Path
+    store: str
+    jobs: int = 1
+
+    @cached_property
+    def taught(self) -> Folder:
+        """What every model is fitted to, and nothing else."""
+        return self._labelled("calibration", "train")
+
+    @cached_property
+    def scored(self) -> Folder:
+        """What every model is read out on."""
+        return self._labelled("test")
+
+    @cached_property
+    def windows(self) -> LabelledWindows:
+        """The scored slides at each stroke fraction, as a device saw them."""
+        return labelled_windows(self.scored)
+
+    @cached_property
+    def device(self) -> Device:
+        """What lies inside the default model: the same calibration once more, without its network."""
+        c = CnnConfig()
+        atlas = design_of(self.taught, None)
+        return calibrated_device(self.taught, atlas, c.conditioning, c.calibration, c.spread)
+
+    @cached_property
+    def hashes(self) -> dict[str, Any]:
+        """Of what is learnt from and what is scored."""
+        return {"taught": tracking.data_hashes(self.taught), "scored": tracking.data_hashes(self.scored)}
+
+    def _labelled(self, *splits: str) -> Folder:
+        folder = read_folder(self.recordings).select(*splits).labelled()
+        if not len(folder):
+            raise InputError(
+                f"{self.recordings / 'manifest.csv'}: no labelled slide of a split {' or '.join(splits)}*; add some"
+            )
+        return folder
+
+
+@dataclass(frozen=True)
+class Readout:
+    """A model's rows of `predictions.csv`, and the median time in ms of one window and of a one-node call beside it."""
+
+    table: pd.DataFrame
+    window_ms: float
+    one_node_ms: float
+
+
+def read_out(study: Study, model: str) -> Readout:
+    """One of MODELS at every stroke fraction of every scored slide; fitted first, where it is not yet.
+
+    Raises:
+        InputError: the model cannot be fitted to this sensor or these recordings.
+    """
+    of: dict[str, Any]
+    make: Callable[[Study], Readout]
+    match model:
+        case "inversion":
+            of, make = {"map": map_settings(), "starts": asdict(STARTS)}, _read_inversion
+        case "minirocket":
+            of, make = {"packages": minirocket.PACKAGES}, _read_minirocket
+        case _:
+            bundle = _trained(study, model)
+            graph = read_card(bundle / "model.json").graph_sha256
+            of, make = {"graph": graph}, lambda study: _read_bundle(study, bundle)
+
+    def made() -> tuple[pd.DataFrame, dict[str, float]]:
+        readout = make(study)
+        return readout.table, {"window_ms": readout.window_ms, "one_node_ms": readout.one_node_ms}
+
+    table, times = kept(study.place / model / "readout", {**of, **study.hashes}, made)
+    return Readout(table, **times)
+
+
+def kept(
+    place: Path, of: dict[str, Any], make: Callable[[], tuple[pd.DataFrame, dict[str, float]]]
+) -> tuple[pd.DataFrame, dict[str, float]]:
+    """The table and the figures that an earlier run made `of` the same and left in this place; else made now."""
+    table, note, of = place / "table.parquet", place / "made.json", json.loads(json.dumps(of))
+    if note.exists() and (made := json.loads(note.read_text(encoding="utf-8")))["of"] == of:
+        return pd.read_parquet(table), made["figures"]
+    rows, figures = make()
+    with staged(place) as scratch:
+        rows.to_parquet(scratch / table.name)
+        text = json.dumps({"of": of, "figures": figures}, indent=1)
+        (scratch / note.name).write_text(text + "\n", encoding="utf-8")
+    return rows, figures
+
+
+def map_settings() -> dict[str, Any]:
+    """What decides the calibrated map, besides the slides."""
+    config = CnnConfig()
+    return {name: asdict(getattr(config, name)) for name in ("conditioning", "calibration", "spread")}
+
+
+def _trained(study: Study, model: str) -> Path:
+    """The model's bundle; the one that is there, if it was made of the same configuration and data."""
+    bundle = study.place / model / "bundle"
+    settings = json.loads(json.dumps(asdict(default_config(model))))
+    if (bundle / "model.json").exists():
+        made = read_card(bundle / "model.json").provenance
+        if made["data"] == study.hashes["taught"] and made["configuration"]["settings"] == settings:
+            return bundle
+    return train(study.recordings, bundle, model, store=study.store).bundle
+
+
+def _read_bundle(study: Study, bundle: Path) -> Readout:
+    localizer = Localizer.load(bundle)
+
+    def one(volts: np.ndarray, elapsed_s: np.ndarray) -> None:
+        localizer.infer(localizer.inputs(Window(volts[0], float(elapsed_s[0]))))
+
+    table = pd.concat(predictions(bundle, study.scored, study.jobs), ignore_index=True)
+    return Readout(table, *_times_ms(one, study.windows, TIMED))
+
+
+def _read_inversion(study: Study) -> Readout:
+    conditioning = study.device.conditioning
+    inversion = Inversion(study.device.maps.response, conditioning.block_s)
+    sensor = study.scored.sensor
+    card = window_card("inversion", inversion.outputs, sensor, conditioning, INVERSION_VALIDITY, NORMAL)
+    table = window_predictions(inversion.predict, card, study.scored)
+    return Readout(table, *_times_ms(inversion.predict, study.windows, TIMED_SLOW))
+
+
+def _read_minirocket(study: Study) -> Readout:
+    taught = baselines.taught(labelled_windows(study.taught))
+    validity = Validity(offset_mm=float(np.abs(taught.offset_mm).max()) + 1.5)
+    card = window_card("minirocket", baselines.OUTPUTS, study.scored.sensor, Conditioning(), validity)
+    window_s = np.empty(0)
+
+    def predict(volts: np.ndarray, elapsed_s: np.ndarray) -> np.ndarray:
+        nonlocal window_s
+        rows, window_s = minirocket.fit_and_predict(taught, volts)
+        return rows
+
+    table = window_predictions(predict, card, study.scored)
+    _, one_node_ms = _times_ms(lambda volts, elapsed_s: None, study.windows, TIMED)
+    return Readout(table, 1e3 * float(np.median(window_s)), one_node_ms)
+
+
+def _times_ms(
+    one: Callable[[np.ndarray, np.ndarray], object], windows: LabelledWindows, count: int
+) -> tuple[float, float]:
+    """Median time of `one` on single windows, volts (1, C, 64) V and elapsed_s (1,) s, and of a one-node graph.
+
+    In turns, so that a busy machine slows both alike.
+    """
+    bare, times_s = one_node(), []
+    for n in np.linspace(0, len(windows) - 1, count).astype(int):
+        moments = [time.perf_counter()]
+        one(windows.volts[n : n + 1], windows.elapsed_s[n : n + 1])
+        moments.append(time.perf_counter())
+        bare()
+        moments.append(time.perf_counter())
+        times_s.append(np.diff(moments))
+    window_ms, one_node_ms = 1e3 * np.median(times_s, axis=0)
+    return float(window_ms), float(one_node_ms)

@@ -1,0 +1,1 @@
+"""Batch evaluation of a bundle: read out, scored, held against the bounds, reported."""

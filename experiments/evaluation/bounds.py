@@ -1,0 +1,157 @@
+"""The article's bounds: read from `bounds.toml`, and held against scored predictions."""
+
+import tomllib
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from experiments.evaluation.scoring import AXIS_TOLERANCE_DEG, ESTIMATES, QUANTITIES, turn
+from features.errors import InputError
+
+BOUNDS = Path(__file__).parent / "bounds.toml"
+ANY = (0.0, float("inf"))
+# The article's stroke over the inflated area, section 5.3.
+INFLATED_MM = 50.0
+
+
+@dataclass(frozen=True)
+class Bound:
+    """One promise of the article, and the slides it is made for; the keys are explained in `bounds.toml`."""
+
+    name: str
+    quantity: str
+    limit: float
+    says: str
+    source: str
+    x_offset_mm: tuple[float, float] | None = None
+    y_offset_mm: tuple[float, float] | None = None
+    speed_mm_s: tuple[float, float] = ANY
+    depth_mm: tuple[float, float] = ANY
+    after_travel_mm: dict[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if self.quantity not in QUANTITIES:
+            raise ValueError(f"quantity is '{self.quantity}'; known are {', '.join(QUANTITIES)}")
+        if not self.limit > 0:
+            raise ValueError(f"limit is {self.limit}; it must be positive")
+        if self.x_offset_mm is None and self.y_offset_mm is None:
+            raise ValueError("neither x_offset_mm nor y_offset_mm is given; it would hold for no slide")
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """A bound held against recordings. Errors in the quantity's unit; `worst` names the worst recording.
+
+    met: None where the bound is not tested: no recording meets its conditions, or the model estimates other
+    quantities and never this one (`estimated` is false). missing: rows within the conditions that hold no valid
+    estimate; one is enough to miss the bound, since the article promises an estimate there.
+    """
+
+    bound: Bound
+    met: bool | None
+    recordings: int
+    missing: int
+    mean: float | None
+    max: float | None
+    worst: str | None
+    estimated: bool = True
+
+    def line(self) -> str:
+        """The verdict in one line, with the largest error and the worst recording."""
+        head = f"{self.bound.name}, below {self.bound.limit:g} {QUANTITIES[self.bound.quantity]}:"
+        if self.met is None:
+            return f"{head} not tested, {self.why_untested}"
+        verdict = "met" if self.met else "MISSED"
+        gaps = f", {self.missing} without a valid estimate" if self.missing else ""
+        largest = "" if self.max is None else f", {self.max:.3g} at most"
+        return f"{head} {verdict}{largest} in {self.recordings} recordings{gaps}; worst {self.worst}"
+
+    @property
+    def why_untested(self) -> str:
+        """What keeps a bound from being tested."""
+        return "no such recording" if self.estimated else "this model does not estimate it"
+
+    def as_json(self) -> dict[str, Any]:
+        """The verdict for `metrics.json`."""
+        return {
+            "name": self.bound.name,
+            "says": self.bound.says,
+            "source": self.bound.source,
+            "quantity": self.bound.quantity,
+            "unit": QUANTITIES[self.bound.quantity],
+            "limit": self.bound.limit,
+            "measured": self.max,
+            "mean": self.mean,
+            "worst": self.worst,
+            "recordings": self.recordings,
+            "missing": self.missing,
+            "pass": self.met,
+            "untested": self.why_untested if self.met is None else None,
+        }
+
+
+def read_bounds(path: Path = BOUNDS) -> tuple[Bound, ...]:
+    """Reads the bounds.
+
+    Raises:
+        InputError: an unknown or missing key, or a value that is none.
+    """
+    known = [f.name for f in fields(Bound)]
+    bounds = []
+    for n, row in enumerate(tomllib.loads(path.read_text(encoding="utf-8")).get("bound", []), 1):
+        if unknown := sorted(set(row) - set(known)):
+            raise InputError(f"{path}: [[bound]] {n}: unknown key '{unknown[0]}'; known: {', '.join(known)}")
+        values: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in row.items()}
+        try:
+            bounds.append(Bound(**values))
+        except (TypeError, ValueError) as error:
+            raise InputError(f"{path}: [[bound]] {n}: {error}") from None
+    return tuple(bounds)
+
+
+def check(bound: Bound, scored: pd.DataFrame) -> Verdict:
+    """Holds one bound against the rows of `scoring.score` that meet its conditions."""
+    rows = scored[_within(bound, scored)]
+    errors = rows[f"{bound.quantity}_error"]
+    answered = scored[scored["direction_deg"].notna()]
+    estimated = answered.empty or bool(answered[ESTIMATES[bound.quantity]].notna().any())
+    missing = int(errors.isna().sum())
+    tested = estimated and not rows.empty
+    met = missing == 0 and bool((errors < bound.limit).all()) if tested else None
+    worst = None if errors.isna().all() else str(rows["recording"].iloc[int(errors.argmax())])
+    if missing:
+        worst = str(rows.loc[errors.isna(), "recording"].iloc[0])
+    return Verdict(
+        bound,
+        met,
+        recordings=rows["recording"].nunique(),
+        missing=missing,
+        mean=None if errors.isna().all() else float(errors.mean()),
+        max=None if errors.isna().all() else float(errors.max()),
+        worst=worst,
+        estimated=estimated,
+    )
+
+
+def _within(bound: Bound, scored: pd.DataFrame) -> pd.Series:
+    """Which rows meet the bound's conditions, as booleans."""
+    distance = scored["true_offset_mm"].abs()
+    on_lines = pd.Series(False, index=scored.index)
+    for axis, area in ((0, bound.x_offset_mm), (90, bound.y_offset_mm)):
+        if area is not None:
+            # Twice the angle: forward and backward along an axis are one line.
+            tilt = np.abs(turn(2 * (scored["true_direction_deg"] - axis))) / 2
+            on_lines |= (tilt < AXIS_TOLERANCE_DEG) & distance.between(*area)
+    for label in ("speed_mm_s", "depth_mm"):
+        value = scored[f"true_{label}"]
+        on_lines &= value.isna() | value.between(*getattr(bound, label))
+    if not bound.after_travel_mm:
+        return on_lines & (scored["stroke_fraction"] == 1.0)
+    travelled = pd.Series(False, index=scored.index)
+    for direction, delay in bound.after_travel_mm.items():
+        near = np.abs(turn(scored["true_direction_deg"] - float(direction))) < AXIS_TOLERANCE_DEG
+        travelled |= near & scored["travelled_mm"].between(delay, INFLATED_MM)
+    return on_lines & travelled

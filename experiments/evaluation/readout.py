@@ -1,0 +1,112 @@
+"""Runs the device's localizer over recordings and reads its estimate at moments of the stroke.
+
+The localizer sees volts alone. Moments of motion choose, afterwards, which of its estimates are written down.
+"""
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from joblib import Parallel, delayed
+
+from features.errors import InputError
+from features.estimate import Estimate
+from pipeline.recordings.folder import Folder
+from serve.localizer import Localizer
+
+ESTIMATED = (
+    "direction_deg",
+    "direction_lo_deg",
+    "direction_hi_deg",
+    "speed_mm_s",
+    "speed_lo_mm_s",
+    "speed_hi_mm_s",
+    "offset_mm",
+    "offset_lo_mm",
+    "offset_hi_mm",
+    "depth_mm",
+    "x_mm",
+    "y_mm",
+)
+COLUMNS = ("recording", "stroke_fraction", *ESTIMATED, "valid")
+STROKE = tuple(n / 10 for n in range(1, 11))
+
+
+def moments(row: Mapping[Any, Any], time_s: np.ndarray) -> list[tuple[float, float]]:
+    """Stroke fractions and the moments in s to read at; 1.0 at the end where the motion is not labelled."""
+    start, end = row["motion_start_s"], row["motion_end_s"]
+    if math.isnan(start) or math.isnan(end):
+        return [(1.0, float(time_s[-1]))]
+    return [(fraction, start + fraction * (end - start)) for fraction in STROKE]
+
+
+def read_at(
+    localizer: Localizer, volts: np.ndarray, time_s: np.ndarray, moments_s: Sequence[float]
+) -> list[Estimate]:
+    """The estimate as it stood at each moment, from the samples up to it and no others.
+
+    volts: (n, C) V, time_s: (n,) s, one recording from a fresh start; moments_s: ascending.
+    """
+    localizer.reset()
+    estimates = []
+    fed = 0
+    # A moment that a sample falls on, give or take the last bit of either, has seen that sample.
+    for count in np.searchsorted(time_s, np.asarray(moments_s) + 1e-9, side="right"):
+        localizer.feed(volts[fed:count])
+        fed = max(fed, int(count))
+        estimates.append(localizer.read())
+    return estimates
+
+
+def predict_recording(bundle: Path, folder: Folder, name: str) -> list[dict[str, Any]]:
+    """One recording's rows of `predictions.csv`, as dictionaries of COLUMNS; NaN where not estimated."""
+    recording = folder.load(name)
+    fractions, moments_s = zip(*moments(folder.manifest.loc[name].to_dict(), recording.time_s), strict=True)
+    estimates = read_at(_localizer(bundle), recording.volts, recording.time_s, moments_s)
+    return [
+        {"recording": name, "stroke_fraction": fraction}
+        | {column: getattr(estimate, column) for column in (*ESTIMATED, "valid")}
+        for fraction, estimate in zip(fractions, estimates, strict=True)
+    ]
+
+
+def predictions(bundle: Path, folder: Folder, jobs: int = 2) -> Iterator[pd.DataFrame]:
+    """Each recording's rows, in the manifest's order, `jobs` recordings at a time.
+
+    Raises:
+        InputError: the bundle is broken or made for another sensor, or a recording is.
+    """
+    check_fits(_localizer(bundle), folder)
+    work = (delayed(predict_recording)(bundle, folder, name) for name in folder.manifest.index)
+    for rows in Parallel(n_jobs=jobs, return_as="generator")(work):
+        yield pd.DataFrame(rows, columns=list(COLUMNS))
+
+
+def check_fits(localizer: Localizer, folder: Folder) -> None:
+    """Sees that the bundle was made for sensors like the folder's.
+
+    Raises:
+        InputError: other channels, or another sample rate.
+    """
+    card, sensor = localizer.card, folder.sensor
+    place = folder.root / "sensor.toml"
+    if tuple(card.channels) != sensor.channels:
+        raise InputError(
+            f"{place}: channels are {', '.join(sensor.channels)}, the bundle was made for "
+            f"{', '.join(card.channels)}; train one on this sensor"
+        )
+    if not math.isclose(card.sample_rate_hz, sensor.sample_rate_hz, rel_tol=1e-3):
+        raise InputError(
+            f"{place}: sample_rate_hz is {sensor.sample_rate_hz:g}, the bundle was made for "
+            f"{card.sample_rate_hz:g}; train one on this sensor or resample the recordings"
+        )
+
+
+@lru_cache(maxsize=1)
+def _localizer(bundle: Path) -> Localizer:
+    """One session a process, since opening it takes longer than a short recording."""
+    return Localizer.load(bundle)

@@ -1,0 +1,1 @@
+"""The tracked hyperparameter search."""

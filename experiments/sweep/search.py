@@ -1,0 +1,183 @@
+"""A hyperparameter search: workers fit, this process alone keeps the journal and MLflow's runs.
+
+The journal lies beside the sweep's file. Whatever stops the search, the next call of the same sweep goes on: finished
+trials count, and those that were under way begin again.
+"""
+
+import fcntl
+import hashlib
+import json
+import sys
+import time
+from collections.abc import Iterator, Mapping
+from concurrent.futures import FIRST_COMPLETED, Future, wait
+from contextlib import contextmanager
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import optuna
+import tomli_w
+from joblib.externals.loky import get_reusable_executor
+from optuna.storages import JournalStorage
+from optuna.storages.journal import JournalFileBackend
+from optuna.trial import FrozenTrial, Trial, TrialState
+from tqdm import tqdm
+
+from experiments import tracking
+from experiments.sweep.space import Sweep, read_sweep
+from experiments.sweep.trial import follow_parent, held_out_errors, overall
+from experiments.train import design_of
+from features.errors import InputError
+from pipeline.atlas.atlas import Atlas
+from pipeline.recordings.folder import Folder, read_folder
+
+# A user attribute of a trial: its errors by quantity; or why it has none.
+ERRORS, FAULT = "errors", "fault"
+
+
+def sweep(config: Path, store: str | None = None) -> str:
+    """Searches until the budget is spent; the best settings as TOML for `train --config`.
+
+    config: as in experiments/sweep/space.py. store: as in `tracking.tracked`.
+
+    Raises:
+        InputError: what is read is not what it should be, another sweep uses the journal, or no trial succeeded.
+    """
+    plan = read_sweep(config)
+    folder = read_folder(plan.recordings).select("calibration", "train").labelled()
+    if not len(folder):
+        raise InputError(f"{plan.recordings}: no labelled calibration slides to hold lines out of")
+    design = design_of(folder, plan.atlas) if plan.model == "cnn" or plan.atlas else None
+    optuna.logging.set_verbosity(optuna.logging.WARNING)
+    data = tracking.data_hashes(folder)
+    with _journal(config.with_suffix(".journal")) as journal:
+        study = _study(plan, data, journal)
+        for trial in _trials(plan, study, folder, design):
+            _track(plan, trial, data, study.study_name, store)
+        finished = study.get_trials(states=[TrialState.COMPLETE])
+        if not finished:
+            faults = [t.user_attrs[FAULT] for t in study.trials if FAULT in t.user_attrs]
+            raise InputError(f"{config}: no trial succeeded ({faults[0] if faults else 'none began'})")
+        best = study.best_trial
+    found = ", ".join(f"{name} {error:.3g}" for name, error in best.user_attrs[ERRORS].items())
+    print(f"softslide sweep: best of {len(finished)} is trial {best.number}: {found}", file=sys.stderr)
+    return tomli_w.dumps(plan.table(best.params))
+
+
+@contextmanager
+def _journal(path: Path) -> Iterator[Path]:
+    """The journal for this process alone, without the torn line that a killed one may have left.
+
+    Raises:
+        InputError: another process has it, or it cannot be written.
+    """
+    try:
+        file = path.open("ab+")
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror}); move the sweep's file") from None
+    with file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise InputError(f"{path}: another sweep is at work on it; wait for it") from None
+        file.seek(0)
+        file.truncate(file.read().rfind(b"\n") + 1)
+        yield path
+
+
+def _study(plan: Sweep, data: Mapping[str, str], journal: Path) -> optuna.Study:
+    """The study of this very search; trials that were under way when it was stopped wait to begin again."""
+    what = [
+        plan.model,
+        plan.settings,
+        {k: repr(d) for k, d in plan.space.items()},
+        str(plan.atlas),
+        dict(data),
+    ]
+    name = f"{plan.model}-{hashlib.sha256(json.dumps(what, sort_keys=True).encode()).hexdigest()[:12]}"
+    storage = JournalStorage(JournalFileBackend(str(journal)))
+    study = optuna.create_study(storage=storage, study_name=name, load_if_exists=True)
+    # A sampler that begins anew would draw the same first trials again.
+    study.sampler = optuna.samplers.TPESampler(seed=len(study.trials))
+    for trial in study.get_trials(states=[TrialState.RUNNING]):
+        study.tell(trial.number, state=TrialState.FAIL)
+        study.enqueue_trial(trial.params)
+    return study
+
+
+def _trials(plan: Sweep, study: optuna.Study, folder: Folder, design: Atlas | None) -> Iterator[FrozenTrial]:
+    """Asks, hands out, and tells; yields each trial as it ends."""
+    until = time.monotonic() + plan.budget.seconds
+    ended = sum(t.state is TrialState.COMPLETE or FAULT in t.user_attrs for t in study.trials)
+    if ended:
+        print(f"softslide sweep: {ended} trials of an earlier call", file=sys.stderr)
+    pool = get_reusable_executor(
+        plan.budget.workers,
+        env={"OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"},
+        initializer=follow_parent,
+    )
+    running: dict[Future, Trial] = {}
+    bar = tqdm(
+        desc=plan.model,
+        total=plan.budget.trials,
+        initial=ended,
+        unit="trial",
+        disable=not sys.stderr.isatty(),
+    )
+    try:
+        while True:
+            while (
+                len(running) < plan.budget.workers
+                and ended + len(running) < plan.budget.trials
+                and time.monotonic() < until
+            ):
+                trial = study.ask(plan.space)
+                try:
+                    settings = plan.configuration(trial.params)
+                except InputError as error:
+                    yield _fail(study, trial, error)
+                    ended += 1
+                    bar.update()
+                    continue
+                running[pool.submit(held_out_errors, plan.model, folder, settings, design)] = trial
+            if not running:
+                return
+            for future in wait(running, return_when=FIRST_COMPLETED).done:
+                yield _tell(study, running.pop(future), future)
+                ended += 1
+                bar.update()
+    finally:
+        bar.close()
+        pool.shutdown(kill_workers=True)
+
+
+def _tell(study: optuna.Study, trial: Trial, future: Future) -> FrozenTrial:
+    try:
+        errors = future.result()
+    except (InputError, ValueError, FloatingPointError) as error:
+        return _fail(study, trial, error)
+    trial.set_user_attr(ERRORS, errors)
+    return study.tell(trial, overall(errors))
+
+
+def _fail(study: optuna.Study, trial: Trial, error: Exception) -> FrozenTrial:
+    trial.set_user_attr(FAULT, str(error))
+    return study.tell(trial, state=TrialState.FAIL)
+
+
+def _track(plan: Sweep, trial: FrozenTrial, data: Mapping[str, str], study: str, store: str | None) -> None:
+    """One run a trial, tagged with the study's name."""
+    try:
+        settings = asdict(plan.configuration(trial.params))
+    except InputError:
+        settings = plan.table(trial.params)
+    configuration = {"model": plan.model, "recordings": str(plan.recordings), "settings": settings}
+    tags = {"sweep": study, **{f"data.{name}": digest for name, digest in data.items()}}
+    if FAULT in trial.user_attrs:
+        tags[FAULT] = trial.user_attrs[FAULT]
+    with tracking.tracked(f"{study} trial {trial.number}", configuration, tags, store) as run:
+        if ERRORS in trial.user_attrs:
+            errors: dict[str, Any] = trial.user_attrs[ERRORS]
+            run.metrics({f"heldout_{name}": error for name, error in errors.items()})
+            run.metrics({"heldout_overall": trial.value or 0.0})

@@ -1,0 +1,46 @@
+"""One trial of a sweep: a fit, judged on calibration lines that it was not fitted to. What a worker process imports."""
+
+import math
+import os
+import threading
+import time
+from typing import Any
+
+from features.errors import InputError
+from models.registry import fit_model
+from pipeline.atlas.atlas import Atlas
+from pipeline.recordings.folder import Folder
+
+
+def follow_parent() -> None:
+    """Ends this worker when the process that asked for its trials is gone, however that went."""
+    parent = os.getppid()
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(1.0)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
+def held_out_errors(model: str, folder: Folder, settings: Any, atlas: Atlas | None) -> dict[str, float]:
+    """Mean errors at the whole stroke on held-out lines of the folder: direction deg, speed %, distance mm.
+
+    Raises:
+        InputError: the model cannot be fitted, or there are too few lines to hold some out.
+    """
+    summary = fit_model(model, folder, settings, atlas=atlas).summary
+    if "heldout_log_speed" in summary:
+        summary = summary | {"heldout_speed_percent": 100.0 * summary["heldout_log_speed"]}
+    try:
+        return {name: summary[f"heldout_{name}"] for name in ("direction_deg", "speed_percent", "offset_mm")}
+    except KeyError:
+        raise InputError(
+            f"{folder.root}: too few lines to hold some out; record more calibration slides"
+        ) from None
+
+
+def overall(errors: dict[str, float]) -> float:
+    """The errors' geometric mean: a tenth off any of them counts alike, whatever its unit."""
+    return math.exp(sum(math.log(max(error, 1e-9)) for error in errors.values()) / len(errors))

@@ -1,0 +1,1 @@
+"""From volts, a block at a time, to the slide at hand."""

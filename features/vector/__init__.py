@@ -1,0 +1,1 @@
+"""The feature vector of a window, for the classical models."""

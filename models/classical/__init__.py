@@ -1,0 +1,1 @@
+"""The classical models: one file each."""

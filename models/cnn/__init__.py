@@ -1,0 +1,1 @@
+"""The default model: a temporal CNN proposes a slide, Gauss-Newton against the response map refines it."""

@@ -1,0 +1,211 @@
+"""Gauss-Newton against the response map, as part of the network's graph.
+
+A few steps move a proposal to where the map's prediction and the signal agree best, with the proposal as a weak prior,
+and leave a covariance. Shapes are those of `models/cnn/forward_model.py`.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from features.window import WINDOW_BINS
+from models.cnn.forward_model import BINS, PHASES, STATE, Prediction
+from models.response_map.map import ResponseMap
+
+PEAK_SHARE = 0.003  # what the map leaves over, as a share of the slide's largest output
+FLOOR_SHARE = 0.6  # and of what it left over in calibration, most of which bins hold alike
+DOUBT = 2.0  # variance of the depth's error over the one that noise explains: 1 and 4 on two benches' held-out lines
+DEPTH = 5  # place of the depth in the state
+LONGEST_STEP = (0.3, 0.4, 5.0, 6.0, 0.1, 0.5)  # of each number of the state
+
+
+@dataclass(frozen=True)
+class RefinementConfig:
+    """steps: of Gauss-Newton. The last one's end is not looked at: the misfit is the one before it, and tells what
+        had not converged.
+    trust: the proposal's standard deviations times this are the prior, but never less than least_prior (rad, log, mm,
+        mm): a proposal that is wrong must not hold it back.
+    same_depth: prior probability that a slide has the calibration's contact depth; depth_sd_mm: standard deviation
+        about it of those that do not.
+    askew: standard deviation of what V_x and V_y pick up of V_z, where the device stands otherwise than it did.
+    lean_v: standard deviation of what the device's own slow turn adds to every V_x, and to every V_y, by a slide's
+        end, V; 0 for a device that stands still. An accelerometer off the skin tells it from the skin's answer.
+    """
+
+    steps: int = 3
+    trust: float = 3.0
+    least_prior: tuple[float, float, float, float] = (0.1, 0.1, 1.5, 2.0)
+    same_depth: float = 0.9
+    depth_sd_mm: float = 0.35
+    askew: float = 0.02
+    lean_v: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.steps < 1:
+            raise ValueError(f"steps is {self.steps}; take at least one")
+
+
+class Refinement(nn.Module):
+    """Gauss-Newton on (turn, log speed, offset, along, gain, depth) against the response map.
+
+    Residuals are weighed by the inverse of their covariance: noise that falls with the number of blocks a bin holds,
+    a floor for what the map leaves over, the slow wander of each channel's zero, and what a board that stands askew
+    picks up of its own V_z (the ripple of the pressure; each a rank-one part of a channel's covariance).
+    """
+
+    noise: Tensor
+    drift: Tensor
+    pooled: Tensor
+    rippled: Tensor
+    ago: Tensor
+    lag: Tensor
+    looseness: Tensor
+    tightest: Tensor
+    longest_step: Tensor
+    each: Tensor
+    whole: Tensor
+    frame: Tensor
+    phases: Tensor
+    lean: Tensor
+
+    def __init__(self, response: ResponseMap, block_s: float, config: RefinementConfig) -> None:
+        super().__init__()
+        assert response.noise_v is not None
+        assert response.drift_v is not None
+        self.boards, self.predicted = response.channels // 2, Prediction(response)
+        nuisance = (response.gain_sd, config.depth_sd_mm)
+        middle = (np.arange(BINS) + 0.5) / BINS
+        buffers = {
+            "noise": response.noise_v.reshape(self.boards, 2, 1, 1) ** 2,
+            "drift": response.drift_v.reshape(self.boards, 2, 1, 1) ** 2,
+            "pooled": np.float32(pooling() @ np.linalg.inv(bin_means()).T),
+            "rippled": pooling() @ (np.eye(BINS) - 1.0 / BINS),
+            "ago": np.stack([np.zeros(BINS), 1.0 - middle]),
+            "lag": np.stack([np.ones(BINS), np.full(BINS, response.lag_s)]),
+            "looseness": np.log([*4 * (config.trust,), *nuisance])[:, None],
+            "tightest": np.log([*config.least_prior, *nuisance])[:, None],
+            "longest_step": np.array(LONGEST_STEP)[:, None],
+            "each": np.eye(STATE, STATE + 1),
+            "whole": np.eye(BINS),
+            # (cos, sin) -> cos, -sin; sin, cos.
+            "frame": np.array([[1.0, 0, 0, 1], [0, -1, 1, 0]]),
+            "phases": PHASES[:, :1],
+            "lean": config.lean_v * middle[:, None],
+        }
+        # In doubles: partial strokes leave the normal matrix nearly singular.
+        for name, value in buffers.items():
+            self.register_buffer(name, torch.tensor(value, dtype=torch.float64))
+        self.block_s, self.floor_v, self.askew = block_s, response.floor_v, config.askew
+        self.depth_mm = response.depth_mm
+        self.depth_sd_mm, self.same_depth = config.depth_sd_mm, config.same_depth
+        self.knows_depth = bool(np.any(response.depth_slope))
+        self.steps = config.steps
+        self.leans = config.lean_v > 0
+
+    def forward(
+        self, volts: Tensor, elapsed_s: Tensor, weight: Tensor, proposal: Tensor, log_sd: Tensor
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """volts (B, A, 3, 64) V, elapsed_s (B,) s, weight (B, A), proposal (B, 5) and log_sd (B, 4) as `Proposal` gives
+        them -> columns (B, 1, 1, ., 1): heading (cos, sin), state (the turn from the proposal, log speed, offset mm,
+        along mm, log gain, depth mm off the map's), its variance, misfit."""
+        volts, elapsed_s, weight, proposal, log_sd = (
+            given.double() for given in (volts, elapsed_s, weight, proposal, log_sd)
+        )
+        elapsed_s, weight = elapsed_s.reshape(-1, 1, 1, 1, 1), weight.reshape(-1, self.boards, 1, 1, 1)
+        # What follows compares values at the bins' centres; a bin holds a mean, which is flatter than the signal.
+        tilt = (volts[:, :, :2] @ self.pooled)[:, :, :, None]
+        inverse = self._inverse_covariance(
+            tilt, (volts[:, :, 2:] @ self.rippled)[:, :, None], elapsed_s, weight
+        )
+        measured = F.pad(tilt, (0, 0, STATE, 0))
+        time = elapsed_s * self.ago + self.lag
+        pair, own = proposal.split((2, 3), 1)
+        norm = (pair * pair).sum(1, keepdim=True).clamp(min=1e-12).sqrt()
+        start = (pair / norm @ self.frame).reshape(-1, 1, 1, 2, 2)
+        centre = F.pad(own, (1, 2)).reshape(-1, 1, 1, STATE, 1)
+        log_sd = F.pad(log_sd, (0, 2)).reshape(-1, 1, 1, STATE, 1) + self.looseness
+        precision = (-2.0 * torch.maximum(log_sd, self.tightest)).exp()
+        state, gram, covariance = centre, centre, centre
+        for _ in range(self.steps):
+            rows = self.predicted(measured, start, state, time)
+            gram = ((rows @ inverse) @ rows.transpose(3, 4)).sum((1, 2), keepdim=True)
+            if self.leans:
+                gram = gram - self._leaning(rows, inverse)
+            # The prior's part: it holds the state to the proposal.
+            normal = gram[..., :STATE, :] + precision * (self.each - F.pad(state - centre, (STATE, 0)))
+            covariance = inverted(normal[..., :STATE])
+            move = covariance @ normal[..., STATE:]
+            state = state + torch.maximum(torch.minimum(move, self.longest_step), -self.longest_step)
+        misfit = gram[..., STATE:, STATE:] / (2 * BINS * weight.sum(1, keepdim=True)).clamp(min=1.0)
+        state, variance = self._same_depth(state, covariance)
+        heading = start @ (state[..., :1, :] + self.phases).sin()
+        return heading, state, variance, misfit
+
+    def _leaning(self, rows: Tensor, inverse: Tensor) -> Tensor:
+        """What the device's own slow turn takes from the rows' products: it leans all boards alike, a number for each
+        axis, whose worth is not asked for."""
+        along = inverse @ self.lean
+        told = (self.lean * along).sum((1, 3), keepdim=True)
+        leaning = (rows @ along).sum(1, keepdim=True)
+        return (leaning @ (leaning / (1.0 + told)).transpose(3, 4)).sum(2, keepdim=True)
+
+    def _same_depth(self, state: Tensor, covariance: Tensor) -> tuple[Tensor, Tensor]:
+        """Averages two hypotheses: the calibration's depth, or one of its own. -> state, its variance.
+
+        The odds are prior odds times the Savage-Dickey ratio, posterior over prior density at no difference; the
+        state under "the same depth" is the free one conditioned on it. What the average then lies away from the free
+        state counts as error in full, not by the odds: slides of another depth may be few, or all there are.
+        """
+        column = covariance[..., DEPTH:]
+        spread = column[..., DEPTH:, :].clamp(min=1e-8)
+        off = state[..., DEPTH:, :]
+        # The covariance knows nothing of the map's own error; the evidence must stand above that as well.
+        doubtful = DOUBT * spread
+        log_odds = math.log(self.same_depth / (1 - self.same_depth) * self.depth_sd_mm)
+        same = torch.sigmoid(log_odds - 0.5 * (doubtful.log() + off * off / doubtful))
+        gain = same * column / spread
+        shift = gain * off
+        variance = (covariance * self.each[:, :STATE]).sum(4, keepdim=True) - gain * column + shift * shift
+        return state - shift, variance
+
+    def _inverse_covariance(self, tilt: Tensor, ripple: Tensor, elapsed_s: Tensor, weight: Tensor) -> Tensor:
+        """(B, A, 2, 16, 16) 1/V^2 of each channel's residuals; zero for a dead accelerometer.
+
+        tilt: (B, A, 2, 1, 16) V. ripple: (B, A, 1, 1, 16) V, what each board's own V_z swings about its mean.
+        """
+        blocks = (elapsed_s / (self.block_s * BINS)).clamp(min=0.3)
+        floor = (
+            PEAK_SHARE**2 * (tilt * tilt).amax((1, 2, 3, 4), keepdim=True) + (FLOOR_SHARE * self.floor_v) ** 2
+        )
+        variance = self.noise / blocks + floor
+        wander = self.drift / (variance + BINS * self.drift)
+        swing = ripple.transpose(3, 4)
+        picked = self.askew**2 / (variance + self.askew**2 * (ripple @ swing))
+        return weight / variance * (self.whole - wander - picked * (swing @ ripple))
+
+
+def inverted(normal: Tensor) -> Tensor:
+    """The inverses of matrices (..., n, n). ONNX has no operator for it; ONNX Runtime brings one of its own."""
+    if not torch.onnx.is_in_onnx_export():
+        return torch.linalg.inv(normal)
+    return torch.onnx.ops.symbolic(
+        "com.microsoft::Inverse", (normal,), dtype=normal.dtype, shape=normal.shape, version=1
+    )
+
+
+def pooling() -> np.ndarray:
+    """(64, 16): a window's bins -> means of fours."""
+    return np.repeat(np.eye(BINS), WINDOW_BINS // BINS, axis=0) * BINS / WINDOW_BINS
+
+
+def bin_means() -> np.ndarray:
+    """(16, 16): a smooth signal's values at the centres of bins -> its means over them, f + f'' / 24 in bins."""
+    second = np.zeros((BINS, BINS))
+    for k in range(BINS):
+        middle = min(max(k, 1), BINS - 2)
+        second[k, middle - 1 : middle + 2] = 1.0, -2.0, 1.0
+    return np.eye(BINS) + second / 24.0

@@ -1,0 +1,112 @@
+"""Writes a bundle, model.onnx and model.json, and refuses one that does not compute what was trained."""
+
+import hashlib
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import onnx
+import onnxruntime as ort
+
+from features.card import Card, write_card
+from features.vector.feature_vector import feature_matrix
+from models.fitted_model import FittedModel
+from models.graph.packing import unpack
+from pipeline.recordings.windows import LabelledWindows
+from pipeline.sensor import Sensor
+from pipeline.staging import staged
+
+PARITY = 1e-4  # relative difference of graph and original
+
+
+class ParityError(RuntimeError):
+    """The exported graph and the original disagree."""
+
+
+def graph_inputs(model_input: str, volts: np.ndarray, elapsed_s: np.ndarray) -> dict[str, np.ndarray]:
+    """A graph's inputs for windows volts (B, C, 64) V, elapsed_s (B,) s, every accelerometer in use."""
+    if model_input == "features":
+        return {"features": feature_matrix(volts, elapsed_s).astype(np.float32)}
+    weight = np.ones((len(volts), volts.shape[1] // 3), dtype=np.float32)
+    return {"volts": volts.astype(np.float32), "elapsed_s": elapsed_s.astype(np.float32), "weight": weight}
+
+
+def write_bundle(
+    fitted: FittedModel,
+    sensor: Sensor,
+    windows: LabelledWindows,
+    provenance: dict[str, Any],
+    out: Path,
+) -> float:
+    """Writes the bundle; returns the largest relative difference of graph and original where the model answers.
+
+    Raises:
+        ParityError: it is more than PARITY; nothing is written.
+        InputError: `out` cannot be written.
+    """
+    graph = fitted.graph.SerializeToString()
+    inputs = graph_inputs(fitted.input, windows.volts, windows.elapsed_s)
+    session = ort.InferenceSession(graph, providers=["CPUExecutionProvider"])
+    exported = session.run(None, inputs)[0]
+    original = fitted.original(inputs)
+    # Where the model abstains (too little of the stroke to tell one line from another), its iteration may end in
+    # either of two minima, and rounding decides: such rows are no estimates and nothing to compare.
+    stands = believed(original, fitted)
+    if not stands.any():
+        raise ParityError(
+            f"the trained {fitted.name} answers none of the windows it was given; nothing to compare"
+        )
+    difference = float(relative_differences(exported[stands], original[stands]).max())
+    if not difference <= PARITY:
+        raise ParityError(f"ONNX Runtime and the trained {fitted.name} differ by {difference:.1e} relative")
+    # A whole slide, if there is one, that the model answers: JSON has no NaN.
+    golden = int(np.flatnonzero(stands)[windows.stroke_fraction[stands].argmax()])
+    card = Card(
+        model=fitted.name,
+        input=fitted.input,
+        outputs=fitted.outputs,
+        sensor=asdict(sensor),
+        channels=sensor.channels,
+        sample_rate_hz=sensor.sample_rate_hz,
+        reference_mm=sensor.reference_mm,
+        conditioning=fitted.conditioning,
+        intervals=fitted.intervals,
+        validity=fitted.validity,
+        provenance={**provenance, "fit": fitted.summary, "parity": difference},
+        golden={
+            "inputs": {k: v[golden : golden + 1].tolist() for k, v in inputs.items()},
+            "estimate": exported[golden].tolist(),
+        },
+        graph_sha256=hashlib.sha256(graph).hexdigest(),
+    )
+    with staged(out) as folder:
+        (folder / "model.onnx").write_bytes(graph)
+        write_card(card, folder / "model.json")
+    return difference
+
+
+def believed(rows: np.ndarray, fitted: FittedModel) -> np.ndarray:
+    """Which rows (n, K) the model stands behind, by its own deviations and misfit -> (n,) bool."""
+    limits = {name: getattr(fitted.validity, name) for name in ("misfit", "direction_sd_deg", "log_speed_sd")}
+    columns = [
+        rows[:, fitted.outputs.index(name)] <= limit
+        for name, limit in limits.items()
+        if name in fitted.outputs
+    ]
+    return np.all([np.isfinite(rows).all(axis=1), *columns], axis=0)
+
+
+def read_graph(bundle: Path) -> onnx.ModelProto:
+    """The graph of a bundle, its constants in single precision."""
+    graph = onnx.load_model_from_string((bundle / "model.onnx").read_bytes())
+    unpack(graph)
+    return graph
+
+
+def relative_differences(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """(n,): each row's largest |a - b| over the column's largest |b|; infinite where only one is NaN."""
+    torn = (np.isnan(a) != np.isnan(b)).any(axis=1)
+    a, b = np.nan_to_num(a), np.nan_to_num(b)
+    scale = np.maximum(np.abs(b).max(axis=0), 1e-6)
+    return np.where(torn, np.inf, (np.abs(a - b) / scale).max(axis=1))

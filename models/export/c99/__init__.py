@@ -1,0 +1,1 @@
+"""C99 generated from a graph."""

@@ -1,0 +1,1 @@
+"""The response atlas of a sensor design: solved, stored, interpolated."""

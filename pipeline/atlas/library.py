@@ -1,0 +1,69 @@
+"""The atlas of a sensor, wherever it comes from: named, shipped, kept from an earlier time, or solved now."""
+
+import os
+import sys
+from pathlib import Path
+
+from tqdm import tqdm
+
+from features.errors import InputError
+from pipeline.atlas.atlas import Atlas, check_atlas, read_atlas, write_atlas
+from pipeline.atlas.solve import COARSE, coarse, solve_atlas
+from pipeline.sensor import Sensor, design_hash
+
+
+def atlas_of(sensor: Sensor, named: Path | None = None, workers: int = 2) -> Atlas:
+    """The sensor's atlas; says on standard error where it is from.
+
+    A design that is not the shipped one is solved coarsely (minutes on two cores) and kept in the user's cache
+    folder, `SOFTSLIDE_CACHE` if that is set.
+
+    Raises:
+        InputError: the atlas named is none or of another design, or the design cannot be solved.
+    """
+    if named is not None:
+        atlas = read_atlas(named)
+        check_atlas(atlas, sensor, str(named))
+        return atlas
+    if _is_shipped(sensor):
+        print("atlas: the one that ships, of the article's sensor", file=sys.stderr)
+        return read_atlas()
+    kept = cache_folder() / f"coarse-{design_hash(sensor)}.npz"
+    if kept.exists():
+        try:
+            atlas = read_atlas(kept)
+            print(f"atlas: {kept}, solved earlier", file=sys.stderr)
+            return atlas
+        except InputError:
+            kept.unlink()
+    print(
+        f"atlas: none of {sensor.name} yet; solving a coarse one (minutes), to be kept in {kept}",
+        file=sys.stderr,
+    )
+    atlas = solve_atlas(
+        coarse(sensor),
+        COARSE,
+        workers=workers,
+        work=kept.with_suffix(".work"),
+        progress=lambda lines, count: tqdm(
+            lines, total=count, unit="line", desc="solving", disable=not sys.stderr.isatty()
+        ),
+        source=sensor.name,
+    )
+    write_atlas(atlas, kept)
+    return atlas
+
+
+def cache_folder() -> Path:
+    """Where solved atlases are kept."""
+    if named := os.environ.get("SOFTSLIDE_CACHE"):
+        return Path(named)
+    return Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "softslide"
+
+
+def _is_shipped(sensor: Sensor) -> bool:
+    try:
+        check_atlas(read_atlas(), sensor, "the default atlas")
+    except InputError:
+        return False
+    return True

@@ -1,0 +1,299 @@
+"""Solves a sensor design's atlas: lines of the indenter in parallel, resumable, then gathered on a grid."""
+
+import math
+import sys
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import ExitStack
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from features.errors import InputError
+from pipeline.atlas.atlas import DEFAULT_SENSOR, Atlas, write_atlas
+from pipeline.atlas.line_store import LineStore, Task
+from pipeline.sensor import Sensor, check_design, design_hash, design_of, read_sensor
+from pipeline.skin.lines import (
+    gravity,
+    join_families,
+    lines,
+    mirror,
+    reach_mm,
+    representative,
+    skin_of,
+    solve_line,
+)
+from pipeline.skin.solver import TOLERANCE_N, NoEquilibrium, Statistics
+from pipeline.skin.system import State
+
+
+@dataclass(frozen=True)
+class Grid:
+    """How finely an atlas is solved. Lengths in mm.
+
+    The step along a line is what continuation bears; lines are further apart, the response being smooth.
+    """
+
+    depth_mm: tuple[float, ...] = (0.2, 0.6, 1.2)
+    line_mm: float = 2.5
+    steps_per_line: int = 2
+
+    def __post_init__(self) -> None:
+        if not self.depth_mm or min(self.depth_mm) < 0 or list(self.depth_mm) != sorted(set(self.depth_mm)):
+            raise ValueError(f"depth_mm is {list(self.depth_mm)}; it must not be negative and must rise")
+        if not 0.5 <= self.line_mm <= 6.0:
+            raise ValueError(f"line_mm is {self.line_mm}; it must lie in 0.5..6")
+        if self.line_mm / self.steps_per_line > 1.26:
+            raise ValueError(f"steps of {self.line_mm / self.steps_per_line:g} mm are too long; at most 1.25")
+
+    def axis(self, reach: float) -> tuple[np.ndarray, np.ndarray]:
+        """Lines' offsets and positions along them, symmetric, from clear of the skin to clear of it."""
+        cells = math.ceil((reach + 0.5) / self.line_mm)
+        return (
+            self.line_mm * np.arange(-cells, cells + 1),
+            self.line_mm
+            / self.steps_per_line
+            * np.arange(-cells * self.steps_per_line, cells * self.steps_per_line + 1),
+        )
+
+
+COARSE = Grid(depth_mm=(0.3, 1.0), line_mm=5.0, steps_per_line=4)
+Progress = Callable[[Iterable[Any], int], Iterable[Any]]
+
+
+def coarse(sensor: Sensor) -> Sensor:
+    """The same design with larger elements, for `COARSE`: minutes on two cores."""
+    return replace(sensor, mesh=replace(sensor.mesh, size_mm=max(sensor.mesh.size_mm, 3.4)))
+
+
+def solve_atlas(
+    sensor: Sensor,
+    grid: Grid | None = None,
+    *,
+    workers: int = 1,
+    backend: str = "loky",
+    work: Path | None = None,
+    progress: Progress | None = None,
+    source: str = "sensor",
+) -> Atlas:
+    """Solves every line that a design's atlas needs.
+
+    Args:
+        workers: processes; with backend "dask", the connected (or a local) cluster is used instead of "loky".
+        work: folder that keeps each finished line, so that an interrupted solve resumes; removed at the end.
+        progress: wraps the stream of finished lines, given their number.
+
+    Raises:
+        InputError: a board out of place, or a pressure or height beyond the skin's limit.
+    """
+    grid = grid or Grid()
+    check_design(sensor, source)
+    levels = _levels(sensor, source)
+    reach = reach_mm(sensor)
+    line_x, x = grid.axis(reach[0])
+    line_y, y = grid.axis(reach[1])
+    wanted = sorted({representative(line, sensor)[0] for line in lines((line_x, line_y), sensor)}, key=str)
+    # The highest pressure takes longest: first, so that no worker is left with it at the end.
+    tasks = [
+        (level, depth, line)
+        for level in reversed(range(len(levels)))
+        for depth in range(len(grid.depth_mm))
+        for line in wanted
+    ]
+    key = [design_of(sensor), asdict(sensor.mesh), asdict(grid), [round(p, 9) for p, _ in levels]]
+    store = None if work is None else LineStore(work, key)
+    done = {} if store is None else store.finished(tasks)
+    left = [task for task in tasks if task not in done]
+    calls = [
+        (sensor, line, (x, y)[line.axis], grid.depth_mm[depth], *levels[level]) for level, depth, line in left
+    ]
+    stream = _parallel(list(zip(left, calls, strict=True)), workers, backend)
+    for task, values, statistics in progress(stream, len(left)) if progress else stream:
+        done[task] = (values, statistics)
+        if store is not None:
+            store.keep(task, values, statistics)
+    atlas = _gather(sensor, grid, levels, done, (x, y, line_y, line_x))
+    if store is not None:
+        store.remove()
+    return atlas
+
+
+def simulate(
+    sensor_path: Path | None,
+    out: Path,
+    is_coarse: bool,
+    depths: list[float] | None,
+    workers: int,
+    backend: str,
+) -> None:
+    """`softslide simulate`: reads a design, solves it, writes the atlas, says what did not converge.
+
+    Raises:
+        InputError: see `solve_atlas`; an `out` that is a folder; a depth that is no depth.
+    """
+    path = sensor_path or DEFAULT_SENSOR
+    sensor = read_sensor(path)
+    if out.is_dir():
+        raise InputError(f"{out}: a folder; name a file that ends in .npz")
+    if workers < 1:
+        raise InputError(f"--workers {workers}: at least one is needed")
+    grid = COARSE if is_coarse else Grid()
+    try:
+        grid = replace(grid, depth_mm=tuple(depths)) if depths else grid
+    except ValueError as error:
+        raise InputError(f"--depth: {error}") from None
+    atlas = solve_atlas(
+        coarse(sensor) if is_coarse else sensor,
+        grid,
+        workers=workers,
+        backend=backend,
+        work=out.with_name(f".{out.name}.lines"),
+        progress=_bar,
+        source=str(path),
+    )
+    write_atlas(atlas, out)
+    cost = atlas.meta["statistics"]
+    print(
+        f"{out}: {cost['positions']} positions in {cost['seconds']:.0f} core-seconds, {len(atlas.failed)} failed"
+        f", rest error {atlas.meta['rest_error_g']:.1e} g",
+        file=sys.stderr,
+    )
+    for x, y, heading, depth, height in atlas.failed:
+        print(
+            f"no equilibrium, left out: x {x:g} mm, y {y:g} mm, heading {heading:g} deg, depth {depth:g} mm, "
+            f"skin height {height:.2f} mm",
+            file=sys.stderr,
+        )
+
+
+def _bar(results: Iterable[Any], number: int) -> Iterable[Any]:
+    """A progress bar on standard error where a person watches, else one line of what is coming."""
+    if sys.stderr.isatty():
+        from tqdm import tqdm
+
+        return tqdm(results, total=number, unit="line", desc="solving")
+    print(f"solving {number} lines", file=sys.stderr)
+    return results
+
+
+def _levels(sensor: Sensor, source: str) -> list[tuple[float, State]]:
+    """Effective pressure and inflated posture of each level."""
+    skin = skin_of(sensor)
+    levels: list[tuple[float, State]] = []
+    for height in () if sensor.skin.effective_pressure_mpa else sensor.skin.height_mm:
+        try:
+            levels.append(skin.inflate_to(height))
+        except NoEquilibrium as error:
+            raise InputError(
+                f"{source}: [skin] height_mm {height:g} is beyond the skin's limit ({error}); lower it"
+            ) from None
+    for pressure in sensor.skin.effective_pressure_mpa:
+        try:
+            levels.append((pressure, skin.inflate(pressure)))
+        except NoEquilibrium as error:
+            raise InputError(
+                f"{source}: [skin] effective_pressure_mpa {pressure:g} is beyond the skin's "
+                f"limit ({error}); lower it"
+            ) from None
+    return levels
+
+
+def _solve(task: Task, call: tuple) -> tuple[Task, np.ndarray, dict[str, float]]:
+    values, statistics = solve_line(*call)
+    return task, values, asdict(statistics)
+
+
+def _parallel(jobs: list[tuple[Task, tuple]], workers: int, backend: str) -> Iterator[Any]:
+    """Results as they come; in this process when one worker is asked for."""
+    if workers == 1 and backend == "loky":
+        yield from (_solve(*job) for job in jobs)
+        return
+    from joblib import Parallel, delayed, parallel_config
+
+    with ExitStack() as stack:
+        if backend == "dask":
+            from distributed import Client, get_client
+
+            try:
+                get_client()
+            except ValueError:
+                stack.enter_context(Client(n_workers=workers, threads_per_worker=1))
+        with parallel_config(backend=backend, n_jobs=workers):
+            pool = Parallel(batch_size=1, return_as="generator_unordered")
+            results = pool(delayed(_solve)(*job) for job in jobs)
+        yield from results
+
+
+def _gather(
+    sensor: Sensor,
+    grid: Grid,
+    levels: list[tuple[float, State]],
+    done: dict[Task, tuple[np.ndarray, dict[str, float]]],
+    grids: tuple[np.ndarray, ...],
+) -> Atlas:
+    """The lines' results, mirrored where symmetry allows, on one grid."""
+    x, y, line_y, line_x = grids
+    channels = next(iter(done.values()))[0].shape[1]
+    shape = (len(x), len(y), len(grid.depth_mm), len(levels))
+    parts = np.zeros((3, *shape, channels), np.float32)
+    valid = np.ones(shape, bool)
+    heights = [skin_of(sensor).height(state) for _, state in levels]
+    failed = []
+    for level, depth in np.ndindex(len(levels), len(grid.depth_mm)):
+        families = (
+            np.zeros((2, len(x), len(line_y), channels)),
+            np.zeros((2, len(line_x), len(y), channels)),
+        )
+        for line in lines((line_x, line_y), sensor):
+            solved, axes = representative(line, sensor)
+            values = done[level, depth, solved][0]
+            for axis in axes:
+                values = mirror(values, line, axis, sensor)
+            along = (x, y)[line.axis]
+            missing = np.isnan(values[:, 0])
+            for at in along[missing]:
+                place = (at, line.offset_mm) if line.axis == 0 else (line.offset_mm, at)
+                heading = {(0, 1): 0.0, (0, -1): 180.0, (1, 1): 90.0, (1, -1): 270.0}[line.axis, line.sense]
+                failed.append([*map(float, place), heading, grid.depth_mm[depth], heights[level]])
+                near = [np.abs(g - p) <= grid.line_mm + 1e-9 for g, p in zip((x, y), place, strict=True)]
+                valid[(*np.ix_(*near), depth, level)] = False
+            # Only so that the spline beyond the invalid cells has something to go by.
+            values = np.where(missing[:, None], 0.0, values)
+            side = (1 - line.sense) // 2
+            if line.axis == 0:
+                families[0][side][:, np.searchsorted(line_y, line.offset_mm - 1e-9)] = values
+            else:
+                families[1][side][np.searchsorted(line_x, line.offset_mm - 1e-9)] = values
+        parts[:, :, :, depth, level] = join_families(
+            (families[0][0], families[0][1]), (families[1][0], families[1][1]), grids
+        )
+    meta = {
+        "design": design_of(sensor),
+        "design_hash": design_hash(sensor),
+        "reach_mm": list(reach_mm(sensor)),
+        "mesh": {
+            **asdict(sensor.mesh),
+            "nodes": len(skin_of(sensor).mesh.nodes),
+            "unknowns": skin_of(sensor).system.size,
+        },
+        "grid": asdict(grid),
+        "tolerance_n": TOLERANCE_N,
+        "statistics": _sum_statistics([s for _, s in done.values()]),
+        "rest_error_g": _rest_error(done, len(sensor.accelerometers)),
+        "failed": failed,
+    }
+    statics = np.array([gravity(state.rotations) for _, state in levels])
+    pressures = np.array([p for p, _ in levels])
+    return Atlas(x, y, np.array(grid.depth_mm), pressures, np.array(heights), statics, parts, valid, meta)
+
+
+def _sum_statistics(rows: list[dict[str, float]]) -> dict[str, float]:
+    total = {name: sum(row[name] for row in rows) for name in asdict(Statistics())}
+    return {**total, "lines": len(rows), "deepest_mm": max(row["deepest_mm"] for row in rows)}
+
+
+def _rest_error(done: dict[Task, tuple[np.ndarray, dict[str, float]]], boards: int) -> float:
+    """The largest tilt in g left at either end of any line, where the skin must be at rest again."""
+    ends = [values[[0, -1], : 7 * boards].reshape(2, boards, 7)[..., :3] for values, _ in done.values()]
+    return float(np.nanmax(np.abs(ends)))

@@ -1,0 +1,104 @@
+"""From static voltages alone: how high the skin stands, and where and how hard something rests on it.
+
+The article gives a formula for the height (section 5.1) and leaves the indentation open.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import brentq, least_squares
+
+from features.errors import InputError
+from pipeline.atlas.atlas import Atlas
+
+
+def height_by_formula(static_g: float, board_mm: float, half_width_mm: float) -> float:
+    """The article's height (mm): parabolic skin, h = D^2 tan(beta) / (2 x0), sin(beta) = V_x / (g k).
+
+    Args:
+        static_g: the untouched accelerometer's reading along x, V_x / k. board_mm: its x0, not zero.
+        half_width_mm: D, half the chamber's width.
+
+    Raises:
+        InputError: the board is at the centre, where the skin is level at any height; or no tilt has this sine.
+    """
+    if board_mm == 0:
+        raise InputError("the accelerometer is at the chamber's centre, level at any height")
+    if not -1 < static_g < 1:
+        raise InputError(
+            f"a static output of {static_g:g} g is no tilt; check zero_g_v and sensitivity_v_per_g"
+        )
+    return half_width_mm**2 * math.tan(math.asin(static_g)) / (2 * board_mm)
+
+
+def height_by_atlas(static_g: np.ndarray, atlas: Atlas) -> float:
+    """The height (mm) whose solved static posture fits readings (boards, 2) along x and y best, in g.
+
+    Raises:
+        InputError: the readings lie outside the heights that the atlas was solved for.
+    """
+    static_g = np.asarray(static_g, float)
+    directions = atlas.static(float(atlas.pressure_mpa[-1]))[:, :2]
+    directions = directions / np.linalg.norm(directions)
+    wanted = float((directions * static_g).sum())
+
+    def excess(pressure: float) -> float:
+        return float((directions * atlas.static(pressure)[:, :2]).sum()) - wanted
+
+    low, high = float(atlas.pressure_mpa[0]), float(atlas.pressure_mpa[-1])
+    if len(atlas.pressure_mpa) == 1 or excess(low) > 0 or excess(high) < 0:
+        raise InputError(
+            f"a static tilt of {wanted:.3f} g lies outside the atlas's heights "
+            f"{atlas.height_mm[0]:.3g}..{atlas.height_mm[-1]:.3g} mm; simulate the design at others"
+        )
+    return atlas.height(brentq(excess, low, high, xtol=1e-9))
+
+
+@dataclass(frozen=True)
+class Indentation:
+    """Where a static contact is, how deep below the flat skin's face, how hard; and how badly it fits."""
+
+    x_mm: float
+    y_mm: float
+    depth_mm: float
+    force_n: float
+    misfit_g: float
+
+
+def find_indentation(subtracted_g: np.ndarray, atlas: Atlas, pressure_level: float) -> Indentation:
+    """The contact whose posture is nearest to subtracted readings (boards, 3) in g.
+
+    pressure_level: effective, MPa. The best of the atlas's grid points for each of some depths, then least
+    squares from each. The boards'
+    tilts alone are two numbers a board against three unknowns, so one accelerometer leans on its small z.
+
+    Raises:
+        InputError: the readings have another shape than the atlas's boards.
+    """
+    wanted = np.asarray(subtracted_g, float)
+    if wanted.shape != (atlas.boards, 3):
+        raise InputError(f"readings of shape {wanted.shape} for {atlas.boards} boards; give (boards, 3)")
+    grid_x, grid_y = (v.ravel() for v in np.meshgrid(atlas.x_mm, atlas.y_mm, indexing="ij"))
+    reach = np.array(atlas.meta["reach_mm"])
+
+    def misfit(place: np.ndarray) -> np.ndarray:
+        found = atlas.response(place[:1], place[1:2], None, place[2:3], pressure_level)[0]
+        return np.nan_to_num(found - wanted, nan=1.0).ravel()
+
+    depths = np.linspace(atlas.depth_mm[0], atlas.depth_mm[-1], 5 if len(atlas.depth_mm) > 1 else 1)
+    ends = []
+    margin = 1e-9
+    for depth in depths:
+        table = atlas.response(grid_x, grid_y, None, float(depth), pressure_level)
+        errors = np.nan_to_num(((table - wanted) ** 2).sum(axis=(1, 2)), nan=np.inf)
+        start = np.array([grid_x[errors.argmin()], grid_y[errors.argmin()], depth])
+        low = np.array([*-reach, atlas.depth_mm[0] - margin])
+        high = np.array([*reach, atlas.depth_mm[-1] + margin])
+        inner = np.clip(start, low + 1e-9 * (high - low), high - 1e-9 * (high - low))
+        ends.append(least_squares(misfit, inner, bounds=(low, high), x_scale=[1.0, 1.0, 0.2], xtol=1e-10))
+    best = min(ends, key=lambda end: end.cost)
+    x, y, depth = best.x
+    depth = float(np.clip(depth, atlas.depth_mm[0], atlas.depth_mm[-1]))
+    force = atlas.force(np.array([x]), np.array([y]), None, depth, pressure_level)[0, 2]
+    return Indentation(float(x), float(y), depth, float(force), math.sqrt(2 * best.cost))

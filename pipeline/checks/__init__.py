@@ -1,0 +1,1 @@
+"""What `softslide check` looks for in a folder of recordings."""

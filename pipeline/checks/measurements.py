@@ -1,0 +1,187 @@
+"""What one recording shows of its own health: clock, span, noise, tones, rest, wiring. No verdicts."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from pipeline.checks.zone_signs import sign_agreement
+from pipeline.recordings.folder import Recording
+from pipeline.sensor import Sensor
+
+MAINS_HZ = (50.0, 60.0)
+# A slide bends the skin slowly; from here on the spectrum is noise and pick-up.
+NOISE_FROM_HZ = 20.0
+# Overlapping seconds that the spectrum averages: enough for a floor within a few percent, and quick.
+SECONDS = 40
+# Samples whose noise is kept to be compared between recordings.
+FINGERPRINT = 1000
+
+
+@dataclass(frozen=True)
+class Vitals:
+    """One recording's figures; arrays are (channels,) unless a shape is named.
+
+    longest_step: in samples. span_v: highest less lowest reading. rail_run: the longest run of equal
+    samples at the highest or lowest reading. noise_v_rthz: density, V / sqrt(Hz). mains_v: amplitude at the
+    nearer of 50 and 60 Hz. tone_hz, tone_ratio: the strongest other line and its power over the noise
+    floor. rest_s: before the motion, NaN if unlabelled. rest_v: mean before it, or of the first half
+    second. drift_v: rest after less rest before, NaN if either is absent. agreement: (accelerometers, 3,
+    2), see `wiring`. landmarks: see `_landmarks`. fingerprint: (n, channels) noise of the first samples,
+    each channel of unit norm. echo: the highest autocorrelation of the noise at a lag of a fifth of a
+    second or more.
+    """
+
+    name: str
+    samples: int
+    rate_hz: float
+    longest_step: float
+    span_v: np.ndarray
+    rail_run: np.ndarray
+    noise_v_rthz: np.ndarray
+    mains_hz: float
+    mains_v: np.ndarray
+    tone_hz: np.ndarray
+    tone_ratio: np.ndarray
+    rest_s: float
+    rest_v: np.ndarray
+    drift_v: np.ndarray
+    agreement: np.ndarray
+    landmarks: np.ndarray
+    fingerprint: np.ndarray
+    echo: np.ndarray
+
+
+def measure(recording: Recording, labels: pd.Series, sensor: Sensor) -> Vitals:
+    """The figures of one recording; labels: its row of the manifest."""
+    time_s, volts = recording.time_s, recording.volts
+    rate = sensor.sample_rate_hz
+    start, end = float(labels["motion_start_s"]), float(labels["motion_end_s"])
+    # Unlabelled recordings are taken to begin at rest.
+    before = time_s < (time_s[0] + 0.5 if np.isnan(start) else start)
+    # The skin creeps back for a while after the object has left.
+    after = time_s > end + 0.25
+    rest_v = volts[before].mean(axis=0) if before.any() else np.full(volts.shape[1], np.nan)
+    settled = after.sum() > 0.25 * rate and before.any()
+    floor, frequency, power = _spectrum(volts, rate)
+    mains_hz, mains_v = _mains(frequency, power, floor)
+    tone_hz, tone_ratio = _tones(frequency, power, floor)
+    noise = np.diff(volts[: FINGERPRINT + 2], n=2, axis=0)
+    return Vitals(
+        name=recording.name,
+        samples=len(time_s),
+        rate_hz=(len(time_s) - 1) / (time_s[-1] - time_s[0]),
+        longest_step=float(np.diff(time_s).max() * rate),
+        span_v=np.ptp(volts, axis=0),
+        rail_run=np.array([_rail_run(column) for column in volts.T]),
+        noise_v_rthz=np.sqrt(floor),
+        mains_hz=mains_hz,
+        mains_v=mains_v,
+        tone_hz=tone_hz,
+        tone_ratio=tone_ratio,
+        rest_s=start - time_s[0],
+        rest_v=rest_v,
+        drift_v=volts[after].mean(axis=0) - rest_v if settled else np.full(volts.shape[1], np.nan),
+        agreement=sign_agreement(recording, labels, sensor),
+        landmarks=_landmarks(volts),
+        fingerprint=(noise / np.maximum(np.linalg.norm(noise, axis=0), 1e-300)).astype(np.float32),
+        echo=_echo(volts, rate),
+    )
+
+
+def _landmarks(volts: np.ndarray) -> np.ndarray:
+    """Hashes (m,) of eight successive samples, at the one place in 64 that the hash itself picks.
+
+    They travel with the samples, so that a copy is known by them wherever it begins.
+    """
+    random = np.random.default_rng(64)
+    bits = np.ascontiguousarray(volts, dtype=np.float64).view(np.uint64)
+    mixed = (bits * random.integers(1, 2**63, volts.shape[1], dtype=np.uint64) * np.uint64(2) + bits).sum(
+        axis=1
+    )
+    mixed ^= mixed >> np.uint64(29)
+    count = max(len(mixed) - 7, 0)
+    odd = random.integers(1, 2**62, 8, dtype=np.uint64) * np.uint64(2) + np.uint64(1)
+    hashes = np.zeros(count, dtype=np.uint64)
+    for n, factor in enumerate(odd):
+        hashes += mixed[n : n + count] * factor
+    return np.unique(hashes[(hashes >> np.uint64(58)) == 0])
+
+
+def _rail_run(column: np.ndarray) -> int:
+    """The longest run of samples equal to the highest or the lowest reading; 0 if all are equal."""
+    if column.min() == column.max():
+        return 0
+    longest = 0
+    for rail in (column.min(), column.max()):
+        at = np.flatnonzero(column == rail)
+        breaks = np.flatnonzero(np.diff(at) > 1)
+        edges = np.concatenate([[-1], breaks, [len(at) - 1]])
+        longest = max(longest, int(np.diff(edges).max()))
+    return longest
+
+
+def _spectrum(volts: np.ndarray, rate_hz: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Floor (channels,) V^2/Hz, frequencies (f,) Hz and power (f, channels) V^2/Hz above `NOISE_FROM_HZ`.
+
+    Welch's mean over seconds that overlap by half, Hann windows; the floor is the median over frequency. A
+    recording of less than a quarter of a second has no spectrum: its floor is NaN.
+    """
+    length = min(max(int(rate_hz), 64), len(volts))
+    if length < max(0.25 * rate_hz, 16):
+        return np.full(volts.shape[1], np.nan), np.zeros(0), np.zeros((0, volts.shape[1]))
+    window = np.hanning(length)[:, None]
+    starts = range(0, len(volts) - length + 1, max(length // 2, 1))[:SECONDS]
+    power = np.zeros((length // 2 + 1, volts.shape[1]))
+    for start in starts:
+        block = volts[start : start + length]
+        power += np.abs(np.fft.rfft((block - block.mean(axis=0)) * window, axis=0)) ** 2
+    power *= 2 / (rate_hz * (window**2).sum() * max(len(starts), 1))
+    frequency = np.fft.rfftfreq(length, 1 / rate_hz)
+    high = (frequency >= NOISE_FROM_HZ) & (frequency < 0.45 * rate_hz)
+    if high.sum() < 8:
+        high = frequency > frequency[-1] / 2
+    return np.median(power[high], axis=0), frequency[high], power[high]
+
+
+def _mains(frequency: np.ndarray, power: np.ndarray, floor: np.ndarray) -> tuple[float, np.ndarray]:
+    """The stronger of 50 and 60 Hz, and its amplitude (channels,) V."""
+    if len(frequency) < 2:
+        return MAINS_HZ[0], np.zeros(power.shape[1])
+    width = frequency[1] - frequency[0]
+    amplitudes = []
+    for mains in MAINS_HZ:
+        near = np.abs(frequency - mains) <= 2 * width
+        excess = np.maximum(power[near] - floor, 0).sum(axis=0) * width
+        amplitudes.append(np.sqrt(2 * excess))
+    strongest = int(np.argmax([amplitude.sum() for amplitude in amplitudes]))
+    return MAINS_HZ[strongest], amplitudes[strongest]
+
+
+def _tones(frequency: np.ndarray, power: np.ndarray, floor: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The strongest line that is no harmonic of the mains, (channels,) Hz, and its power over the floor."""
+    other = np.ones(len(frequency), bool)
+    for mains in MAINS_HZ:
+        other &= np.abs((frequency + mains / 2) % mains - mains / 2) > 3
+    if not other.any():
+        return np.full(power.shape[1], np.nan), np.zeros(power.shape[1])
+    ratio = power[other] / np.maximum(floor, 1e-300)
+    return frequency[other][ratio.argmax(axis=0)], ratio.max(axis=0)
+
+
+def _echo(volts: np.ndarray, rate_hz: float) -> np.ndarray:
+    """The highest autocorrelation of the second differences at a lag of a fifth of a second or more.
+
+    Noise forgets itself; noise that a program tiles does not. Mains and its harmonics are taken out first.
+    """
+    noise = np.diff(volts[:16_384], n=2, axis=0)
+    count, lag = len(noise), max(int(0.2 * rate_hz), 100)
+    if count < 4 * lag:
+        return np.zeros(volts.shape[1])
+    length = 1 << (2 * count - 1).bit_length()
+    spectrum = np.fft.rfft(noise - noise.mean(axis=0), length, axis=0)
+    frequency = np.fft.rfftfreq(length, 1 / rate_hz)
+    for mains in MAINS_HZ:
+        spectrum[np.abs((frequency + mains / 2) % mains - mains / 2) < 1] = 0
+    correlation = np.fft.irfft(np.abs(spectrum) ** 2, axis=0)[:count]
+    return correlation[lag : count // 2].max(axis=0) / np.maximum(correlation[0], 1e-300)

@@ -1,0 +1,254 @@
+"""The map: a TOML that says what a lab's files mean, as frozen dataclasses. Unknown keys are errors."""
+
+import re
+import tomllib
+from dataclasses import MISSING, dataclass, field, fields
+from pathlib import Path
+from typing import Any, get_type_hints
+
+from features.errors import InputError
+from pipeline.importers.readers.delimited import CsvLayout
+from pipeline.recordings.folder import LABELS
+from pipeline.sensor import Sensor, read_sensor
+
+KINDS = {
+    "csv": (".csv", ".txt", ".tsv", ".dat"),
+    "parquet": (".parquet",),
+    "hdf5": (".h5", ".hdf5", ".hdf"),
+    "tdms": (".tdms",),
+    "mat": (".mat",),
+    "ros": (".bag", ".mcap", ".db3"),
+}
+TIME_UNITS = ("s", "ms", "us", "ns", "timestamp")
+SIGNAL_UNITS = ("V", "mV", "g", "m/s2", "counts")
+
+
+@dataclass(frozen=True)
+class Clock:
+    """`[time]`: the column of times and its unit, or `rate_hz` where the file has none.
+
+    origin: "kept" leaves the times as they count, "first" counts from the first sample (timestamps always
+    do). max_gap_s: a longer gap is an error, a shorter one is bridged by a straight line and reported.
+    align: "onset" sets the labelled moments of motion onto the onset in the signal, for a stage whose clock
+    is not the DAQ's.
+    """
+
+    column: str = ""
+    unit: str = "s"
+    rate_hz: float = 0.0
+    origin: str = "kept"
+    max_gap_s: float = 0.1
+    align: str = "none"
+
+    def __post_init__(self) -> None:
+        _one_of("unit", self.unit, TIME_UNITS)
+        _one_of("origin", self.origin, ("kept", "first"))
+        _one_of("align", self.align, ("none", "onset"))
+        if bool(self.column) == (self.rate_hz > 0):
+            raise ValueError("give either column or rate_hz")
+        if not self.max_gap_s > 0:
+            raise ValueError(f"max_gap_s is {self.max_gap_s}; it must be positive")
+
+
+@dataclass(frozen=True)
+class Signal:
+    """`[channels.a0_vx]`: where one output is. part: which file, where a slide has several."""
+
+    column: str
+    unit: str = "V"
+    part: str = ""
+    volts_per_count: float = 0.0
+    zero_count: float = 0.0
+
+    def __post_init__(self) -> None:
+        _one_of("unit", self.unit, SIGNAL_UNITS)
+        if (self.unit == "counts") != (self.volts_per_count > 0):
+            raise ValueError(
+                "volts_per_count belongs to the unit counts, and only to it; give the volts of one count"
+            )
+
+
+@dataclass(frozen=True)
+class Board:
+    """`[boards.a0]`: how an accelerometer is mounted, and what it was calibrated to.
+
+    flip: outputs whose sign is turned, before the board is turned. turn_deg: the board's x axis seen from the
+    skin's, counter-clockwise. calibration: a six-position file, beside the map.
+    """
+
+    turn_deg: float = 0.0
+    flip: tuple[str, ...] = ()
+    calibration: str = ""
+
+    def __post_init__(self) -> None:
+        for axis in self.flip:
+            _one_of("flip", axis, ("x", "y", "z"))
+
+
+@dataclass(frozen=True)
+class Label:
+    """`[labels.speed_mm_s]`: a fixed value, a column, a group of pattern, or a sheet's column.
+
+    values: what a text stands for, as in {XF = 0, XB = 180}. scale: multiplies a number, for other units.
+    """
+
+    value: str | float | None = None
+    column: str = ""
+    name: str = ""
+    sheet: str = ""
+    values: dict[str, str | float] = field(default_factory=dict)
+    scale: float = 1.0
+
+    def __post_init__(self) -> None:
+        if (self.value is not None) + bool(self.column) + bool(self.name) + bool(self.sheet) != 1:
+            raise ValueError("give exactly one of value, column, name, sheet")
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """`[sheet]`: a table with one row a recording, in delimited text beside the map."""
+
+    file: str
+    key: str = "recording"
+    delimiter: str = ","
+    decimal: str = "."
+
+
+@dataclass(frozen=True)
+class Map:
+    """The whole map. signs: "zones" flips outputs that the labelled slides show inverted, "given" none."""
+
+    path: Path
+    kind: str
+    sensor: Sensor
+    time: Clock
+    channels: dict[str, Signal]
+    pattern: str = ""
+    signs: str = "given"
+    csv: CsvLayout = field(default_factory=CsvLayout)
+    boards: dict[str, Board] = field(default_factory=dict)
+    labels: dict[str, Label] = field(default_factory=dict)
+    sheet: Sheet | None = None
+
+    def __post_init__(self) -> None:
+        _one_of("kind", self.kind, tuple(KINDS))
+        _one_of("signs", self.signs, ("given", "zones"))
+        try:
+            groups = set(re.compile(self.pattern).groupindex)
+        except re.error as error:
+            raise ValueError(f"pattern is no regular expression ({error})") from None
+        for channel in self.sensor.channels:
+            if channel not in self.channels:
+                raise ValueError(f"[channels.{channel}] is missing; say where the sensor's output is")
+        _known("channels", self.channels, self.sensor.channels)
+        _known("boards", self.boards, tuple(a.name for a in self.sensor.accelerometers))
+        _known("labels", self.labels, ("recording", "split", *LABELS))
+        for name, label in self.labels.items():
+            if label.name and label.name not in groups:
+                raise ValueError(
+                    f"[labels.{name}] names the group '{label.name}', which pattern does not have"
+                )
+            if name == "recording" and not label.name:
+                raise ValueError(
+                    "[labels.recording] needs name, a group of pattern; a file holds one recording"
+                )
+            if label.sheet and self.sheet is None:
+                raise ValueError(f"[labels.{name}] names a sheet's column; add [sheet] with its file")
+        if any(s.part for s in self.channels.values()) and "part" not in groups:
+            raise ValueError("a channel has a part, so pattern needs a group (?P<part>...) that finds it")
+        if self.kind == "ros" and not self.time.column:
+            raise ValueError("[time] column is missing; write header.stamp or received")
+        for name in (a.name for a in self.sensor.accelerometers):
+            units = {self.channels[f"{name}_v{axis}"].unit in ("g", "m/s2") for axis in "xyz"}
+            if len(units) > 1:
+                raise ValueError(f"the channels of {name} mix volts and accelerations; give one kind")
+
+
+_TABLES: tuple[tuple[str, type], ...] = (("time", Clock), ("csv", CsvLayout), ("sheet", Sheet))
+_ROWS: tuple[tuple[str, type], ...] = (("channels", Signal), ("boards", Board), ("labels", Label))
+
+
+def read_map(path: Path) -> Map:
+    """Reads and validates a map, and the `sensor.toml` that it names.
+
+    Raises:
+        InputError: a file is missing or no TOML, a key is unknown or missing, a value is wrong.
+    """
+    try:
+        table = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(
+            f"{path}: {error.strerror}; print a map to start from with --map-template KIND"
+        ) from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: not a TOML file ({error}); mend its syntax") from None
+    sensor = table.pop("sensor", None)
+    if not isinstance(sensor, str):
+        raise InputError(f'{path}: sensor is {sensor!r}; write sensor = "sensor.toml", a file beside the map')
+    parts: dict[str, Any] = {"path": path, "sensor": read_sensor(path.parent / sensor)}
+    for name, kind in _TABLES:
+        if name in table:
+            parts[name] = _build(kind, table.pop(name), f"{path}: [{name}]")
+    for name, kind in _ROWS:
+        rows = table.pop(name, {})
+        if not isinstance(rows, dict):
+            raise InputError(f"{path}: {name} is {rows!r}; write tables [{name}.NAME]")
+        parts[name] = {key: _build(kind, row, f"{path}: [{name}.{key}]") for key, row in rows.items()}
+    if "csv" in parts and table.get("kind") != "csv":
+        raise InputError(f'{path}: [csv] belongs to kind = "csv"; remove it')
+    return _build(Map, {**table, **parts}, str(path), built=set(parts))
+
+
+def template(kind: str) -> str:
+    """A commented map to start from."""
+    folder = Path(__file__).parent / "templates"
+    return "".join((folder / name).read_text(encoding="utf-8") for name in (f"{kind}.toml", "labels.toml"))
+
+
+def _build(kind: type, table: Any, place: str, built: set[str] | None = None) -> Any:
+    """A dataclass from a TOML table: unknown keys, missing keys and wrong types are errors."""
+    if not isinstance(table, dict):
+        raise InputError(f"{place}: {table!r} is no table; write its keys under a [heading]")
+    known = {f.name: f for f in fields(kind)}
+    if unknown := [key for key in table if key not in known]:
+        raise InputError(f"{place}: unknown key '{unknown[0]}'; known are {', '.join(known)}")
+    required = [f.name for f in known.values() if f.default is MISSING and f.default_factory is MISSING]
+    if missing := [name for name in required if name not in table]:
+        raise InputError(f"{place}: {missing[0]} is missing; add it")
+    hints = get_type_hints(kind)
+    values = {
+        key: value if built and key in built else _typed(value, hints[key], f"{place}: {key}")
+        for key, value in table.items()
+    }
+    try:
+        return kind(**values)
+    except ValueError as error:
+        raise InputError(f"{place}: {error}") from None
+
+
+def _typed(value: Any, hint: Any, place: str) -> Any:
+    number = isinstance(value, int | float) and not isinstance(value, bool)
+    if hint is float and number:
+        return float(value)
+    if hint in (str, bool) and isinstance(value, hint):
+        return value
+    if hint is int and number and isinstance(value, int):
+        return value
+    if hint == tuple[str, ...] and isinstance(value, list) and all(isinstance(v, str) for v in value):
+        return tuple(value)
+    if hint == str | float | None and (number or isinstance(value, str)):
+        return value
+    if hint == dict[str, str | float] and isinstance(value, dict):
+        return value
+    words = {float: "a number", int: "a whole number", str: "a text in quotes", bool: "true or false"}
+    raise InputError(f"{place} is {value!r}; write {words.get(hint, 'what the template shows')}")
+
+
+def _one_of(name: str, value: str, known: tuple[str, ...]) -> None:
+    if value not in known:
+        raise ValueError(f"{name} is '{value}'; it must be one of {', '.join(known)}")
+
+
+def _known(name: str, given: dict[str, Any], known: tuple[str, ...]) -> None:
+    if unknown := [key for key in given if key not in known]:
+        raise ValueError(f"unknown key '{name}.{unknown[0]}'; known are {', '.join(known)}")

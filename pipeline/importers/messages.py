@@ -1,0 +1,67 @@
+"""What an import did that its user should know: signs flipped and why, clocks resampled, moments moved."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from pipeline.importers.import_map import Map
+from pipeline.importers.units import nominal
+
+# Mean agreement below which the labelled slides show an output to be inverted; well-wired ones reach +0.9.
+INVERTED = -0.4
+
+
+def inverted(entries: Sequence[dict[str, Any]], mapping: Map) -> tuple[dict[int, float], list[str]]:
+    """Outputs to flip, as channel -> the volts to mirror them at, and why."""
+    told = [entry["agreement"] for entry in entries if entry["agreement"] is not None]
+    flips: dict[int, float] = {}
+    notes: list[str] = []
+    if not told:
+        return flips, notes
+    cosines = np.array(told, dtype=float).reshape(len(told), -1, 3, 2)
+    for k, part in enumerate(mapping.sensor.accelerometers):
+        for i, axis in enumerate("xy"):
+            known = cosines[:, k, i, i][~np.isnan(cosines[:, k, i, i])]
+            if len(known) < 3 or known.mean() > INVERTED:
+                continue
+            why = (
+                f"{part.name}_v{axis}: inverted in {(known < 0).sum()} of {len(known)} labelled slides "
+                f"(agreement with the article's zones {known.mean():+.2f}; inverted below {INVERTED:+.2f})"
+            )
+            if mapping.signs == "zones":
+                flips[3 * k + i] = float(nominal(part).offset_v[i])
+                notes.append(f"flipped {why}")
+            else:
+                notes.append(f'not flipped {why}; set signs = "zones" to flip it')
+    return flips, notes
+
+
+def clock_notes(entries: Sequence[dict[str, Any]], mapping: Map) -> list[str]:
+    notes = []
+    widest = max(entries, key=lambda entry: entry["clock"]["largest_gap_s"])
+    resampled = sum(entry["clock"]["resampled"] for entry in entries)
+    if resampled:
+        notes.append(
+            f"resampled {resampled} of {len(entries)} recordings onto {mapping.sensor.sample_rate_hz:g} Hz; "
+            f"largest gap {widest['clock']['largest_gap_s']:.6g} s, in {widest['recording']}"
+        )
+    shifts = np.array([entry["shift_s"] for entry in entries if entry["shift_s"] is not None])
+    if len(shifts):
+        notes.append(
+            f"aligned {len(shifts)} of {len(entries)} recordings on the onset: the motion moved by "
+            f"{np.median(shifts):+.3f} s (median), {shifts.min():+.3f} to {shifts.max():+.3f} s"
+        )
+    return notes
+
+
+def mounting_notes(mapping: Map) -> list[str]:
+    notes = []
+    for name, board in mapping.boards.items():
+        if board.flip:
+            notes.append(f"flipped {', '.join(f'{name}_v{axis}' for axis in board.flip)}: the map says so")
+        if board.turn_deg:
+            notes.append(f"turned {name} by {board.turn_deg:g} degrees: the map says so")
+        if board.calibration:
+            notes.append(f"calibrated {name} with {board.calibration}")
+    return notes

@@ -1,0 +1,56 @@
+"""MATLAB .mat of both kinds: version 5 to 7 through SciPy, version 7.3 (HDF5) through h5py."""
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import scipy.io
+
+from features.errors import InputError
+from pipeline.importers.readers.chunk import Chunk, blocks, require
+from pipeline.importers.readers.hdf5 import common_length, read_hdf5
+
+
+def read_matlab(path: Path, columns: Sequence[str]) -> Iterator[Chunk]:
+    """Columns `variable`, `variable:2` (column 2, counted from 0) or `struct.field`.
+
+    Version 7.3 streams. The older kind cannot: a variable, which holds 2 GB at most, is read whole; only the
+    variables that the map names are.
+    """
+    with path.open("rb") as file:
+        head = file.read(128)
+    if b"MATLAB 7.3" in head or head.startswith(b"\x89HDF"):
+        yield from read_hdf5(path, columns, matlab=True)
+        return
+    variables = {column.partition(":")[0].partition(".")[0] for column in columns}
+    require(path, sorted(variables), [name for name, _, _ in scipy.io.whosmat(path)], "variable")
+    content = scipy.io.loadmat(path, variable_names=variables, struct_as_record=False, squeeze_me=True)
+    lanes = {column: _column(path, content, column) for column in columns}
+    length = common_length(path, {column: len(lane) for column, lane in lanes.items()})
+    for start, stop in blocks(length):
+        parts = {
+            c: lane[start:stop] if len(lane) > 1 else np.repeat(lane, stop - start)
+            for c, lane in lanes.items()
+        }
+        yield Chunk(parts, stop / length)
+
+
+def _column(path: Path, content: dict[str, Any], column: str) -> np.ndarray:
+    name, _, number = column.partition(":")
+    variable, *fields = name.split(".")
+    value = content[variable]
+    for field in fields:
+        if not hasattr(value, field):
+            raise InputError(f"{path}: '{variable}' has no field '{field}'; correct its name in the map")
+        value = getattr(value, field)
+    value = np.atleast_1d(value)
+    if number:
+        if value.ndim != 2 or not number.isdigit() or int(number) >= value.shape[1]:
+            raise InputError(
+                f"{path}: '{name}' has no column {number} (it is {value.shape}); name one it has"
+            )
+        return value[:, int(number)]
+    if value.ndim != 1:
+        raise InputError(f"{path}: '{column}' has {value.shape[-1]} columns; add ':0' for the first")
+    return value

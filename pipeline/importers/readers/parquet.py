@@ -1,0 +1,23 @@
+"""Parquet, one row group's batch at a time."""
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from pipeline.importers.readers.chunk import CHUNK, Chunk, require
+
+
+def read_parquet(path: Path, columns: Sequence[str]) -> Iterator[Chunk]:
+    """Columns by name; a null comes as NaN."""
+    with pq.ParquetFile(path, pre_buffer=False) as file:
+        require(path, columns, file.schema_arrow.names)
+        rows, total = 0, max(file.metadata.num_rows, 1)
+        for batch in file.iter_batches(CHUNK, columns=list(columns)):
+            rows += len(batch)
+            yield Chunk({name: _numpy(batch.column(name)) for name in columns}, rows / total)
+
+
+def _numpy(column: pa.Array):
+    return column.to_numpy(zero_copy_only=False)

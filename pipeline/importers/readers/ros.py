@@ -1,0 +1,76 @@
+"""ROS 1 bags, ROS 2 bags and MCAP, through rosbags: fields as `/topic.field.field` or `/topic.data[0]`."""
+
+import re
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+from rosbags.highlevel import AnyReader
+from rosbags.typesys import Stores, get_typestore
+
+from features.errors import InputError
+from pipeline.importers.readers.chunk import Chunk, require
+
+# Messages a chunk holds: they are Python objects while they are read.
+MESSAGES = 20_000
+# As a time column, next to a message's own stamp: when the bag received it.
+RECEIVED = "received"
+
+
+def topic_of(column: str) -> str:
+    """A ROS name holds no dot, so the topic ends at the first one."""
+    return column.partition(".")[0]
+
+
+def read_ros(path: Path, columns: Sequence[str]) -> Iterator[Chunk]:
+    """Fields of one topic's messages in the bag's order; stamps come as whole nanoseconds (int64).
+
+    path: a `.bag`, an `.mcap`, a `.db3`, or the folder of a ROS 2 bag.
+    """
+    topic = topic_of(columns[0])
+    readers = {column: _field(path, column) for column in columns}
+    # Bags recorded before message definitions were stored need the common ones.
+    with AnyReader([path], default_typestore=get_typestore(Stores.LATEST)) as bag:
+        require(path, [topic], sorted({connection.topic for connection in bag.connections}), "topic")
+        connections = [connection for connection in bag.connections if connection.topic == topic]
+        total = sum(connection.msgcount for connection in connections)
+        rows: list[list[float | int]] = []
+        count = 0
+        for connection, received, raw in bag.messages(connections):
+            message = bag.deserialize(raw, connection.msgtype)
+            rows.append([read(message, received) for read in readers.values()])
+            count += 1
+            if len(rows) == MESSAGES:
+                yield _chunk(rows, columns, count / total)
+                rows = []
+        if count != total:
+            raise InputError(
+                f"{path}: {count} of {total} messages on {topic}; the bag is cut short: copy it again"
+            )
+        if rows:
+            yield _chunk(rows, columns, 1.0)
+
+
+def _chunk(rows: list[list[float | int]], columns: Sequence[str], done: float) -> Chunk:
+    return Chunk({column: np.array([row[n] for row in rows]) for n, column in enumerate(columns)}, done)
+
+
+def _field(path: Path, column: str) -> Callable[[object, int], float | int]:
+    """How to read one field from a message: attribute by attribute, `[n]` for an array's element."""
+    steps = re.findall(r"\.(\w+)|\[(\d+)\]", column.partition(".")[1] + column.partition(".")[2])
+    if steps == [(RECEIVED, "")]:
+        return lambda message, received: received
+
+    def read(message, received: int) -> float | int:
+        value = message
+        for name, number in steps:
+            try:
+                value = getattr(value, name) if name else value[int(number)]
+            except (AttributeError, IndexError):
+                kind = type(message).__name__
+                raise InputError(f"{path}: a {kind} has no '{column}'; correct its name in the map") from None
+        if hasattr(value, "nanosec"):
+            return value.sec * 1_000_000_000 + value.nanosec
+        return value
+
+    return read

@@ -1,0 +1,1 @@
+"""A folder of recordings: read, validated, written, cut into windows."""

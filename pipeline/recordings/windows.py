@@ -1,0 +1,112 @@
+"""Windows with their labels: what a model is fitted to, read from a folder as a device would have seen it.
+
+The labels choose the moments at which a recording's stream is read and become the targets. Neither they nor
+those moments enter a window: its volts and its length come from the stream alone.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from features.errors import InputError
+from features.stream.conditioning import BlockMean, Conditioning
+from features.stream.tracker import track
+from pipeline.recordings.folder import LABELS, Folder
+
+STROKE_FRACTIONS = tuple(k / 10 for k in range(1, 11))
+_TARGETS = ("direction_deg", "speed_mm_s", "offset_mm", "depth_mm")
+
+
+@dataclass(frozen=True)
+class LabelledWindows:
+    """n windows of one sensor and what was done in each; a label that the lab did not give is NaN.
+
+    volts: (n, C, 64) float32 V; elapsed_s: (n,) s since the trigger. These two are all that a model reads.
+    direction_deg, speed_mm_s, offset_mm, depth_mm: (n,), as in the manifest.
+    along_mm: (n,), position of the contact along its line, from the foot of the perpendicular from the
+        sensor's reference point, positive in the sense of motion.
+    stroke_fraction: (n,), share of the motion seen; recording, split: (n,) names.
+    """
+
+    volts: np.ndarray
+    elapsed_s: np.ndarray
+    direction_deg: np.ndarray
+    speed_mm_s: np.ndarray
+    offset_mm: np.ndarray
+    depth_mm: np.ndarray
+    along_mm: np.ndarray
+    stroke_fraction: np.ndarray
+    recording: np.ndarray
+    split: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.elapsed_s)
+
+    def __getitem__(self, rows: np.ndarray | slice) -> "LabelledWindows":
+        """The windows that a mask, an index array or a slice picks."""
+        return LabelledWindows(**{name: values[rows] for name, values in vars(self).items()})
+
+
+def labelled_windows(
+    folder: Folder,
+    conditioning: Conditioning | None = None,
+    fractions: Sequence[float] = STROKE_FRACTIONS,
+) -> LabelledWindows:
+    """Every recording's window at each fraction of its stroke; fractions before the trigger give none.
+
+    A recording whose moments of motion are unknown is read once, at its end, as fraction 1.
+
+    Raises:
+        InputError: a slide is unreadable, or no slide of the folder was triggered.
+    """
+    conditioning = conditioning or Conditioning()
+    rows = [
+        row for name in folder.manifest.index for row in _windows_of(folder, name, conditioning, fractions)
+    ]
+    if not rows:
+        raise InputError(
+            f"{folder.root}: no slide tilts a board by {conditioning.trigger_v:g} V; check the wiring and the gain"
+        )
+    columns: dict[str, list] = {name: [row[name] for row in rows] for name in rows[0]}
+    arrays = {name: np.array(values) for name, values in columns.items()}
+    arrays["volts"] = arrays["volts"].astype(np.float32, copy=False)
+    return LabelledWindows(**arrays)
+
+
+def _windows_of(
+    folder: Folder, name: str, conditioning: Conditioning, fractions: Sequence[float]
+) -> list[dict[str, object]]:
+    recording = folder.load(name)
+    row = folder.manifest.loc[[name], list(LABELS)].to_numpy(float)[0]
+    labels = dict(zip(LABELS, row.tolist(), strict=True))
+    rate = folder.sensor.sample_rate_hz
+    samples = max(1, round(conditioning.block_s * rate))
+    blocks = BlockMean(recording.volts.shape[1], samples).push(recording.volts)
+    start_s, end_s = labels["motion_start_s"], labels["motion_end_s"]
+    known = bool(np.isfinite(start_s) and np.isfinite(end_s))
+    stroke = np.sort(np.asarray(fractions, float)) if known else np.ones(1)
+    read_s = start_s + stroke * (end_s - start_s) if known else recording.time_s[-1:]
+    read_at = np.round((read_s - recording.time_s[0]) * rate).astype(int) // samples
+    windows = track(blocks, conditioning, np.minimum(read_at, len(blocks)))
+    first = _along_at_start(labels, folder.sensor.reference_mm)
+    return [
+        {
+            "volts": window.volts,
+            "elapsed_s": window.elapsed_s,
+            **{target: labels[target] for target in _TARGETS},
+            "along_mm": first + fraction * labels["travel_mm"],
+            "stroke_fraction": float(fraction),
+            "recording": name,
+            "split": str(folder.manifest.at[name, "split"]),
+        }
+        for fraction, window in zip(stroke, windows, strict=True)
+        if window is not None
+    ]
+
+
+def _along_at_start(labels: Mapping[str, float], reference_mm: tuple[float, float]) -> float:
+    """s = cos(a) (x - x_ref) + sin(a) (y - y_ref) at the start of the motion, mm."""
+    angle = np.deg2rad(labels["direction_deg"])
+    x, y = labels["start_x_mm"] - reference_mm[0], labels["start_y_mm"] - reference_mm[1]
+    return float(np.cos(angle) * x + np.sin(angle) * y)

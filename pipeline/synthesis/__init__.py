@@ -1,0 +1,1 @@
+"""Synthetic recordings of a solved design."""

@@ -1,0 +1,269 @@
+"""Synthetic slides: what a device of a solved design would record, as arrays or as a folder of recordings.
+
+The atlas is asked every half millimetre of the way, the slow part (way, lag, ripple, posture) is computed every
+hundredth of a second or less, and cubic convolution leads to the sample rate, where vibration and electronics come in.
+"""
+
+import json
+import sys
+from collections.abc import Iterable, Iterator
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from scipy.interpolate import BSpline, make_interp_spline
+from scipy.signal import lfilter
+
+from features.errors import InputError
+from pipeline.atlas.atlas import DEFAULT_SENSOR, Atlas, check_atlas, read_atlas
+from pipeline.recordings.folder import Folder, Recording, write_folder
+from pipeline.sensor import Accelerometer, Board, Sensor, Skin, design_hash, read_sensor
+from pipeline.skin.lines import PER_BOARD
+from pipeline.synthesis.board_gravity import in_tilted_device, upright
+from pipeline.synthesis.distribution import Distribution, draw_slide
+from pipeline.synthesis.electronics import Electronics, draw_electronics, ideal_electronics, volts
+from pipeline.synthesis.slide_plan import Slide
+from pipeline.synthesis.upsampling import upsampled
+from pipeline.synthesis.viscoelastic_lag import standard_solid
+
+KNOT_MM = 0.5
+SLOW_S = 0.01
+# The slow clock is as quick as the way needs: no more than this between its samples.
+SLOW_MM = 0.2
+# The vibration's resonance is broad: a pole at this radius for each cycle of ringing that is heard.
+_RINGING = 3.0
+# The vibration amplitude in `Distribution` is for this speed and this normal force.
+_VIBRATION_MM_S, _VIBRATION_N = 10.0, 0.3
+# Streams of random numbers of one seed.
+_DEVICE, _PLAN, _NOISE = 0, 1, 2
+
+
+@dataclass(frozen=True)
+class Device:
+    """What stays the same from slide to slide: electronics, the skin's lag, vibration, the pressure's ripple."""
+
+    electronics: Electronics
+    delayed: float = 0.0
+    tau_s: float = 0.1
+    vibration_g: float = 0.0
+    vibration_hz: float = 100.0
+    ripple: float = 0.0
+    ripple_hz: float = 1.0
+    friction_mm: float = 0.3
+    drift_g: float = 0.0
+
+
+def ideal_device(sensor: Sensor) -> Device:
+    """No noise, no lag, nothing but the atlas and the ADC's step."""
+    return Device(ideal_electronics(sensor))
+
+
+def draw_device(sensor: Sensor, distribution: Distribution, seed: int) -> Device:
+    """The device of a seed."""
+    random = np.random.default_rng([seed, _DEVICE])
+    d = distribution
+    log_uniform = lambda bounds: float(np.exp(random.uniform(*np.log(bounds))))  # noqa: E731
+    return Device(
+        draw_electronics(sensor, d.electronics, random),
+        float(random.uniform(*d.delayed)),
+        log_uniform(d.tau_s),
+        log_uniform(d.vibration_g),
+        float(random.uniform(*d.vibration_hz)),
+        log_uniform(d.ripple),
+        log_uniform(d.ripple_hz),
+        d.friction_mm,
+        d.drift_g,
+    )
+
+
+def synthetic_slides(
+    count: int,
+    seed: int,
+    atlas: Atlas | None = None,
+    sensor: Sensor | None = None,
+    distribution: Distribution | None = None,
+) -> Iterator[tuple[Slide, Recording]]:
+    """Plans and recordings, one at a time, without touching the disk; the same for the same seed.
+
+    A slide depends on the seed and its number alone: more of them begin with the same ones.
+    """
+    atlas, distribution = atlas or read_atlas(), distribution or Distribution()
+    sensor = sensor or sensor_of(atlas)
+    device = draw_device(sensor, distribution, seed)
+    for number in range(count):
+        slide = plan(number, seed, atlas, sensor, distribution)
+        yield slide, record(slide, device, atlas, noise_of(number, seed))
+
+
+def plan(number: int, seed: int, atlas: Atlas, sensor: Sensor, distribution: Distribution) -> Slide:
+    """The plan of a seed's slide."""
+    return draw_slide(number, atlas, sensor, distribution, np.random.default_rng([seed, _PLAN, number]))
+
+
+def noise_of(number: int, seed: int) -> np.random.Generator:
+    """The random numbers of a seed's slide that are no part of its plan."""
+    return np.random.default_rng([seed, _NOISE, number])
+
+
+def record(slide: Slide, device: Device, atlas: Atlas, random: np.random.Generator) -> Recording:
+    """What the device records of a slide.
+
+    Raises:
+        InputError: the slide leaves the atlas's depths or heights.
+    """
+    rate = device.electronics.rate_hz
+    count = int(slide.duration_s * rate) + 1
+    factor = max(1, int(rate * min(SLOW_S, SLOW_MM / slide.stroke.speed_mm_s)))
+    slow_s = (np.arange(-1, -(-count // factor) + 2)) * factor / rate
+    tilt, yaw, rubbing = _skin(slide, device, atlas, slow_s, random)
+    gravity = in_tilted_device(tilt, yaw, upright(slide.posture_deg))
+    boards = len(gravity)
+    gravity += _drift(slow_s, device.drift_g, boards, random)
+    slow = np.concatenate([gravity.reshape(boards * 3, -1), rubbing[None]])
+    fast = upsampled(slow, factor)[:, :count]
+    sensed = fast[:-1].reshape(boards, 3, count)
+    if device.vibration_g > 0:
+        coupling = random.standard_normal((boards, 3, 1)).astype(np.float32)
+        sensed += coupling * (fast[-1] * _ringing(count, device, random))
+    output = volts(sensed, device.electronics, random)
+    return Recording(slide.name, np.arange(count) / rate, output.astype(float))
+
+
+def _skin(
+    slide: Slide, device: Device, atlas: Atlas, time_s: np.ndarray, random: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """What the skin does to its boards at (n,) s.
+
+    Returns:
+        Readings along x and y in a level device (boards, 2, n) g; yaw (boards, n) rad; the vibration's rms (n,) g.
+    """
+    stroke, boards = slide.stroke, atlas.boards
+    since = time_s - slide.motion_start_s
+    forth, back = stroke.forth(since), stroke.back(since)
+    level = atlas.pressure_at(slide.height_mm)
+    parts = _along_the_way(slide, atlas, level)(forth - back)
+    # Friction is fully there once the indenter slides and turns within some way (P. R. Dahl, 1968).
+    turned = np.where(back > 0, 2 * np.exp(-back / max(device.friction_mm, 1e-9)) - 1, 1.0)
+    angle = np.deg2rad(slide.direction_deg)
+    drag = np.cos(angle) * parts[:, 1] + np.sin(angle) * parts[:, 2]
+    values = parts[:, 0] + turned[:, None] * drag
+    posture = slide.gain * values[:, : PER_BOARD * boards].reshape(-1, boards, PER_BOARD)
+    chosen = posture[:, :, [0, 1, 6]].reshape(-1, boards * 3)
+    lagging = standard_solid(chosen, time_s[1] - time_s[0], device.delayed, device.tau_s)
+    tilt = atlas.static(level)[:, :2] + lagging.reshape(-1, boards, 3)[:, :, :2]
+    if device.ripple > 0:
+        wave = np.sin(2 * np.pi * (device.ripple_hz * time_s + random.uniform()))
+        # All tilts go with the pressure as the static one does, to first order.
+        tilt = tilt * (1 + _static_exponent(atlas, level) * device.ripple * wave)[:, None, None]
+    pressing = np.maximum(values[:, -1], 0) / _VIBRATION_N
+    rubbing = device.vibration_g * np.sqrt(stroke.speed(since) / _VIBRATION_MM_S) * pressing
+    return np.moveaxis(tilt, 0, -1), lagging.reshape(-1, boards, 3)[:, :, 2].T, rubbing
+
+
+def _along_the_way(slide: Slide, atlas: Atlas, level: float) -> BSpline:
+    """The atlas's mean, fx and fy as a spline of the way: (n,) mm -> (n, 3, channels)."""
+    way = np.linspace(0, slide.stroke.travel_mm, max(4, int(slide.stroke.travel_mm / KNOT_MM) + 1))
+    parts = atlas.friction_parts(*slide.places(way), slide.depths(way), level)
+    if np.isnan(parts).any():
+        raise InputError(f"{slide.name} passes a position that was not solved; choose another line")
+    return make_interp_spline(way, parts)
+
+
+def _static_exponent(atlas: Atlas, level: float) -> float:
+    """d log(static tilt) / d log(pressure), 0 for a board at the centre or an atlas of one level."""
+    ends = atlas.pressure_mpa[[0, -1]]
+    low, high = np.clip([0.98 * level, 1.02 * level], *ends)
+    tilts = [np.linalg.norm(atlas.static(float(p))[:, :2]) for p in (low, high)]
+    return float(np.log(tilts[1] / tilts[0]) / np.log(high / low)) if low < high and tilts[0] > 1e-6 else 0.0
+
+
+def _drift(time_s: np.ndarray, drift_g: float, boards: int, random: np.random.Generator) -> np.ndarray:
+    """Each output's own straight drift, (boards, 3, n) g."""
+    return drift_g * random.standard_normal((boards, 3, 1)) * time_s / 60
+
+
+def _ringing(count: int, device: Device, random: np.random.Generator) -> np.ndarray:
+    """Noise (n,) of unit variance round the vibration's frequency: white noise through one pair of poles."""
+    turn = 2 * np.pi * min(device.vibration_hz / device.electronics.rate_hz, 0.45)
+    radius = np.exp(-turn / (2 * _RINGING))
+    a = np.array([1, -2 * radius * np.cos(turn), radius**2], np.float32)
+    rung = lfilter(np.ones(1, np.float32), a, random.standard_normal(count, dtype=np.float32))
+    # Variance of a second-order autoregression: (1 + a2) / ((1 - a2) ((1 + a2)^2 - a1^2)).
+    variance = (1 + a[2]) / ((1 - a[2]) * ((1 + a[2]) ** 2 - a[1] ** 2))
+    return rung / np.sqrt(variance)
+
+
+def sensor_of(atlas: Atlas) -> Sensor:
+    """The sensor that an atlas was solved for, with the article's electronics: the atlas holds its mechanics alone.
+
+    The reference point is the middle of the accelerometers.
+    """
+    article = read_sensor(DEFAULT_SENSOR)
+    design = atlas.meta["design"]
+    if design_hash(article) == atlas.meta["design_hash"]:
+        return article
+    places = np.array(design["boards_mm"], float)
+
+    def tuples(table: dict[str, Any]) -> dict[str, Any]:
+        return {name: tuple(value) if isinstance(value, list) else value for name, value in table.items()}
+
+    return Sensor(
+        f"design-{atlas.meta['design_hash']}",
+        article.sample_rate_hz,
+        tuple(design["chamber_mm"]),
+        design["skin_thickness_mm"],
+        design["indenter_diameter_mm"],
+        article.pressure_mpa,
+        (float(places[:, 0].mean()), float(places[:, 1].mean())),
+        article.adc_step_v,
+        tuple(Accelerometer(f"a{n}", float(x), float(y)) for n, (x, y) in enumerate(places)),
+        Skin(**tuples(design["skin"])),
+        Board(**tuples(design["board"])),
+    )
+
+
+def synthesize(
+    atlas_path: Path | None,
+    sensor_path: Path | None,
+    count: int,
+    seed: int,
+    out: Path,
+    distribution: Distribution | None = None,
+) -> Folder:
+    """`softslide synthesize`: writes a folder of recordings, whole or not at all.
+
+    Raises:
+        InputError: no slides, a negative seed, an atlas that is none or of another design, an `out` not to be written.
+    """
+    if count < 1:
+        raise InputError(f"--slides {count}: at least one is needed")
+    if seed < 0:
+        raise InputError(f"--seed {seed}: it must not be negative")
+    atlas = read_atlas(atlas_path) if atlas_path else read_atlas()
+    sensor = read_sensor(sensor_path) if sensor_path else sensor_of(atlas)
+    check_atlas(atlas, sensor, str(atlas_path or "the default atlas"))
+    # Whoever reads a report on these recordings is to see what they are.
+    sensor = replace(sensor, name=f"{sensor.name}, synthetic")
+    distribution = distribution or Distribution()
+    device = draw_device(sensor, distribution, seed)
+    slides = [plan(number, seed, atlas, sensor, distribution) for number in range(count)]
+    manifest = pd.DataFrame([slide.labels() for slide in slides])
+    recordings = (record(slide, device, atlas, noise_of(n, seed)) for n, slide in enumerate(slides))
+    origin = {
+        "what": "synthetic slides, made by softslide synthesize; never measured on hardware",
+        "seed": seed,
+        "atlas_design": atlas.meta["design_hash"],
+        "atlas_heights_mm": atlas.height_mm.tolist(),
+        "distribution": asdict(distribution),
+    }
+    notes = {"synthesis.json": json.dumps(origin, indent=1) + "\n"}
+    return write_folder(out, sensor, manifest, _bar(recordings, count), notes)
+
+
+def _bar(recordings: Iterable[Recording], count: int) -> Iterable[Recording]:
+    """A progress bar on standard error where a person watches."""
+    from tqdm import tqdm
+
+    return tqdm(recordings, total=count, unit="slide", desc="synthesizing", disable=None, file=sys.stderr)

@@ -1,0 +1,176 @@
+"""The live page: a web server in a thread of its own, which shows every viewer the latest estimate.
+
+The stream hands over by overwriting one slot, and waits for nobody. A viewer asks for each frame, so that no more than
+one is ever on its way: a slow viewer sees fewer, not older ones.
+"""
+
+import asyncio
+import json
+import socket
+import struct
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from features.card import Card
+from features.errors import InputError
+from features.estimate import Estimate
+from features.stream.tracker import State
+
+PLACE = "write PORT or HOST:PORT, port 0 for any that is free"
+FRAME_S = 1 / 40
+# A viewer of a silent stream gets the last frame again, and so one that has left is noticed.
+SILENCE_S = 1.0
+# What viewers have, at the end, to ask for the last frame.
+FAREWELL_S = 0.5
+STATES = tuple(State)
+NUMBERS = tuple(name for name in Estimate._fields if name not in ("time_s", "state"))
+_FILES = Path(__file__).with_name("static")
+
+
+class Page:
+    """Listens from the start, serves until it is closed."""
+
+    def __init__(self, place: str, card: Card, source: str) -> None:
+        """place: [HOST:]PORT, the host this machine alone if it is left out. source: the stream's name.
+
+        Raises:
+            InputError: no such place, it is taken, or the live extra is missing.
+        """
+        self._about = json.dumps(about(card, source))
+        self._latest: tuple[Estimate, np.ndarray] | None = None
+        self._ended = False
+        self._viewers = 0
+        application = self._application(place)
+        listener = _listener(place)
+        host, port = listener.getsockname()[:2]
+        self.address = f"http://{f'[{host}]' if ':' in host else host}:{port}/"
+        self._server = _server(application)
+        self._thread = threading.Thread(
+            target=self._server.run, kwargs={"sockets": [listener]}, name="page", daemon=True
+        )
+        self._thread.start()
+
+    def show(self, estimate: Estimate, subtracted_v: np.ndarray) -> None:
+        """Puts one estimate and the subtracted output (C,) V of the same moment in the place of the last."""
+        self._latest = estimate, subtracted_v
+
+    def close(self) -> None:
+        """Shows the last estimate, says that the stream has ended, and gives the place back."""
+        self._ended = True
+        until = time.monotonic() + FAREWELL_S
+        while self._viewers and time.monotonic() < until:
+            time.sleep(FRAME_S)
+        self._server.should_exit = True
+        self._thread.join(timeout=5.0)
+
+    def _application(self, place: str) -> Any:
+        try:
+            import websockets  # noqa: F401 - uvicorn's, who asks for it too late to say so in one line
+            from fastapi import FastAPI, WebSocket, WebSocketDisconnect
+            from fastapi.staticfiles import StaticFiles
+        except ImportError:
+            raise InputError(f"--page {place}: needs the live extra; pip install 'softslide[live]'") from None
+        application = FastAPI(openapi_url=None)
+
+        @application.websocket("/stream")
+        async def stream(viewer: WebSocket) -> None:
+            # A page of another origin may not read along through its visitor's browser.
+            origin = viewer.headers.get("origin")
+            if origin is not None and origin.partition("://")[2] != viewer.headers.get("host"):
+                await viewer.close(1008)
+                return
+            await viewer.accept()
+            self._viewers += 1
+            try:
+                await self._attend(viewer)
+            except WebSocketDisconnect:
+                return
+            finally:
+                self._viewers -= 1
+
+        application.mount("/", StaticFiles(directory=_FILES, html=True))
+        return application
+
+    async def _attend(self, viewer: Any) -> None:
+        """One viewer: what there is to see, then a frame whenever it asks, until it leaves or the stream ends."""
+        await viewer.send_text(self._about)
+        shown = None
+        while (await viewer.receive())["type"] != "websocket.disconnect":
+            shown = await self._next(shown)
+            await viewer.send_bytes(frame(*shown) if shown else b"")
+            if self._ended and shown is self._latest:
+                await viewer.close()
+                return
+            await asyncio.sleep(FRAME_S)
+
+    async def _next(self, shown: tuple[Estimate, np.ndarray] | None) -> tuple[Estimate, np.ndarray] | None:
+        """What is newer than `shown`; after a while of silence, or at the end, whatever there is."""
+        for _ in range(round(SILENCE_S / FRAME_S)):
+            if self._latest is not shown or self._ended:
+                break
+            await asyncio.sleep(FRAME_S)
+        return self._latest
+
+
+def about(card: Card, source: str) -> dict[str, Any]:
+    """What a viewer has to know once: the sensor, and what the numbers of a frame are."""
+    return {
+        "model": card.model,
+        "source": source,
+        "sensor": card.sensor,
+        "reference_mm": card.reference_mm,
+        "states": STATES,
+        "numbers": NUMBERS,
+        "channels": card.channels,
+    }
+
+
+def frame(estimate: Estimate, subtracted_v: np.ndarray) -> bytes:
+    """Little-endian: time_s as float64; as float32 the state's index, the NUMBERS, and the channels (C,) in V."""
+    numbers = [STATES.index(estimate.state), *(getattr(estimate, name) for name in NUMBERS)]
+    return struct.pack("<d", estimate.time_s) + np.array([*numbers, *subtracted_v], "<f4").tobytes()
+
+
+def _listener(place: str) -> socket.socket:
+    host, _, port = place.rpartition(":")
+    if not port.isdigit() or int(port) > 65535:
+        raise InputError(f"--page {place}: no port; {PLACE}")
+    try:
+        where = socket.getaddrinfo(host.strip("[]") or "127.0.0.1", int(port), type=socket.SOCK_STREAM)[0]
+    except OSError as error:
+        raise InputError(f"--page {place}: no such host ({error.strerror}); {PLACE}") from None
+    listener = socket.socket(where[0], socket.SOCK_STREAM)
+    listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    try:
+        listener.bind(where[4])
+        listener.listen()
+    except OSError as error:
+        listener.close()
+        raise InputError(
+            f"--page {place}: cannot listen there ({error.strerror}); name another port, or 0 for any"
+        ) from None
+    return listener
+
+
+def _server(application: Any) -> Any:
+    import uvicorn
+
+    return uvicorn.Server(
+        uvicorn.Config(
+            application,
+            log_config=None,
+            log_level="error",
+            access_log=False,
+            lifespan="off",
+            ws="websockets-sansio",
+            ws_max_size=1024,
+            ws_per_message_deflate=False,
+            timeout_graceful_shutdown=1,
+            # Another release's page must not linger in a browser.
+            headers=[("Cache-Control", "no-cache")],
+        )
+    )

@@ -1,0 +1,41 @@
+// The stream as the server sends it (serve/page/server.py): what there is to see once, then a frame for each that is asked for.
+const RETRY_MS = 1000;
+
+// Connects, and connects again for as long as the page is open. about(text as an object), frame(record),
+// status(word, said): "live", "silent", "ended" or "lost".
+export function follow({ about, frame, status }, ended = false) {
+  const socket = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/stream`);
+  socket.binaryType = "arraybuffer";
+  let names = null;
+  let last = null;
+  socket.onmessage = ({ data }) => {
+    if (typeof data === "string") {
+      names = JSON.parse(data);
+      about(names);
+      status("silent", "no samples yet");
+    } else if (data.byteLength) {
+      const record = decoded(data, names);
+      const fresh = record.time_s !== last;
+      last = record.time_s;
+      if (fresh) frame(record);
+      status(fresh ? "live" : "silent", fresh ? "live" : "no samples come");
+    }
+    socket.send("");
+  };
+  socket.onclose = ({ wasClean }) => {
+    // That nothing answers after an end is no news.
+    const over = names ? wasClean : ended;
+    status(over ? "ended" : "lost", over ? "the stream has ended; waiting for the next" : "no connection; trying again");
+    setTimeout(follow, RETRY_MS, { about, frame, status }, over);
+  };
+}
+
+// time_s as float64, then float32: the state's index, the numbers by name, the channels in V.
+function decoded(buffer, { numbers, states }) {
+  const values = new Float32Array(buffer, 8);
+  const record = { time_s: new Float64Array(buffer, 0, 1)[0], state: states[values[0]] };
+  numbers.forEach((name, n) => { record[name] = values[1 + n]; });
+  record.zero_shift_mv = 1000 * record.zero_shift_v;
+  record.subtracted_v = values.subarray(1 + numbers.length);
+  return record;
+}

@@ -1,0 +1,105 @@
+"""The device at work: samples from a source, estimates to sinks and the page, until the source ends or is stopped."""
+
+import signal
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, closing, contextmanager
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+from features.errors import InputError
+from features.estimate import Estimate
+from features.track_filter import TrackFilter
+from serve.localizer import Localizer
+from serve.page.server import Page
+from serve.stream.framing import Chunk
+from serve.stream.sinks import Sink, open_sink
+from serve.stream.sources import open_source
+
+
+def serve(
+    bundle: Path,
+    source: str,
+    sinks: Sequence[str],
+    form: str = "csv",
+    fast: bool = False,
+    page: str | None = None,
+    smooth: bool = False,
+) -> int:
+    """Streams until the source ends, or SIGINT or SIGTERM comes. Returns the number of estimates written.
+
+    source, sinks: as in serve/stream/sources.py and serve/stream/sinks.py. form: of bytes from outside, csv or f32.
+    fast: play a recording back as fast as it goes. page: [HOST:]PORT of the live page, None for none.
+    smooth: filter each slide's place, direction and speed (features/track_filter.py).
+
+    Raises:
+        InputError: the bundle, the source, a sink or the page's place is not what it should be.
+    """
+    localizer = Localizer.load(bundle)
+    steady = TrackFilter().update if smooth else None
+    written = 0
+    with _stoppable() as stopped, ExitStack() as held:
+        opened = [held.enter_context(closing(open_sink(name))) for name in sinks]
+        shown = None if page is None else held.enter_context(closing(Page(page, localizer.card, source)))
+        chunks = open_source(source, localizer.card, form, fast)
+        if shown is not None:
+            print(f"softslide serve: the page is at {shown.address}", file=sys.stderr, flush=True)
+        for chunk in chunks:
+            if stopped:
+                break
+            try:
+                written += _hand_on(localizer, chunk, steady, opened, shown)
+            except InputError as error:
+                raise InputError(f"--source {source}: {error}") from None
+    return written
+
+
+def _hand_on(
+    localizer: Localizer,
+    chunk: Chunk | tuple[()],
+    steady: Callable[[Estimate], Estimate] | None,
+    sinks: Sequence[Sink],
+    page: Page | None,
+) -> int:
+    """One chunk's estimates to the sinks and the page; their number."""
+    written = 0
+    for piece in _pieces(chunk, localizer.card.samples_per_block):
+        estimates = localizer.push(*piece)
+        if steady is not None:
+            estimates = [steady(estimate) for estimate in estimates]
+        for estimate in estimates:
+            for sink in sinks:
+                sink.write(estimate)
+        if page is not None and estimates:
+            page.show(estimates[-1], localizer.subtracted)
+        written += len(estimates)
+    return written
+
+
+def _pieces(chunk: Chunk | tuple[()], size: int) -> Iterator[Chunk]:
+    """A chunk in pieces that finish a block each, so that what is subtracted is of the estimate's own moment."""
+    if not chunk:
+        return
+    volts, time_s = chunk
+    for begin in range(0, len(volts), size):
+        yield volts[begin : begin + size], None if time_s is None else time_s[begin : begin + size]
+
+
+@contextmanager
+def _stoppable() -> Iterator[list[int]]:
+    """A list that is no longer empty once a signal asked to stop; a second one stops at once."""
+    received: list[int] = []
+
+    def note(number: int, frame: FrameType | None) -> None:
+        received.append(number)
+        signal.signal(number, before[number])
+
+    before: dict[int, Any] = {
+        number: signal.signal(number, note) for number in (signal.SIGINT, signal.SIGTERM)
+    }
+    try:
+        yield received
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

@@ -1,0 +1,74 @@
+"""Where estimates go: JSON lines on standard output, datagrams, ROS 2."""
+
+import json
+import socket
+import sys
+from contextlib import suppress
+from typing import Protocol
+
+from features.errors import InputError
+from features.estimate import Estimate
+from serve.records import record
+from serve.stream.sources import address
+
+KINDS = "'-' writes JSON lines on standard output; udp://HOST:PORT one JSON object a datagram; ros2://TOPIC"
+
+
+class Sink(Protocol):
+    """Takes estimates until it is closed."""
+
+    def write(self, estimate: Estimate) -> None:
+        """Hands one estimate on."""
+
+    def close(self) -> None:
+        """Gives back what the sink holds."""
+
+
+def open_sink(name: str) -> Sink:
+    """The sink of that name (KINDS).
+
+    Raises:
+        InputError: no such sink, or what it needs is missing.
+    """
+    if name == "-":
+        return Lines()
+    if name.startswith("udp://"):
+        return Datagrams(*address(name))
+    if name.startswith("ros2://"):
+        from serve.stream.ros import RosSink
+
+        return RosSink(name.removeprefix("ros2://"))
+    raise InputError(f"--sink {name}: unknown kind; {KINDS}")
+
+
+class Lines:
+    """Standard output, each line at once: somebody may be waiting for it."""
+
+    def write(self, estimate: Estimate) -> None:
+        sys.stdout.write(_text(estimate) + "\n")
+        sys.stdout.flush()
+
+    def close(self) -> None:
+        """Standard output stays open."""
+
+
+class Datagrams:
+    """UDP; that nobody listens is no error."""
+
+    def __init__(self, host: str, port: int) -> None:
+        try:
+            self._address = socket.getaddrinfo(host, port, socket.AF_INET, socket.SOCK_DGRAM)[0][4]
+        except OSError as error:
+            raise InputError(f"--sink udp://{host}:{port}: no such host ({error.strerror})") from None
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+
+    def write(self, estimate: Estimate) -> None:
+        with suppress(ConnectionRefusedError):
+            self._socket.sendto(_text(estimate).encode(), self._address)
+
+    def close(self) -> None:
+        self._socket.close()
+
+
+def _text(estimate: Estimate) -> str:
+    return json.dumps(record(estimate), allow_nan=False)

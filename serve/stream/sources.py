@@ -1,0 +1,155 @@
+"""Where samples come from: a recording played back, standard input, UDP, a serial port, a ROS 2 topic.
+
+A source yields chunks (volts (n, C) V, time_s (n,) s or None), and () while nothing came for a while, so that a
+reader can be stopped. Everything from outside is judged by the localizer; what is no sample at all is refused here.
+"""
+
+import io
+import selectors
+import socket
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+
+from features.card import Card
+from features.errors import InputError
+from serve.files import read_recording
+from serve.stream.framing import Chunk, Framing, framing_of
+
+Source = Iterator[Chunk | tuple[()]]
+KINDS = (
+    "FILE.csv or FILE.parquet plays a recording; '-' reads standard input; udp://HOST:PORT; "
+    "serial:///dev/PORT?BAUD; ros2://TOPIC"
+)
+WAIT_S = 0.2
+# Larger than any datagram.
+_READ_BYTES = 1 << 16
+
+
+def open_source(name: str, card: Card, form: str, fast: bool) -> Source:
+    """The source of that name (KINDS). form: csv or f32, of bytes from outside; fast: play back without waiting.
+
+    Raises:
+        InputError: no such source, or what it needs is missing.
+    """
+    channels = len(card.channels)
+    if name == "-":
+        return _bytes_from(sys.stdin.buffer, framing_of(form, channels))
+    if name.startswith("udp://"):
+        return _datagrams(name, form, channels)
+    if name.startswith("serial://"):
+        return _serial(name, framing_of(form, channels, strict=False))
+    if name.startswith("ros2://"):
+        from serve.stream.ros import samples
+
+        return samples(name.removeprefix("ros2://"), channels)
+    if "://" in name:
+        raise InputError(f"--source {name}: unknown kind; {KINDS}")
+    volts = read_recording(Path(name), card.channels, card.sample_rate_hz)
+    return _played(volts, card, fast)
+
+
+def _bytes_from(stream: BinaryIO, framing: Framing) -> Source:
+    """Until the stream ends."""
+    # A buffered reader would keep what select cannot see.
+    raw = stream.raw if isinstance(stream, io.BufferedReader) else stream
+    with selectors.DefaultSelector() as selector:
+        try:
+            selector.register(raw, selectors.EVENT_READ)
+        except (PermissionError, ValueError):
+            # A plain file is always ready, and epoll will not have it.
+            while data := raw.read(_READ_BYTES):
+                yield from framing.read(data)
+        else:
+            while True:
+                if not selector.select(WAIT_S):
+                    yield ()
+                    continue
+                if not (data := raw.read(_READ_BYTES)):
+                    break
+                yield from framing.read(data)
+    yield from framing.end()
+
+
+def _datagrams(name: str, form: str, channels: int) -> Source:
+    host, port = address(name)
+    listener = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    try:
+        listener.bind((host, port))
+    except OSError as error:
+        listener.close()
+        raise InputError(
+            f"--source {name}: cannot listen there ({error.strerror}); name another port"
+        ) from None
+    listener.settimeout(WAIT_S)
+    return _received(listener, form, channels)
+
+
+def _received(listener: socket.socket, form: str, channels: int) -> Source:
+    with listener:
+        while True:
+            try:
+                data = listener.recv(_READ_BYTES)
+            except TimeoutError:
+                yield ()
+                continue
+            # A datagram is whole or lost; what one leaves over is not the next one's beginning.
+            framing = framing_of(form, channels, strict=False)
+            yield from framing.read(data)
+            yield from framing.end()
+
+
+def _serial(name: str, framing: Framing) -> Source:
+    try:
+        import serial
+    except ImportError:
+        raise InputError(f"--source {name}: needs the live extra; pip install 'softslide[live]'") from None
+    port, _, baud = name.removeprefix("serial://").partition("?")
+    if baud and not baud.isdigit():
+        raise InputError(f"--source {name}: '{baud}' is no baud rate; write serial:///dev/ttyUSB0?921600")
+    try:
+        device = serial.Serial(port, int(baud or 921_600), timeout=WAIT_S)
+    except (OSError, ValueError) as error:
+        raise InputError(f"--source {name}: cannot be opened ({' '.join(str(error).split())})") from None
+    return _heard(name, device, framing)
+
+
+def _heard(name: str, device: BinaryIO, framing: Framing) -> Source:
+    with device:
+        while True:
+            try:
+                data = device.read(max(1, getattr(device, "in_waiting", 1)))
+            except OSError as error:
+                raise InputError(f"--source {name}: the port is gone ({error}); plug it in again") from None
+            if data:
+                yield from framing.read(data)
+            else:
+                yield ()
+
+
+def _played(volts: np.ndarray, card: Card, fast: bool) -> Source:
+    """A block at a time, as it was recorded or as fast as it is read."""
+    size = card.samples_per_block
+    begun = time.monotonic()
+    for begin in range(0, len(volts), size):
+        chunk = volts[begin : begin + size]
+        if not fast:
+            due = begun + (begin + len(chunk)) / card.sample_rate_hz
+            time.sleep(max(0.0, due - time.monotonic()))
+        yield chunk, None
+
+
+def address(name: str) -> tuple[str, int]:
+    """HOST and PORT of udp://HOST:PORT; the host may be left out, and is this machine then.
+
+    Raises:
+        InputError: no port.
+    """
+    host, _, port = name.removeprefix("udp://").rpartition(":")
+    if not port.isdigit() or not 0 < int(port) < 65536:
+        raise InputError(f"{name}: no port; write udp://127.0.0.1:9000")
+    return host or "127.0.0.1", int(port)
