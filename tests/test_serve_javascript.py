@@ -58,7 +58,7 @@ def test_javascript_gets_the_same_numbers(
     packages: Path, tmp_path: Path, write: Callable[[Path], Path]
 ) -> None:
     bundle = write(tmp_path / "bundle")
-    shutil.copy(Path(__file__).with_name("run_bundle.js"), packages)
+    shutil.copy(Path(__file__).parent / "worlds" / "run_bundle.js", packages)
     done = subprocess.run(
         ["node", "run_bundle.js", str(bundle)], cwd=packages, capture_output=True, check=True, timeout=60
     )
