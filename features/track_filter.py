@@ -10,6 +10,7 @@ import math
 
 import numpy as np
 
+from features.angles import wrapped_deg
 from features.estimate import Estimate
 from features.stream.tracker import State
 
@@ -96,7 +97,7 @@ def _moved(estimate: Estimate, state: np.ndarray) -> Estimate:
     """The estimate with the filter's place and velocity."""
     speed = math.hypot(state[2], state[3])
     degrees = math.degrees(math.atan2(state[3], state[2])) % 360.0
-    turned = (degrees - estimate.direction_deg + 180.0) % 360.0 - 180.0
+    turned = wrapped_deg(degrees - estimate.direction_deg)
     faster = speed / estimate.speed_mm_s
     return estimate._replace(
         direction_deg=0.0 if degrees == 360.0 else degrees,

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import onnxruntime as ort
 
+from features.angles import tilt_channels
 from features.card import Card
 from features.errors import InputError
 from features.estimate import Estimate, decode
@@ -42,10 +43,10 @@ class Localizer:
         zero = np.repeat([float(board["zero_g_v"]) for board in boards], 3)
         self._blocks = Blocks(channels, card.samples_per_block)
         self._clock = SampleClock(card.sample_rate_hz, (BRIDGED_BLOCKS + 2) * card.samples_per_block)
+        read = np.full(channels, card.input == "features")
+        read[tilt_channels(channels)] = True
         # An accelerometer's output at no acceleration is half its supply, and cannot leave the supply.
-        self._watch = SignalWatch(
-            np.zeros(channels), 2.0 * zero, (np.arange(channels) % 3 < 2) | (card.input == "features")
-        )
+        self._watch = SignalWatch(np.zeros(channels), 2.0 * zero, read)
         self._tracker = SlideTracker(card.conditioning, channels)
         self._drift = DriftWatch(boards)
         self._inputs = {

@@ -10,6 +10,7 @@ from enum import StrEnum
 
 import numpy as np
 
+from features.angles import tilt_channels
 from features.stream.conditioning import Conditioning
 from features.window import WINDOW_BINS, Window
 
@@ -43,7 +44,7 @@ class SlideTracker:
 
     def __init__(self, conditioning: Conditioning, channels: int) -> None:
         self.conditioning = conditioning
-        self.tilt = np.array([c for c in range(channels) if c % 3 < 2])
+        self.tilt = tilt_channels(channels)
         self._integral = np.zeros((channels, KNOTS + 2))
         self._recent = np.zeros((conditioning.trigger_blocks, channels))
         self._most_rested = max(conditioning.rest_blocks, 10 * conditioning.trigger_blocks)

@@ -6,6 +6,8 @@ length that depends on the line alone, and log(v sigma_t) is a far easier target
 
 import numpy as np
 
+from features.angles import tilt_channels
+
 
 def energy_clock(tilt: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Centre and width of the energy E_i = |V_i|^2, both (...) as fractions of the window.
@@ -36,5 +38,4 @@ def tilt_outputs(volts: np.ndarray) -> np.ndarray:
 
     V_z is left out: it varies with the cosine of the tilt, so contact hardly moves it while pressure ripple does.
     """
-    channels = np.arange(volts.shape[-2])
-    return np.asarray(volts, np.float64)[..., channels[channels % 3 < 2], :]
+    return np.asarray(volts, np.float64)[..., tilt_channels(volts.shape[-2]), :]
