@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from features.card import Card, Interval
-from features.stream.tracker import State
+from features.stream.tracker import SlideState
 from features.window import Window
 
 
@@ -20,7 +20,7 @@ class Estimate(NamedTuple):
     """
 
     time_s: float
-    state: State
+    state: SlideState
     direction_deg: float = math.nan
     direction_lo_deg: float = math.nan
     direction_hi_deg: float = math.nan
@@ -44,7 +44,7 @@ _NO_INTERVAL = Interval(math.nan, math.nan)
 
 
 def decode(
-    row: np.ndarray, card: Card, window: Window, state: State, time_s: float, width_s: float
+    row: np.ndarray, card: Card, window: Window, state: SlideState, time_s: float, width_s: float
 ) -> Estimate:
     """A graph's row (K,), in the card's order of outputs, as an estimate.
 

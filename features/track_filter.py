@@ -12,7 +12,7 @@ import numpy as np
 
 from features.angles import wrapped_deg
 from features.estimate import Estimate
-from features.stream.tracker import State
+from features.stream.tracker import SlideState
 
 HALF_WIDTH_SD = 1.645  # of a 90 % interval, in standard deviations
 ACCELERATION_MM_S2 = 2.0
@@ -42,7 +42,7 @@ class TrackFilter:
         Anything that is not a valid estimate of a running slide passes as it is: before the first valid one there is
         nothing to go on from, and the end of a slide ends the track.
         """
-        if estimate.state is not State.SLIDE:
+        if estimate.state is not SlideState.SLIDE:
             self.reset()
             return estimate
         if self._state is not None:

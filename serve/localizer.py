@@ -14,7 +14,7 @@ from features.estimate import Estimate, decode
 from features.stream.conditioning import Blocks
 from features.stream.drift import UNKNOWN, DriftWatch
 from features.stream.faults import BRIDGED_BLOCKS, SignalWatch
-from features.stream.tracker import SlideTracker, State
+from features.stream.tracker import SlideState, SlideTracker
 from features.vector.energy import energy_width_s
 from features.vector.feature_vector import feature_vector
 from features.window import WINDOW_BINS, Window
@@ -108,13 +108,13 @@ class Localizer:
         window = tracker.window()
         if window is None:
             return Estimate(time_s, tracker.state, **self._drifted._asdict())
-        if tracker.state is not State.ENDED:
+        if tracker.state is not SlideState.ENDED:
             return self._estimate(window, time_s)
         assert self._held is not None
         return self._held[1]._replace(time_s=time_s)
 
     @property
-    def state(self) -> State:
+    def state(self) -> SlideState:
         """What the stream shows now."""
         return self._tracker.state
 
@@ -172,14 +172,14 @@ class Localizer:
 
     def _advance(self, samples: np.ndarray) -> None:
         tracker = self._tracker
-        sliding, usable = tracker.state is State.SLIDE, tracker.usable
+        sliding, usable = tracker.state is SlideState.SLIDE, tracker.usable
         judged = self._watch.push(samples)
         tracker.push(judged.mean, judged.healthy)
         self._count += 1
         self._healthy = judged.healthy
         if not self._drift.complete:
             self._drift.note(tracker.static, tracker.known)
-        if tracker.state is State.SLIDE:
+        if tracker.state is SlideState.SLIDE:
             if not sliding:
                 self._bridged = self._slide_blocks = 0
             if not sliding or tracker.usable is not usable:
@@ -194,7 +194,7 @@ class Localizer:
         elif self._held is None or self._held[0] is not tracker.final:
             # Worked out as the slide ends, so that it does not matter when it is read.
             self._held = tracker.final, self._estimate(tracker.final, 0.0)
-        if tracker.state is not State.SLIDE and self._count % DRIFT_BLOCKS == 0:
+        if tracker.state is not SlideState.SLIDE and self._count % DRIFT_BLOCKS == 0:
             self._drifted = self._drift.read(tracker.static, judged.healthy)
 
     def _checked(self, volts: np.ndarray, time_s: np.ndarray | None) -> tuple[np.ndarray, np.ndarray | None]:

@@ -8,7 +8,8 @@ from streams import pass_over, still, stream
 
 from features.stream.conditioning import BlockMean, Conditioning
 from features.stream.faults import BRIDGED_BLOCKS, FROZEN_BLOCKS, SignalWatch
-from features.stream.tracker import SlideTracker, State, track
+from features.stream.static_output import StaticOutput
+from features.stream.tracker import SlideState, SlideTracker, track
 
 CONDITIONING = Conditioning()
 
@@ -18,7 +19,7 @@ def blocks(*parts: np.ndarray, accelerometers: int = 1, seed: int = 0) -> np.nda
     return BlockMean(volts.shape[1], 20).push(volts)
 
 
-def run(tracker: SlideTracker, means: np.ndarray, healthy: np.ndarray | None = None) -> list[State]:
+def run(tracker: SlideTracker, means: np.ndarray, healthy: np.ndarray | None = None) -> list[SlideState]:
     states = []
     for mean in means:
         tracker.push(mean, healthy)
@@ -71,8 +72,37 @@ def test_a_touch_goes_back_to_what_was() -> None:
     final = tracker.final
     down = np.linspace(0, 1, 60)[:, None] * np.array([0.1, 0.06, 0.0])
     states = run(tracker, blocks(down, still(1.5, down[-1]), down[::-1], still(0.6), seed=1))
-    assert states[-1] is State.ENDED
+    assert states[-1] is SlideState.ENDED
     assert tracker.final is final
+
+
+def turning(turn_deg: float, amplitude_v: float = 0.15) -> np.ndarray:
+    """(n, 3) V: a pulse of 2 s whose (V_x, V_y) keeps its direction for 0.5 s, and then turns by `turn_deg`."""
+    time_s = np.arange(2000) / 1000
+    angle = np.deg2rad(35.0 + turn_deg * np.clip((time_s - 0.5) / 0.5, 0.0, 1.0))
+    strength = amplitude_v * np.sin(np.pi * time_s / 2) ** 2
+    return strength[:, None] * np.column_stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)])
+
+
+@pytest.mark.parametrize("amplitude_v", [0.08, 0.15, 0.3])
+@pytest.mark.parametrize("turn_deg", [-30.0, -8.0, 8.0, 15.0])
+def test_a_slide_may_change_its_signal_by_little(turn_deg: float, amplitude_v: float) -> None:
+    """Far from the accelerometer V_x and V_y rise and fall nearly together; a seventh of the peak is motion enough."""
+    tracker = SlideTracker(CONDITIONING, 3)
+    states = run(tracker, blocks(still(0.6), turning(turn_deg, amplitude_v), still(0.8)))
+    assert states[-1] is SlideState.ENDED
+    assert tracker.final is not None
+    assert tracker.final.elapsed_s == pytest.approx(2.0, abs=0.45)
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("amplitude_v", [0.08, 0.15, 0.3])
+def test_what_changes_in_strength_alone_is_no_slide(amplitude_v: float, seed: int) -> None:
+    """Pressing and lifting at one place."""
+    tracker = SlideTracker(CONDITIONING, 3)
+    states = run(tracker, blocks(still(0.6), turning(0.0, amplitude_v), still(0.8), seed=seed))
+    assert SlideState.SLIDE in states
+    assert tracker.final is None
 
 
 def test_a_slide_without_an_end_is_given_up() -> None:
@@ -80,8 +110,8 @@ def test_a_slide_without_an_end_is_given_up() -> None:
     short = Conditioning(longest_blocks=400)
     tracker = SlideTracker(short, 3)
     states = run(tracker, blocks(still(0.6), still(12.0, np.array([0.012, 0.0, 0.0]))))
-    assert State.SLIDE in states
-    assert states[-1] is State.REST
+    assert SlideState.SLIDE in states
+    assert states[-1] is SlideState.REST
     assert tracker.static[0] == pytest.approx(1.65 + 0.012, abs=0.002)
 
 
@@ -91,9 +121,9 @@ def test_after_a_loss_nothing_begins_until_rest_is_found() -> None:
     run(tracker, means[:60])
     run(tracker, means[60:70], np.array([False]))
     states = run(tracker, means[70:])
-    assert set(states) == {State.REST}
+    assert set(states) == {SlideState.REST}
     assert tracker.window() is None
-    assert run(tracker, blocks(pass_over(1.5), still(0.6), seed=2))[-1] is State.ENDED
+    assert run(tracker, blocks(pass_over(1.5), still(0.6), seed=2))[-1] is SlideState.ENDED
 
 
 def test_one_of_two_may_die_and_come_back() -> None:
@@ -147,10 +177,10 @@ def test_memory_does_not_grow() -> None:
         tracemalloc.stop()
 
 
-class Counting(SlideTracker):
+class Counting(StaticOutput):
     """Never takes the short way of a stream that has rested for long."""
 
-    def _follow(self, oldest: np.ndarray) -> bool:
+    def follow_quiet(self, level_v: np.ndarray, oldest: np.ndarray) -> bool:
         return False
 
 
@@ -162,7 +192,8 @@ def test_long_rest_goes_a_shorter_way_to_the_same_numbers() -> None:
     )
     healthy = np.ones((len(means), 2), bool)
     healthy[300:320, 1] = healthy[760:770] = False
-    short, counting = SlideTracker(conditioning, 6), Counting(conditioning, 6)
+    short, counting = SlideTracker(conditioning, 6), SlideTracker(conditioning, 6)
+    counting.static_output = Counting(conditioning, 6)
     states = []
     for mean, fine in zip(means, healthy, strict=True):
         short.push(mean, fine)
@@ -171,9 +202,9 @@ def test_long_rest_goes_a_shorter_way_to_the_same_numbers() -> None:
         assert short.state is counting.state
         assert short.static.tobytes() == counting.static.tobytes()
         assert (short.known == counting.known).all()
-    assert {*states} == {State.REST, State.SLIDE, State.ENDED}
+    assert {*states} == {SlideState.REST, SlideState.SLIDE, SlideState.ENDED}
     # What it skips is the counting, so that is how it shows.
-    assert short._rested.max() < counting._rested.max()
+    assert short.static_output._averaged.max() < counting.static_output._averaged.max()
 
 
 @pytest.mark.parametrize(

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from features.estimate import Estimate
-from features.stream.tracker import State
+from features.stream.tracker import SlideState
 from features.track_filter import PATIENCE, TrackFilter
 
 BLOCK_S = 0.02
 SD = {"turn": math.radians(1.0), "speed": 0.05, "place": 0.2}
 
 
-def estimates(count, heading_deg, noise, speed=3.0, valid=True, state=State.SLIDE, start=(-20.0, 4.0)):
+def estimates(count, heading_deg, noise, speed=3.0, valid=True, state=SlideState.SLIDE, start=(-20.0, 4.0)):
     """A straight slide's estimates, each with errors of its own in direction, speed and place, and true intervals."""
     generator = np.random.default_rng(1)
     for n in range(count):
@@ -62,7 +62,7 @@ def test_noise_falls_and_nothing_is_biased():
 
 def test_what_is_not_a_valid_estimate_passes_as_it_is():
     track = TrackFilter()
-    for given in (*estimates(5, 10.0, 1.0, valid=False), *estimates(5, 10.0, 1.0, state=State.ENDED)):
+    for given in (*estimates(5, 10.0, 1.0, valid=False), *estimates(5, 10.0, 1.0, state=SlideState.ENDED)):
         assert track.update(given) is given
 
 
@@ -81,6 +81,6 @@ def test_the_end_of_a_slide_ends_its_track():
     track = TrackFilter()
     for given in estimates(200, 0.0, noise=0.0):
         track.update(given)
-    track.update(next(estimates(1, 0.0, 0.0, state=State.ENDED)))
+    track.update(next(estimates(1, 0.0, 0.0, state=SlideState.ENDED)))
     fresh = next(estimates(1, 180.0, noise=0.0, start=(20.0, -8.0)))
     assert track.update(fresh).direction_deg == pytest.approx(180.0)

@@ -20,7 +20,7 @@ from bump_slides import (
 )
 
 from features.estimate import Estimate
-from features.stream.tracker import State
+from features.stream.tracker import SlideState
 from models.cnn.fit import CnnConfig, fit_cnn
 from models.cnn.training import TrainingConfig
 from models.export.bundle import write_bundle
@@ -146,7 +146,7 @@ def test_a_line_out_of_range_is_no_estimate(localizer: Localizer, dead: bool, of
     """Farther out than any recording can vouch for, and still noticed."""
     for direction_deg in (0.0, 90.0, 180.0):
         estimates = told(localizer, slide_volts(SENSOR, direction_deg, offset_mm, 8.0, seed=5), dead)
-        assert State.SLIDE in {estimate.state for estimate in estimates}
+        assert SlideState.SLIDE in {estimate.state for estimate in estimates}
         assert not estimates[-1].valid
 
 

@@ -15,7 +15,7 @@ from streams import GRAVITY_V, RATE_HZ, ZERO_V, a_sensor, pass_over, still, stre
 from features.card import Validity
 from features.errors import InputError
 from features.estimate import Estimate
-from features.stream.tracker import State
+from features.stream.tracker import SlideState
 from serve.localizer import Localizer
 
 TWO_SLIDES = stream(still(0.6), pass_over(1.2), still(0.8), pass_over(0.7), still(0.5))
@@ -77,7 +77,7 @@ def test_the_drift_told_with_a_slide_is_of_the_accelerometers_it_was_read_from(p
         begin = len(lead) + len(rest)
         volts[begin - 150 : begin + 200, 3:] = np.nan
         pair.reset()
-        ended = [e for e in pair.push(volts) if e.state is State.ENDED]
+        ended = [e for e in pair.push(volts) if e.state is SlideState.ENDED]
         assert ended[0].accelerometers == 1
         assert ended[0].turn_deg < 1.0
 
@@ -102,7 +102,13 @@ def test_each_of_two_slides_is_told(localizer: Localizer) -> None:
     estimates = localizer.push(TWO_SLIDES)
     states = [estimate.state for estimate in estimates]
     changes = [a for a, b in zip(states, [None, *states], strict=False) if a is not b]
-    assert changes == [State.REST, State.SLIDE, State.ENDED, State.SLIDE, State.ENDED]
+    assert changes == [
+        SlideState.REST,
+        SlideState.SLIDE,
+        SlideState.ENDED,
+        SlideState.SLIDE,
+        SlideState.ENDED,
+    ]
     assert estimates[-1].valid
     assert estimates[-1].accelerometers == 1
     assert [e.time_s for e in estimates] == pytest.approx(0.02 * (1 + np.arange(len(estimates))))
@@ -185,7 +191,7 @@ def test_a_touch_is_no_slide(localizer: Localizer, level_v: list[float]) -> None
     localizer.reset()
     estimates = localizer.push(volts)
     assert not valid(estimates).any()
-    assert State.ENDED not in {estimate.state for estimate in estimates}
+    assert SlideState.ENDED not in {estimate.state for estimate in estimates}
 
 
 def test_lifting_after_a_stop_holds_the_estimate(localizer: Localizer) -> None:
@@ -194,7 +200,7 @@ def test_lifting_after_a_stop_holds_the_estimate(localizer: Localizer) -> None:
     volts = stream(still(0.6), slide, still(1.0, slide[-1]), lift, still(1.0))
     localizer.reset()
     estimates = localizer.push(volts)
-    ended = [e for e in estimates if e.state is State.ENDED]
+    ended = [e for e in estimates if e.state is SlideState.ENDED]
     assert estimates[-1].valid
     assert len({e.offset_mm for e in ended}) == 1
 
@@ -312,7 +318,7 @@ def sound(estimate: Estimate, limits: Validity) -> bool:
     """Whether an estimate is one that may be called valid: all numbers there, in their ranges and intervals."""
     e = estimate
     return (
-        e.state is not State.REST
+        e.state is not SlideState.REST
         and e.accelerometers > 0
         and 0 <= e.direction_deg < 360
         and e.direction_lo_deg <= e.direction_deg <= e.direction_hi_deg < math.inf
@@ -372,7 +378,7 @@ def replayed(bundle: Path, minutes: int) -> tuple[int, int]:
         for a, b in zip(by_second, in_pieces, strict=True):
             assert a == b or repr(a) == repr(b)
         for estimate in by_second:
-            if estimate.state is State.ENDED and estimate.valid:
+            if estimate.state is SlideState.ENDED and estimate.valid:
                 told += estimate.offset_mm != last
                 last = estimate.offset_mm
         kept.append(resident_bytes())

@@ -18,7 +18,7 @@ import numpy as np
 
 from features.card import Card
 from features.errors import InputError
-from features.stream.tracker import State
+from features.stream.tracker import SlideState
 from serve.bundle import open_bundle, open_session
 from serve.localizer import Localizer
 
@@ -109,7 +109,7 @@ def _in_slides(localizer: Localizer, decisions: int) -> np.ndarray:
         for block in slide:
             seconds = _seconds(partial(localizer.push, block))
             window = localizer.window()
-            if window is None or localizer.state is not State.SLIDE or done == decisions:
+            if window is None or localizer.state is not SlideState.SLIDE or done == decisions:
                 continue
             times[0, done] = seconds
             times[1, done] = _seconds(partial(localizer.infer, localizer.inputs(window)))

@@ -18,7 +18,7 @@ import numpy as np
 from features.card import Card
 from features.errors import InputError
 from features.estimate import Estimate
-from features.stream.tracker import State
+from features.stream.tracker import SlideState
 
 PLACE = "write PORT or HOST:PORT, port 0 for any that is free"
 FRAME_S = 1 / 40
@@ -26,7 +26,7 @@ FRAME_S = 1 / 40
 SILENCE_S = 1.0
 # What viewers have, at the end, to ask for the last frame.
 FAREWELL_S = 0.5
-STATES = tuple(State)
+STATES = tuple(SlideState)
 NUMBERS = tuple(name for name in Estimate._fields if name not in ("time_s", "state"))
 _FILES = Path(__file__).with_name("static")
 

@@ -1,0 +1,119 @@
+"""The static output: what each channel shows while nothing touches the skin, followed for as long as nothing does."""
+
+import numpy as np
+
+from features.angles import tilt_channels
+from features.stream.conditioning import Conditioning
+
+# The first estimate is a plain mean over this many times `trigger_blocks`, 0.2 s: its noise is then 1 / sqrt(2) of that
+# of the mean which is compared with it.
+KNOWN_MEMORIES = 2
+# Up to this many times `trigger_blocks`, 1 s, the estimate follows everything: it may have begun on something wrong.
+LEARNING_MEMORIES = 10
+# Pace for a mean beyond `calm_v`. A slide of 0.5 mm/s takes seconds to reach the trigger; with the full pace the static
+# output rose with it by 15 mV (experiments/LOG.md, "The zero ran after slow slides").
+SLOW_PACE = 0.1
+# Blocks, 6 s, that a stream has to stand still after a loss for its output to be taken for the static one. A contact
+# that rests on the skin for longer cannot be told from a shifted zero.
+SEARCH_BLOCKS = 300
+
+
+class StaticOutput:
+    """One stream's static output.
+
+    The average is of blocks that have left the trigger's mean: what is about to trigger has not entered it yet.
+
+    volts: (C,) V. searching: whether every accelerometer was lost, and rest has not been found again.
+    """
+
+    def __init__(self, conditioning: Conditioning, channels: int) -> None:
+        self._conditioning = conditioning
+        self._memory = conditioning.trigger_blocks
+        self._tilt = tilt_channels(channels)
+        self._quiet_v = min(conditioning.calm_v, conditioning.trigger_v)
+        self._most_counted = max(conditioning.rest_blocks, LEARNING_MEMORIES * self._memory)
+        self.volts = np.zeros(channels)
+        self.searching = False
+        # (C,) blocks in the average, and blocks in a row that the trigger's mean may be taken from.
+        self._averaged = np.zeros(channels)
+        self._available = np.zeros(channels)
+        self._settled = False
+        self._anchor_v: np.ndarray | None = None
+        self._still_blocks = 0
+
+    @property
+    def known(self) -> np.ndarray:
+        """(A,): the accelerometers whose static output is known well enough to subtract it."""
+        return self._averaged[::3] >= KNOWN_MEMORIES * self._memory
+
+    @property
+    def ready(self) -> np.ndarray:
+        """(C,): the channels that may trigger: the static output is known and the last blocks were healthy."""
+        return (self._available >= self._memory) & (self._averaged >= KNOWN_MEMORIES * self._memory)
+
+    def follow_quiet(self, level_v: np.ndarray, oldest: np.ndarray) -> bool:
+        """The short way of a stream that has rested for so long that counting changes nothing; False: not to be taken.
+
+        level_v: (C,) V, mean of the last `trigger_blocks` blocks; oldest: (C,) V, the block that has left it.
+        """
+        if not self._settled or max(map(abs, (level_v - self.volts).tolist())) > self._quiet_v:
+            return False
+        self.volts += (oldest - self.volts) / self._conditioning.rest_blocks
+        return True
+
+    def count(self, dead: np.ndarray | None) -> None:
+        """Counts a block at rest. dead: (C,), the channels that it says nothing of; None: none."""
+        self._available += 1
+        if dead is not None:
+            self._available[dead] = 0
+
+    def follow(self, oldest: np.ndarray, distance_v: np.ndarray) -> None:
+        """A mean at first, then an exponential average over `rest_blocks`.
+
+        oldest: (C,) V, the block that has left the trigger's mean; distance_v: (C,) V, of that mean from `volts`.
+        """
+        resting = self._available > self._memory
+        self._averaged += resting
+        # The first rise of a slow slide must not pass for drift, or the static output runs after it.
+        calm = distance_v <= self._conditioning.calm_v
+        pace = np.where(calm | (self._averaged < LEARNING_MEMORIES * self._memory), 1.0, SLOW_PACE)
+        blocks = np.minimum(np.maximum(self._averaged, 1), self._conditioning.rest_blocks)
+        self.volts += np.where(resting, pace * (oldest - self.volts) / blocks, 0.0)
+        self._settled = bool((resting & (self._averaged >= self._most_counted)).all())
+
+    def hold(self) -> None:
+        """Stays as it is while something touches; blocks are counted anew after that."""
+        self._available[:] = 0
+        self._settled = False
+
+    def drop(self, dead: np.ndarray) -> None:
+        """Forgets the static output of the dead channels (C,)."""
+        self._averaged[dead] = 0
+        self._settled = False
+
+    def lose(self) -> None:
+        """No accelerometer is left. Something may come to rest on the skin before one is back: rest is searched for."""
+        self.searching = bool(self.known.any())
+        self._anchor_v, self._still_blocks = None, 0
+        self._settled = False
+
+    def search(self, level_v: np.ndarray, near: np.ndarray) -> bool:
+        """Whether the stream has stood still elsewhere for so long that its static output is to be learnt anew.
+
+        level_v: (C,) V, mean of the last blocks. near: (C,), whether it is back at the static output; that ends the
+        search.
+        """
+        if near[self._tilt].all():
+            self.searching = False
+            return False
+        level_v = level_v[self._tilt]
+        if self._anchor_v is None or np.abs(level_v - self._anchor_v).max() > self._conditioning.release_v:
+            self._anchor_v, self._still_blocks = level_v, 0
+        self._still_blocks += 1
+        return self._still_blocks > SEARCH_BLOCKS
+
+    def learn_anew(self) -> None:
+        """Awaits a new static output."""
+        self._averaged[:] = 0
+        self._available[:] = 0
+        self._settled = self.searching = False
