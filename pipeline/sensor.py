@@ -6,13 +6,13 @@ folder of recordings can be simulated from the `sensor.toml` that it has.
 
 import hashlib
 import json
-import tomllib
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, field
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 from features.errors import InputError
+from pipeline.toml_tables import from_table, read_toml
 
 # Skin left between a board and the clamped rim, and between two boards: less would be a sliver of an element.
 _RIM_MM = 0.5
@@ -114,7 +114,7 @@ class Sensor:
     pressure_mpa: float
     reference_mm: tuple[float, float]
     adc_step_v: float
-    accelerometers: tuple[Accelerometer, ...]
+    accelerometers: tuple[Accelerometer, ...] = field(metadata={"key": "accelerometer"})
     skin: Skin = Skin()
     board: Board = Board()
     mesh: MeshSize = MeshSize()
@@ -147,24 +147,8 @@ def read_sensor(path: Path) -> Sensor:
     Raises:
         InputError: the file is missing, is no TOML, misses a key, holds an unknown one or a bad value.
     """
-    try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file; a folder of recordings needs a sensor.toml") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: not a TOML file ({error}); mend its syntax") from None
-    rows = table.pop("accelerometer", [])
-    if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
-        raise InputError(f"{path}: accelerometer is not a list of tables; write [[accelerometer]]")
-    parts = tuple(
-        _from_table(Accelerometer, row, f"{path}: [[accelerometer]] {n}") for n, row in enumerate(rows, 1)
-    )
-    for name, kind in (("skin", Skin), ("board", Board), ("mesh", MeshSize)):
-        if name in table:
-            if not isinstance(table[name], dict):
-                raise InputError(f"{path}: {name} is {table[name]!r}; write a table [{name}]")
-            table[name] = _from_table(kind, table[name], f"{path}: [{name}]")
-    return _from_table(Sensor, {**table, "accelerometers": parts}, str(path))
+    remedy = "a folder of recordings and a design need a sensor.toml"
+    return from_table(Sensor, read_toml(path, remedy), str(path))
 
 
 def check_design(sensor: Sensor, source: str = "sensor") -> None:
@@ -186,13 +170,13 @@ def check_design(sensor: Sensor, source: str = "sensor") -> None:
             or abs(a.y_mm) + length / 2 > sensor.chamber_mm[1] / 2 - _RIM_MM
         ):
             raise InputError(
-                f"{source}: [[accelerometer]] {n + 1}: the board of '{a.name}' at ({a.x_mm:g}, {a.y_mm:g}) "
+                f"{source}: accelerometer {n + 1}: the board of '{a.name}' at ({a.x_mm:g}, {a.y_mm:g}) "
                 f"is not within the chamber by {_RIM_MM:g} mm; move it or shrink [board] size_mm"
             )
         for b in sensor.accelerometers[:n]:
             if abs(a.x_mm - b.x_mm) < width + _BOARD_GAP_MM and abs(a.y_mm - b.y_mm) < length + _BOARD_GAP_MM:
                 raise InputError(
-                    f"{source}: [[accelerometer]] {n + 1}: the boards of '{b.name}' and '{a.name}' overlap "
+                    f"{source}: accelerometer {n + 1}: the boards of '{b.name}' and '{a.name}' overlap "
                     f"or lie closer than {_BOARD_GAP_MM:g} mm; move one"
                 )
 
@@ -223,35 +207,3 @@ def design_of(sensor: Sensor) -> dict[str, Any]:
 def design_hash(sensor: Sensor) -> str:
     """Sixteen hex digits of SHA-256 over the design."""
     return hashlib.sha256(json.dumps(design_of(sensor), sort_keys=True).encode()).hexdigest()[:16]
-
-
-def _from_table(kind: type, table: dict[str, Any], place: str) -> Any:
-    """Builds a dataclass from a TOML table: unknown keys, missing keys and wrong types are errors."""
-    known = {f.name: f for f in fields(kind)}
-    if unknown := sorted(set(table) - set(known)):
-        raise InputError(f"{place}: unknown key '{unknown[0]}'; known are {', '.join(known)}")
-    values: dict[str, Any] = {}
-    for name, value in table.items():
-        expected = known[name].type
-        if expected is float:
-            if isinstance(value, bool) or not isinstance(value, int | float):
-                raise InputError(f"{place}: {name} is {value!r}; write a number")
-            value = float(value)
-        elif expected is int and (isinstance(value, bool) or not isinstance(value, int)):
-            raise InputError(f"{place}: {name} is {value!r}; write a whole number")
-        elif expected is str and not isinstance(value, str):
-            raise InputError(f"{place}: {name} is {value!r}; write a text in quotes")
-        elif expected in (tuple[float, float], tuple[float, ...]):
-            if not isinstance(value, list) or not all(
-                isinstance(v, int | float) and not isinstance(v, bool) for v in value
-            ):
-                raise InputError(f"{place}: {name} is {value!r}; write [x, y] in numbers")
-            value = tuple(float(v) for v in value)
-        values[name] = value
-    try:
-        return kind(**values)
-    except TypeError:
-        required = [f.name for f in fields(kind) if f.name not in values and f.default is f.default_factory]
-        raise InputError(f"{place}: {', '.join(required)} missing; add it") from None
-    except ValueError as error:
-        raise InputError(f"{place}: {error}") from None

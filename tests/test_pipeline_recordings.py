@@ -290,7 +290,7 @@ def test_a_bad_sensor_is_refused(root: Path, capsys) -> None:
     for wrong, says in (
         (f"colour = 'red'\n{text}", "unknown key 'colour'"),
         (f"{text}gain = 2.0\n", "unknown key 'gain'"),
-        (text.replace("sample_rate_hz = 100.0", ""), "sample_rate_hz missing"),
+        (text.replace("sample_rate_hz = 100.0", ""), "sample_rate_hz is missing"),
         (text.replace("100.0", "-1.0"), "must be positive"),
         (text[:30], "not a TOML file"),
     ):

@@ -60,7 +60,7 @@ def test_mesh_fills_the_skin_but_for_its_boards(tmp_path, places, size):
         ([(0.0, 0.0), (6.0, 3.0)], "", "'a0' and 'a1' overlap"),
         ([(5.0, 0.0)], "[board]\nthickness_mm = 3.9\n", "thickness_mm is 3.9 in a skin of 4"),
         ([(5.0, 0.0)], "[board]\nthickness_mm = -1.0\n", "thickness_mm is -1.0; it must be positive"),
-        ([(5.0, 0.0)], "[board]\nsize_mm = [10.0]\n", "two positive lengths"),
+        ([(5.0, 0.0)], "[board]\nsize_mm = [10.0]\n", "size_mm holds 1, not 2; write two values"),
         ([(5.0, 0.0)], "[skin]\nfriction = 2.0\n", "friction is 2.0"),
         ([(5.0, 0.0)], "[skin]\nyoungs_modulus_mpa = 0.0\n", "must be positive"),
         ([(5.0, 0.0)], "[skin]\nheight_mm = [6.0, 5.0]\n", "must be positive and rise"),

@@ -1,15 +1,15 @@
 """The map: a TOML that says what a lab's files mean, as frozen dataclasses. Unknown keys are errors."""
 
 import re
-import tomllib
-from dataclasses import MISSING, dataclass, field, fields
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, get_type_hints
+from typing import Any
 
 from features.errors import InputError
 from pipeline.importers.readers.delimited import CsvLayout
 from pipeline.recordings.folder import LABELS
 from pipeline.sensor import Sensor, read_sensor
+from pipeline.toml_tables import from_table, read_toml
 
 KINDS = {
     "csv": (".csv", ".txt", ".tsv", ".dat"),
@@ -164,84 +164,25 @@ class Map:
                 raise ValueError(f"the channels of {name} mix volts and accelerations; give one kind")
 
 
-_TABLES: tuple[tuple[str, type], ...] = (("time", Clock), ("csv", CsvLayout), ("sheet", Sheet))
-_ROWS: tuple[tuple[str, type], ...] = (("channels", Signal), ("boards", Board), ("labels", Label))
-
-
 def read_map(path: Path) -> Map:
     """Reads and validates a map, and the `sensor.toml` that it names.
 
     Raises:
         InputError: a file is missing or no TOML, a key is unknown or missing, a value is wrong.
     """
-    try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(
-            f"{path}: {error.strerror}; print a map to start from with --map-template KIND"
-        ) from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: not a TOML file ({error}); mend its syntax") from None
+    table = read_toml(path, "print a map to start from with --map-template KIND")
     sensor = table.pop("sensor", None)
     if not isinstance(sensor, str):
         raise InputError(f'{path}: sensor is {sensor!r}; write sensor = "sensor.toml", a file beside the map')
-    parts: dict[str, Any] = {"path": path, "sensor": read_sensor(path.parent / sensor)}
-    for name, kind in _TABLES:
-        if name in table:
-            parts[name] = _build(kind, table.pop(name), f"{path}: [{name}]")
-    for name, kind in _ROWS:
-        rows = table.pop(name, {})
-        if not isinstance(rows, dict):
-            raise InputError(f"{path}: {name} is {rows!r}; write tables [{name}.NAME]")
-        parts[name] = {key: _build(kind, row, f"{path}: [{name}.{key}]") for key, row in rows.items()}
-    if "csv" in parts and table.get("kind") != "csv":
+    if "csv" in table and table.get("kind") != "csv":
         raise InputError(f'{path}: [csv] belongs to kind = "csv"; remove it')
-    return _build(Map, {**table, **parts}, str(path), built=set(parts))
+    return from_table(Map, table, str(path), path=path, sensor=read_sensor(path.parent / sensor))
 
 
 def template(kind: str) -> str:
     """A commented map to start from."""
     folder = Path(__file__).parent / "templates"
     return "".join((folder / name).read_text(encoding="utf-8") for name in (f"{kind}.toml", "labels.toml"))
-
-
-def _build(kind: type, table: Any, place: str, built: set[str] | None = None) -> Any:
-    """A dataclass from a TOML table: unknown keys, missing keys and wrong types are errors."""
-    if not isinstance(table, dict):
-        raise InputError(f"{place}: {table!r} is no table; write its keys under a [heading]")
-    known = {f.name: f for f in fields(kind)}
-    if unknown := [key for key in table if key not in known]:
-        raise InputError(f"{place}: unknown key '{unknown[0]}'; known are {', '.join(known)}")
-    required = [f.name for f in known.values() if f.default is MISSING and f.default_factory is MISSING]
-    if missing := [name for name in required if name not in table]:
-        raise InputError(f"{place}: {missing[0]} is missing; add it")
-    hints = get_type_hints(kind)
-    values = {
-        key: value if built and key in built else _typed(value, hints[key], f"{place}: {key}")
-        for key, value in table.items()
-    }
-    try:
-        return kind(**values)
-    except ValueError as error:
-        raise InputError(f"{place}: {error}") from None
-
-
-def _typed(value: Any, hint: Any, place: str) -> Any:
-    number = isinstance(value, int | float) and not isinstance(value, bool)
-    if hint is float and number:
-        return float(value)
-    if hint in (str, bool) and isinstance(value, hint):
-        return value
-    if hint is int and number and isinstance(value, int):
-        return value
-    if hint == tuple[str, ...] and isinstance(value, list) and all(isinstance(v, str) for v in value):
-        return tuple(value)
-    if hint == str | float | None and (number or isinstance(value, str)):
-        return value
-    if hint == dict[str, str | float] and isinstance(value, dict):
-        return value
-    words = {float: "a number", int: "a whole number", str: "a text in quotes", bool: "true or false"}
-    raise InputError(f"{place} is {value!r}; write {words.get(hint, 'what the template shows')}")
 
 
 def _one_of(name: str, value: str, known: tuple[str, ...]) -> None:
