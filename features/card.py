@@ -1,4 +1,4 @@
-"""The model card, model.json: all that a device must know to run model.onnx."""
+"""The model card, model.json: all that a computer must know to run model.onnx."""
 
 import json
 import math
@@ -27,9 +27,13 @@ UNITS = {
 }
 
 
+# Half a 90 % interval of a normal error, in standard deviations: the normal distribution's 95 % quantile.
+HALF_WIDTH_SD = 1.645
+
+
 @dataclass(frozen=True)
 class Interval:
-    """A 90 % interval's half-width: scale * sqrt(sd^2 + floor^2), sd the graph's own (0 where it tells none)."""
+    """A 90 % interval's half-width: scale * sqrt(sd^2 + floor^2), sd the graph's own estimate (0 if it gives none)."""
 
     scale: float
     floor: float
@@ -41,10 +45,11 @@ class Interval:
 
 @dataclass(frozen=True)
 class Validity:
-    """Where the model may be believed; outside, the estimate says so (`valid` is false).
+    """Limits within which an estimate is valid; outside, the estimate's `valid` is false.
 
-    speed_mm_s, depth_mm: ranges. offset_mm: largest distance. misfit: largest reduced chi-square.
-    direction_sd_deg, log_speed_sd: largest standard deviations. peak_v: least output of the slide.
+    speed_mm_s: range, mm/s. offset_mm: largest |offset|, mm. misfit: largest reduced chi-square.
+    direction_sd_deg, log_speed_sd: largest standard deviations, deg and 1.
+    peak_v: least |subtracted output| that the window has to reach, V. The default is 1.6 times the trigger.
     """
 
     speed_mm_s: tuple[float, float] = (0.3, 60.0)
@@ -57,7 +62,17 @@ class Validity:
 
 @dataclass(frozen=True)
 class Card:
-    """What model.json holds. `golden` is one worked example: inputs by name, and the graph's row for them."""
+    """What model.json holds.
+
+    model: the model's name. input: "window" or "features", what the graph reads (INPUTS). outputs: the columns of the
+    graph's row, keys of UNITS. sensor: as in sensor.toml. channels: a0_vx, a0_vy, a0_vz, a1_vx, ...
+    reference_mm: the point that offsets are measured from. intervals: by quantity (direction_deg, log_speed,
+    offset_mm). provenance: what the model was trained from. golden: one worked example, the graph's inputs by name and
+    its row for them. graph_sha256: of the graph's file.
+
+    Raises:
+        ValueError: an unknown input or output, or channels that are no whole number of accelerometers.
+    """
 
     model: str
     input: str
@@ -83,12 +98,12 @@ class Card:
 
     @property
     def samples_per_block(self) -> int:
-        """Samples that one block averages."""
+        """Samples in one block."""
         return round(self.conditioning.block_s * self.sample_rate_hz)
 
 
 def write_card(card: Card, path: Path) -> None:
-    """Writes model.json. Infinite limits are written as null: JSON has no infinity."""
+    """Writes model.json. Infinite limits become null: JSON has no infinity."""
     table = {"format": FORMAT, "version": VERSION, **asdict(card)}
     table["units"] = {name: UNITS[name] for name in card.outputs}
     table["validity"] = {k: None if v == math.inf else v for k, v in table["validity"].items()}
@@ -99,7 +114,8 @@ def read_card(path: Path) -> Card:
     """Reads and validates model.json.
 
     Raises:
-        InputError: missing, no JSON, of another format or version, an unknown or missing key, a bad value.
+        InputError: the file is missing, no JSON, or of another format or version; a key is unknown or missing; a value
+            is bad.
     """
     try:
         table = json.loads(path.read_text(encoding="utf-8"))

@@ -1,4 +1,4 @@
-"""A recording's clock must be even and at the sensor's rate, since every speed is read off it."""
+"""The check of a recording's clock: even and at the sensor's rate, since every speed depends on it."""
 
 from pathlib import Path
 
@@ -6,15 +6,15 @@ import numpy as np
 
 from features.errors import InputError
 
-# A crystal keeps time to 0.01 %; a clock off by 0.2 % would already shift every speed by as much.
+# A crystal keeps time to 0.01 %. A clock off by 0.2 % shifts every speed by 0.2 %, as much as the best models err.
 RATE_TOLERANCE = 0.002
 
 
 def check_clock(path: Path, time_s: np.ndarray, rate_hz: float) -> None:
-    """Sees that time increases evenly at the sensor's rate.
+    """Refuses a recording whose time does not increase evenly at the sensor's rate. time_s: (n,) s, n >= 2.
 
     Raises:
-        InputError: time stands or runs back, a gap, another rate than `rate_hz`.
+        InputError: time that stands still or runs back, a gap, or another rate than `rate_hz`.
     """
     steps = np.diff(time_s) * rate_hz
     if (bad := steps <= 0).any():
@@ -32,7 +32,7 @@ def check_clock(path: Path, time_s: np.ndarray, rate_hz: float) -> None:
             f"samples are {1 / rate_hz:.6f} s apart; resample it with 'softslide import' or drop it"
         )
     rate = (len(time_s) - 1) / (time_s[-1] - time_s[0])
-    # Half a sample of jitter at either end is no rate.
+    # Half a sample of jitter at either end changes this rate by 1 / steps.
     if abs(rate / rate_hz - 1) > RATE_TOLERANCE + 1 / len(steps):
         raise InputError(
             f"{path}: column time_s runs at {rate:.6g} Hz, sensor.toml says sample_rate_hz = {rate_hz:.6g}; "

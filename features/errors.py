@@ -1,4 +1,4 @@
-"""The one exception that means: the input is wrong, and the user can mend it."""
+"""The exception for input that the user has to correct."""
 
 
 class InputError(ValueError):

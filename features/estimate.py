@@ -1,4 +1,4 @@
-"""The estimate record, and how a graph's row of numbers becomes one."""
+"""The estimate, and how it is made of one row of the graph's output."""
 
 import math
 from typing import NamedTuple
@@ -13,10 +13,12 @@ from features.window import Window
 class Estimate(NamedTuple):
     """What is known at one moment. NaN: not estimated. lo and hi bound a 90 % interval.
 
-    time_s: of the samples seen so far. direction_deg in [0, 360); its lo and hi may pass that seam. offset_mm and
-    the signs of x and y are the contract's. valid: false where the model abstains.
-    accelerometers: number of those that a slide is read from, 0 where none is. zero_shift_v, gain, turn_deg: the
-    device's drift (features/stream/drift.py).
+    time_s: end of the last block. direction_deg: of the motion, in [0, 360), 0 along +x and 90 along +y; its lo and hi
+    may lie outside that range. offset_mm: signed distance from the card's reference point to the line of motion,
+    positive where the line lies to the left of the motion. depth_mm: of the indentation. x_mm, y_mm: the contact in the
+    skin's plane, from the chamber's centre. valid: false where the model abstains.
+    accelerometers: number that the slide is read from, 0 without a slide. zero_shift_v, gain, turn_deg: the sensor's
+    drift (features/stream/drift.py).
     """
 
     time_s: float
@@ -46,18 +48,21 @@ _NO_INTERVAL = Interval(math.nan, math.nan)
 def decode(
     row: np.ndarray, card: Card, window: Window, state: SlideState, time_s: float, width_s: float
 ) -> Estimate:
-    """A graph's row (K,), in the card's order of outputs, as an estimate.
+    """The estimate of a row (K,) of the graph, in the card's order of outputs.
 
-    width_s: the window's energy width, which turns `log_speed_width` into a speed: v = exp(.) / width.
+    time_s: the estimate's. width_s: the window's energy width, read where the graph gives the logarithm of speed
+    times width (`log_speed_width`). With direction a, offset o and distance s along the line from the foot of the
+    perpendicular: x = x_ref - o sin(a) + s cos(a), y = y_ref + o cos(a) + s sin(a).
     """
     value = dict(zip(card.outputs, row.tolist(), strict=True))
     direction = math.atan2(value["direction_sin"], value["direction_cos"])
     log_speed = value["log_speed"] if "log_speed" in value else value["log_speed_width"] - math.log(width_s)
     offset, along = value["offset_mm"], value.get("along_mm", math.nan)
-    turn_sd, speed_sd = value.get("direction_sd_deg", 0.0), value.get("log_speed_sd", 0.0)
-    turn = card.intervals.get("direction_deg", _NO_INTERVAL).half_width(turn_sd)
-    factor = math.exp(min(card.intervals.get("log_speed", _NO_INTERVAL).half_width(speed_sd), 50.0))
-    shift = card.intervals.get("offset_mm", _NO_INTERVAL).half_width(value.get("offset_sd_mm", 0.0))
+    direction_sd, speed_sd = value.get("direction_sd_deg", 0.0), value.get("log_speed_sd", 0.0)
+    direction_half = card.intervals.get("direction_deg", _NO_INTERVAL).half_width(direction_sd)
+    # Clamped, so that exp cannot overflow whatever a graph answers.
+    speed_factor = math.exp(min(card.intervals.get("log_speed", _NO_INTERVAL).half_width(speed_sd), 50.0))
+    offset_half = card.intervals.get("offset_mm", _NO_INTERVAL).half_width(value.get("offset_sd_mm", 0.0))
     degrees = math.degrees(direction) % 360.0
     speed = math.exp(min(max(log_speed, -50.0), 50.0))
     cos, sin = math.cos(direction), math.sin(direction)
@@ -66,7 +71,7 @@ def decode(
         math.isfinite(direction + log_speed + offset)
         and limits.speed_mm_s[0] <= speed <= limits.speed_mm_s[1]
         and abs(offset) <= limits.offset_mm
-        and turn_sd <= limits.direction_sd_deg
+        and direction_sd <= limits.direction_sd_deg
         and speed_sd <= limits.log_speed_sd
         and value.get("misfit", 0.0) <= limits.misfit
         and max(float(window.volts.max()), -float(window.volts.min())) >= limits.peak_v
@@ -75,14 +80,14 @@ def decode(
         time_s=time_s,
         state=state,
         direction_deg=0.0 if degrees == 360.0 else degrees,
-        direction_lo_deg=degrees - turn,
-        direction_hi_deg=degrees + turn,
+        direction_lo_deg=degrees - direction_half,
+        direction_hi_deg=degrees + direction_half,
         speed_mm_s=speed,
-        speed_lo_mm_s=speed / factor,
-        speed_hi_mm_s=speed * factor,
+        speed_lo_mm_s=speed / speed_factor,
+        speed_hi_mm_s=speed * speed_factor,
         offset_mm=offset,
-        offset_lo_mm=offset - shift,
-        offset_hi_mm=offset + shift,
+        offset_lo_mm=offset - offset_half,
+        offset_hi_mm=offset + offset_half,
         depth_mm=value.get("depth_mm", math.nan),
         x_mm=card.reference_mm[0] - offset * sin + along * cos,
         y_mm=card.reference_mm[1] + offset * cos + along * sin,

@@ -1,4 +1,4 @@
-"""What every model reads: the slide so far, in equal bins of time."""
+"""The input of every model: the slide so far, in equal bins of time."""
 
 from dataclasses import dataclass
 
@@ -9,7 +9,10 @@ WINDOW_BINS = 64
 
 @dataclass(frozen=True)
 class Window:
-    """volts (C, 64) float32 V: bin means of the subtracted output over [trigger, now]; elapsed_s: its length."""
+    """One window.
+
+    volts: (C, 64) float32 V, bin means of the subtracted output from the trigger to now; elapsed_s: s between the two.
+    """
 
     volts: np.ndarray
     elapsed_s: float

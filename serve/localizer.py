@@ -154,7 +154,7 @@ class Localizer:
             estimate.valid
             and self._whole
             and tracker.moved
-            and self._drift.weighs_the_same(
+            and self._drift.keeps_gravity(
                 tracker.static, np.add.reduce(window.volts, axis=1) / WINDOW_BINS, tracker.usable
             )
             and (self.card.input == "window" or bool(tracker.usable.all()))

@@ -1,1 +1,1 @@
-"""From volts, a block at a time, to the slide at hand."""
+"""From volts, a block at a time, to the window of a slide."""

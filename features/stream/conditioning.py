@@ -1,4 +1,4 @@
-"""Volts at the sample rate become block means at a rate that a decision needs."""
+"""Samples to block means, and the constants of the signal path."""
 
 import math
 from collections.abc import Iterator
@@ -9,27 +9,34 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Conditioning:
-    """Constants of the signal path; they travel in the model card.
+    """Constants of the signal path; they travel in the model card. Figures in parentheses are of the defaults.
 
-    block_s: length of one block in s. 20 ms holds a whole period of 50 Hz mains, so the mean cancels it and
+    With noise of 5 mV a sample at 1 kHz a block mean has 1.1 mV, the mean of `trigger_blocks` 0.5 mV.
+
+    block_s: length of one block in s. 20 ms holds a whole period of 50 Hz mains, so that the mean cancels it and
         its harmonics (the first null of a boxcar lies at 1 / block_s).
-    rest_blocks: memory of the static output in blocks: a mean at first, then an exponential average, so that
-        the zero follows temperature and pressure while nothing touches.
-    calm_v: a mean further from the static output than this moves it at a tenth of the pace.
-    trigger_v: a slide begins when the mean of `trigger_blocks` blocks of some V_x or V_y leaves the static
-        output by this much, in V.
-    release_v: a slide is over when every V_x and V_y has stayed this close to the static output, in V.
-    still_share: share of the slide's blocks without change (or with no signal) after which it has ended.
+    rest_blocks: memory of the static output in blocks (30 s): a mean at first, then an exponential average, so that
+        it follows temperature and pressure. With 3 s it ran after slow slides (experiments/LOG.md).
+    calm_v: a mean further from the static output than this, in V, moves it at a tenth of the pace.
+    trigger_blocks, trigger_v: a slide begins when the mean of `trigger_blocks` blocks of some V_x or V_y leaves the
+        static output by `trigger_v` V (ten standard deviations of the noise).
+    release_v: a slide is over when every V_x and V_y has stayed this close to the static output, in V; below
+        `trigger_v`, so that noise at the threshold does not begin and end slides.
+    still_share: share of the slide's blocks without change, or without signal, after which it has ended.
     still_change: what counts as no change, as a share of the slide's largest output.
-    still_peak_v: a stop on the dome is looked for only in slides that have reached this output in V: in
-        weaker ones a slow slide and a stop look alike.
+    still_peak_v: a stop on the skin is looked for only in slides that have reached this output in V: in weaker ones
+        the noise hides the difference between a slow slide and a stop.
     least_blocks: blocks since the trigger before the first estimate.
-    touch_blocks: what changed only within this many blocks of the trigger, and then stood still, is no slide but
+    touch_blocks: a signal that changes in shape only within this many blocks of the trigger (0.24 s) is no slide but
         a touch: something set down or lifted off, or a jump of the zero.
-    longest_blocks: a slide that has not ended after so many blocks is none: slower than any that a model knows,
-        or a zero that has moved.
-    delayed, tau_s: the skin's lag as a standard linear solid: of every change the share `delayed` creeps in with
-        the retardation time `tau_s`. It is undone in a slide's history; 0 for a skin whose lag is not known.
+    longest_blocks: a slide that has not ended after so many blocks (5 min) is slower than any that a model knows, or
+        a shifted zero; it is given up.
+    delayed, tau_s: the skin's lag as a standard linear solid: of every change the share `delayed` follows with the
+        retardation time `tau_s` in s. It is undone in a slide's history; `delayed` 0: no lag is known.
+
+    Raises:
+        ValueError: a value of another type, not positive or not finite; `delayed` of 1 or more; `release_v` above
+            `trigger_v`.
     """
 
     block_s: float = 0.02
@@ -61,21 +68,22 @@ class Conditioning:
 
     @property
     def lag_s(self) -> float:
-        """What the skin's answer to a steady change comes late by."""
+        """How late the response to a steady change is, s."""
         return self.delayed * self.tau_s
 
     @property
     def creep(self) -> float:
-        """How far the creeping part z comes nearer to the output y in a block.
+        """Share of its distance to the output y by which the delayed part z approaches it in one block.
 
-        y = (1 - d) r + d z with tau z' = r - z gives (1 - d) tau z' = y - z: z is known from the output alone, and so
-        is the equilibrium's integral, int r = int y + d tau z.
+        With the equilibrium response r and d = `delayed`, a standard linear solid has y = (1 - d) r + d z and
+        tau z' = r - z. Eliminating r: (1 - d) tau z' = y - z, so that z follows from the output alone, and integrating
+        r = y + d tau z' gives the equilibrium's integral, int r = int y + d tau z.
         """
         return 1.0 - math.exp(-self.block_s / ((1.0 - self.delayed) * self.tau_s))
 
 
 class Blocks:
-    """Cuts a stream into whole blocks of samples, the same ones however it comes in chunks."""
+    """Cuts a stream into blocks of S samples; the blocks do not depend on the chunks that it comes in."""
 
     def __init__(self, channels: int, samples_per_block: int) -> None:
         self._samples = np.empty((samples_per_block, channels))
@@ -86,7 +94,7 @@ class Blocks:
         self._count = 0
 
     def push(self, volts: np.ndarray) -> Iterator[np.ndarray]:
-        """volts (n, C) V -> each block (S, C) V float64 that these samples finish; overwritten by the next one."""
+        """volts (n, C) V -> the blocks (S, C) V float64 that these samples complete, each overwritten by the next."""
         size = len(self._samples)
         taken = 0
         while len(volts) - taken >= size - self._count:
@@ -101,13 +109,13 @@ class Blocks:
 
 
 class BlockMean:
-    """Anti-alias filter and decimator in one: the mean of each whole block of samples."""
+    """Anti-alias filter and decimator: the mean of each block."""
 
     def __init__(self, channels: int, samples_per_block: int) -> None:
         self._blocks = Blocks(channels, samples_per_block)
         self._channels = channels
 
     def push(self, volts: np.ndarray) -> np.ndarray:
-        """volts (n, C) V -> (m, C) V, the means of the m blocks that these samples finish."""
+        """volts (n, C) V -> (m, C) V, the means of the m blocks that these samples complete."""
         means = [samples.mean(axis=0) for samples in self._blocks.push(volts)]
         return np.array(means).reshape(len(means), self._channels)

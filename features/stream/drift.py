@@ -1,8 +1,8 @@
-"""What the static output tells about a device's drift: gravity is a vector of 1 g whatever the device does.
+"""Drift of the sensor, from the static output: at rest an accelerometer measures gravity, 1 g whatever its attitude.
 
-The zero of each channel is followed and taken off. One static vector cannot tell a channel's zero from the
-device's turn, nor either from a change of gain along gravity; so gain and turn are reported, not taken off: a model
-has a nuisance of its own for the gain, and a device that is turned by a few degrees tilts its boards alike.
+The static output of each channel is followed and subtracted. From one static vector a shifted zero, a changed mounting
+tilt and a changed gain cannot be told apart. So gain and tilt are reported and not corrected: the models allow for a
+change of gain, and a tilt of a few degrees hardly changes the response.
 """
 
 import math
@@ -13,10 +13,11 @@ import numpy as np
 
 
 class Drift(NamedTuple):
-    """zero_shift_v: largest change of a V_x or V_y's static output since the stream began, V, taken off.
+    """Drift at one moment; NaN: not known.
 
-    gain: the static output's length over the data sheet's for 1 g; turn_deg: its angle to the accelerometer's z
-    axis, deg; both the mean of the accelerometers in use. NaN: not known.
+    zero_shift_v: largest change of the static output of any V_x or V_y since the stream began, V; it is subtracted.
+    gain: length of the static vector over the nominal one for 1 g. turn_deg: angle of the static vector to the
+    accelerometer's z axis, deg. Both are means over the accelerometers in use.
     """
 
     zero_shift_v: float = math.nan
@@ -25,58 +26,59 @@ class Drift(NamedTuple):
 
 
 UNKNOWN = Drift()
-# By how much gravity may seem to change in a slide: what a robot's arm shakes a skin with, but no other thing's signal.
-WEIGHT_G = 0.25
+# Largest change of gravity's apparent length in a slide. A robot's arm accelerates a skin by less; some signals that
+# are no slide exceed it (experiments/LOG.md).
+GRAVITY_CHANGE_G = 0.25
 
 
 class DriftWatch:
-    """Follows one stream's static output.
+    """Reads the drift of one stream's sensor.
 
-    accelerometers: the card's, each with zero_g_v in V and sensitivity_v_per_g in V/g.
-    complete: whether each one's first static output has been noted.
+    accelerometers: as in the card, each with zero_g_v in V and sensitivity_v_per_g in V/g.
+    complete: whether the first static output of every accelerometer has been noted.
     """
 
     def __init__(self, accelerometers: Sequence[Mapping[str, Any]]) -> None:
-        self._boards = [(float(a["zero_g_v"]), float(a["sensitivity_v_per_g"])) for a in accelerometers]
+        self._nominal = [(float(a["zero_g_v"]), float(a["sensitivity_v_per_g"])) for a in accelerometers]
         self.reset()
 
     def reset(self) -> None:
         """Forgets the stream."""
-        self._first = np.full((len(self._boards), 3), np.nan)
-        self._awaited = np.ones(len(self._boards), dtype=bool)
+        self._first = np.full((len(self._nominal), 3), np.nan)
+        self._awaited = np.ones(len(self._nominal), dtype=bool)
         self.complete = False
 
     def note(self, static_v: np.ndarray, known: np.ndarray) -> None:
-        """Keeps the first static output (C,) V of each accelerometer that is known (A,)."""
+        """Keeps the first static output, from (C,) V, of each accelerometer whose static output is known (A,)."""
         fresh = known & self._awaited
         if fresh.any():
             self._first[fresh] = static_v.reshape(-1, 3)[fresh]
             self._awaited = self._awaited & ~fresh
             self.complete = not self._awaited.any()
 
-    def weighs_the_same(self, static_v: np.ndarray, subtracted_v: np.ndarray, usable: np.ndarray) -> bool:
-        """Whether gravity keeps its length while something slides, as it does on a skin that only tilts.
+    def keeps_gravity(self, static_v: np.ndarray, subtracted_v: np.ndarray, usable: np.ndarray) -> bool:
+        """Whether gravity keeps its length during a slide, as it must where accelerometers only tilt.
 
-        static_v: (C,) V; subtracted_v: (C,) V, a slide's mean; usable: (A,), the accelerometers to ask.
+        static_v: (C,) V; subtracted_v: (C,) V, mean of a slide's window; usable: (A,), the accelerometers to check.
         """
         static, during = static_v.tolist(), (static_v + subtracted_v).tolist()
-        for n, (zero, sensitivity) in enumerate(self._boards):
+        for n, (zero, sensitivity) in enumerate(self._nominal):
             before_g, during_g = (
                 math.dist(volts[3 * n : 3 * n + 3], (zero, zero, zero)) / sensitivity
                 for volts in (static, during)
             )
-            if usable[n] and abs(during_g - before_g) > WEIGHT_G:
+            if usable[n] and abs(during_g - before_g) > GRAVITY_CHANGE_G:
                 return False
         return True
 
     def read(self, static_v: np.ndarray, usable: np.ndarray) -> Drift:
-        """static_v: (C,) V; usable: (A,), the accelerometers to read it from."""
-        # A handful of numbers each 20 ms: plain floats are several times quicker than arrays.
+        """The drift now. static_v: (C,) V; usable: (A,), the accelerometers to read it from."""
+        # For a few numbers, plain floats are several times faster than arrays.
         static, first = static_v.tolist(), self._first.ravel().tolist()
         shift, lengths, turns = 0.0, 0.0, 0.0
-        known = [n for n in range(len(self._boards)) if usable[n] and not self._awaited[n]]
+        known = [n for n in range(len(self._nominal)) if usable[n] and not self._awaited[n]]
         for n in known:
-            zero, sensitivity = self._boards[n]
+            zero, sensitivity = self._nominal[n]
             vx, vy, vz = static[3 * n : 3 * n + 3]
             x, y, z = ((v - zero) / sensitivity for v in (vx, vy, vz))
             shift = max(shift, abs(vx - first[3 * n]), abs(vy - first[3 * n + 1]))

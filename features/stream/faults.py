@@ -1,9 +1,9 @@
-"""Which samples and which accelerometers may be believed, a block at a time.
+"""Lost samples and faulty accelerometers, judged a block at a time.
 
-A sample that is no number, or that lies beyond what the supply lets an accelerometer say, is lost; a block's mean
-is that of the others. While a block has lost more than half of its samples, the one before stands in for it, for a
-tenth of a second; after that the accelerometer is at fault. So it is when one of its channels stands still to the
-last bit though another channel moves: noise never lets a live one do that.
+A sample is lost where it is not a number, or outside the range of the supply; a block's mean is that of the others.
+When a block has lost more than half of a channel's samples, the channel's last mean is used again, for a tenth of a
+second at most; after that the accelerometer is faulty. It is faulty too when one of its channels repeats the same bits
+while another channel changes: a working channel has noise.
 """
 
 from operator import eq
@@ -11,14 +11,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-# Blocks that may go by without a believable mean before an accelerometer is at fault.
+# Blocks, 0.1 s, for which an old mean may be used before the accelerometer is faulty.
 BRIDGED_BLOCKS = 5
-# Blocks that a channel may stand still while others move.
+# Blocks, 0.5 s, that a channel may repeat the same bits while others change. Noise of 5 mV and a converter of 0.5 mV
+# never do that for one block; a coarse converter may.
 FROZEN_BLOCKS = 25
 
 
 class Judged(NamedTuple):
-    """One block: mean (C,) V, always finite; healthy (A,) and bridged (A,), those whose mean is an old one."""
+    """One block: mean (C,) V, always finite; healthy (A,); bridged (A,), where some channel's mean is an old one."""
 
     mean: np.ndarray
     healthy: np.ndarray
@@ -28,8 +29,8 @@ class Judged(NamedTuple):
 class SignalWatch:
     """Judges one stream's blocks.
 
-    low_v, high_v: (C,) V, bounds of what a channel can show. read: (C,) bool, the channels that a model reads;
-    the others count for nothing.
+    low_v, high_v: (C,) V, range of each channel. read: (C,) bool, the channels that a model reads; faults of the
+    others are ignored.
     """
 
     def __init__(self, low_v: np.ndarray, high_v: np.ndarray, read: np.ndarray) -> None:
@@ -54,14 +55,14 @@ class SignalWatch:
             and np.maximum.reduce(samples, axis=None) <= self._lowest_high
         ):
             self._mean = np.add.reduce(samples) / len(samples)
-            # Nearly every block; in few calls, since each costs more than what it works out.
+            # The usual block, in as few calls of numpy as possible.
             if self._clear and not any(map(eq, self._mean.tolist(), last.tolist())):
                 return Judged(self._mean, self._healthy, self._unbridged)
             missed = np.zeros(len(last), dtype=bool)
         else:
             self._mean, missed = self._mean_of_good(samples)
         still = (samples == samples[0]).all(axis=0) & (self._mean == last)
-        # A whole stream that stands still shows nothing, and claims nothing.
+        # When every channel repeats itself, the stream is quiet (or simulated) and no accelerometer is to blame.
         self._still = np.where(still, self._still + (not still[self._read].all()), 0)
         self._missed = np.where(missed, self._missed + 1, 0)
         self._clear = not (missed.any() or still.any())
@@ -69,7 +70,7 @@ class SignalWatch:
         return Judged(self._mean, ~self._any(bad), self._any(missed))
 
     def _mean_of_good(self, samples: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Means (C,) V of the believable samples, the last ones where too few are left, and where that is (C,)."""
+        """Means (C,) V of the samples that are not lost, or the last means; and where the last ones were used (C,)."""
         # NaN compares false, and infinities are beyond any bound.
         good = (samples >= self._low) & (samples <= self._high)
         count = good.sum(axis=0)
@@ -78,5 +79,5 @@ class SignalWatch:
         return np.where(missed, self._mean, mean), missed
 
     def _any(self, channels: np.ndarray) -> np.ndarray:
-        """Channels (C,) -> accelerometers (A,): whether one of its channels that are read is so."""
+        """Channels (C,) -> accelerometers (A,): whether any channel of it that is read is marked."""
         return (channels & self._read).reshape(-1, 3).any(axis=1)

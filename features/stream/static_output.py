@@ -11,7 +11,7 @@ KNOWN_MEMORIES = 2
 # Up to this many times `trigger_blocks`, 1 s, the estimate follows everything: it may have begun on something wrong.
 LEARNING_MEMORIES = 10
 # Pace for a mean beyond `calm_v`. A slide of 0.5 mm/s takes seconds to reach the trigger; with the full pace the static
-# output rose with it by 15 mV (experiments/LOG.md, "The zero ran after slow slides").
+# output rose with it by 15 mV (experiments/LOG.md).
 SLOW_PACE = 0.1
 # Blocks, 6 s, that a stream has to stand still after a loss for its output to be taken for the static one. A contact
 # that rests on the skin for longer cannot be told from a shifted zero.

@@ -1,1 +1,1 @@
-"""The feature vector of a window, for the classical models."""
+"""From a window to its named features, the input of the classical models."""

@@ -1,7 +1,7 @@
-"""The extremes of an output over a window: how large, and when.
+"""The extremes of an output over a window: their values and their times.
 
-The article's interpolation (5.2.2) rests on these alone: the extreme values depend on the distance between the
-accelerometer and the sliding line, their moments on the speed.
+The article's interpolation (5.2.2) uses these alone: the extreme values depend on the distance between the
+accelerometer and the sliding line, their times on the speed.
 """
 
 import numpy as np
@@ -11,18 +11,18 @@ def maximum(outputs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Largest value (...) V and its moment (...) as a fraction of the window, of outputs (..., N) V.
 
     Refined by the parabola through the largest bin y1 and its neighbours y0, y2: its vertex lies
-    d = (y0 - y2) / (2 (y0 - 2 y1 + y2)) bins from the middle one, at y1 - (y0 - y2) d / 4. An extreme in the
-    first or last bin has not been passed, and stays where it is.
+    d = (y0 - y2) / (2 (y0 - 2 y1 + y2)) bins from the middle one, its value is y1 - (y0 - y2) d / 4. An extreme in the
+    first or last bin is not refined: it may not have been reached.
     """
     bins = outputs.shape[-1]
     highest = np.argmax(outputs, axis=-1)
     inner = (highest > 0) & (highest < bins - 1)
     around = np.clip(highest, 1, max(1, bins - 2))[..., None] + np.arange(-1, 2)
     y0, y1, y2 = np.moveaxis(np.take_along_axis(outputs, around, axis=-1), -1, 0)
-    bend = y0 - 2.0 * y1 + y2
-    # A plateau of three equal bins has no vertex; its middle stands.
-    bent = inner & (bend < 0)
-    shift = np.where(bent, (y0 - y2) / np.where(bent, 2.0 * bend, 1.0), 0.0)
+    curvature = y0 - 2.0 * y1 + y2
+    # A plateau of three equal bins has no vertex: its middle bin is taken.
+    concave = inner & (curvature < 0)
+    shift = np.where(concave, (y0 - y2) / np.where(concave, 2.0 * curvature, 1.0), 0.0)
     value = np.take_along_axis(outputs, highest[..., None], axis=-1)[..., 0]
     return value - 0.25 * (y0 - y2) * shift, (highest + 0.5 + shift) / bins
 

@@ -1,9 +1,14 @@
-"""The feature vector: every quantity of a window that a classical model reads, named, ordered, with its unit.
+"""The feature vector: every quantity of a window that a classical model reads, with its name, place and unit.
 
-Suffixes: `_v` volts; `_s` seconds since the trigger or between two moments; `_fraction` of the window's length;
-`_widths` of the energy's width in time, counted from its centre; `_share` of rms_v, so that what a slide's
-strength is (depth, gain) and what its shape is stand apart; `_cos`, `_sin` of a bearing, the angle from an output
-at its extreme to the other one: where the board leans to then, whatever the strength; none: a sign or a zone.
+| suffix | unit |
+|---|---|
+| `_v` | volts |
+| `_s` | seconds since the trigger, or between two moments |
+| `_fraction` | of the window's length |
+| `_widths` | of the energy's width in time; moments count from the energy's centre |
+| `_share` | of `rms_v`: the shape of a slide without its strength (depth, gain) |
+| `_cos`, `_sin` | of a bearing: the direction of (V_x, V_y) at an extreme, counted from the output that is extreme |
+| none | a sign or a zone |
 """
 
 import numpy as np
@@ -15,12 +20,12 @@ from features.vector.timing import EXTREMES, INTERVAL_NAMES, intervals
 from features.vector.zones import first_and_last, signs, zone, zones_in_order
 
 _ZONES = 3
-# Windows worked on at a time: their intermediate arrays stay within the processor's cache.
-_CHUNK = 256
+# Windows computed at a time, so that intermediate arrays stay within the processor's cache.
+_BATCH = 256
 
 
 def feature_names(accelerometers: int) -> tuple[str, ...]:
-    """Names of the features of windows from that many accelerometers, in the vector's order."""
+    """Names of the features of windows of that many accelerometers, in the vector's order."""
     clock = (
         "elapsed_s",
         "energy_centre_s",
@@ -40,6 +45,9 @@ def feature_matrix(volts: np.ndarray, elapsed_s: np.ndarray) -> np.ndarray:
     """Features (B, F) float64 of volts (B, C, N) V and elapsed_s (B,) s, in `feature_names` order.
 
     Each row is computed from its window alone, in the same order of operations whatever the batch.
+
+    Raises:
+        ValueError: arrays of other shapes.
     """
     volts, elapsed_s = np.asarray(volts), np.asarray(elapsed_s, np.float64)
     if volts.ndim != 3 or volts.shape[1] % 3 or not volts.shape[1] or volts.shape[2] < 3:
@@ -47,8 +55,8 @@ def feature_matrix(volts: np.ndarray, elapsed_s: np.ndarray) -> np.ndarray:
     if elapsed_s.shape != volts.shape[:1]:
         raise ValueError(f"elapsed_s has shape {elapsed_s.shape}; expected ({len(volts)},)")
     rows = np.empty((len(volts), len(feature_names(volts.shape[1] // 3))))
-    for begin in range(0, len(volts), _CHUNK):
-        part = slice(begin, begin + _CHUNK)
+    for begin in range(0, len(volts), _BATCH):
+        part = slice(begin, begin + _BATCH)
         rows[part] = _features(np.asarray(volts[part], np.float64), elapsed_s[part])
     return rows
 
@@ -56,11 +64,11 @@ def feature_matrix(volts: np.ndarray, elapsed_s: np.ndarray) -> np.ndarray:
 def _features(volts: np.ndarray, elapsed_s: np.ndarray) -> np.ndarray:
     centre, width = energy_clock(tilt_outputs(volts))
     clock = np.stack([elapsed_s, centre * elapsed_s, centre, width * elapsed_s, width], axis=-1)
-    boards = [
+    each = [
         _features_of_one(volts[:, 3 * k : 3 * k + 3], elapsed_s, centre, width)
         for k in range(volts.shape[1] // 3)
     ]
-    return np.concatenate([clock, *boards], axis=-1)
+    return np.concatenate([clock, *each], axis=-1)
 
 
 def _names_of_one() -> tuple[str, ...]:
@@ -135,7 +143,7 @@ def _features_of_one(
 
 
 def _bearings(extremes: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """cos, sin (B, 8) of the angle of (extreme, other output then), from (B, 4) V each; (1, 0) without output."""
+    """cos, sin (B, 8) of the angle of (extreme, other output at that moment), (B, 4) V each; (1, 0) without signal."""
     size = np.sqrt(np.square(extremes) + np.square(others))
     some = size > 0
     unit = np.where(some, size, 1.0)

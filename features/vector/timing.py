@@ -1,4 +1,4 @@
-"""Times between the extremes of two outputs: how far apart along the slide their sources lie."""
+"""Times between the extremes of two outputs: times the speed, distances along the slide."""
 
 from itertools import combinations
 
@@ -10,5 +10,5 @@ INTERVAL_NAMES = tuple(f"{EXTREMES[a]}_to_{EXTREMES[b]}" for a, b in INTERVALS)
 
 
 def intervals(moments: np.ndarray) -> np.ndarray:
-    """Signed times (..., 6) between the moments (..., 4) of EXTREMES, in their unit, in INTERVAL_NAMES order."""
+    """Signed times (..., 6) between the moments (..., 4) of EXTREMES, in INTERVAL_NAMES order, in the moments' unit."""
     return np.stack([moments[..., b] - moments[..., a] for a, b in INTERVALS], axis=-1)

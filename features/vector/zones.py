@@ -1,20 +1,21 @@
 """Contact zones around an accelerometer, from the signs of its outputs (article, 2.3).
 
-Contact tilts the board towards itself, so the signs of the subtracted V_x and V_y name the quarter that it is in:
-zone 1 (-, -), zone 2 (+, -), zone 3 (-, +), zone 4 (+, +).
+A contact tilts the accelerometer's board towards itself, so that the signs of the subtracted V_x and V_y tell the
+quadrant of the contact: zone 1 (-, -), zone 2 (+, -), zone 3 (-, +), zone 4 (+, +).
 """
 
 import numpy as np
 
-# Share of the window's largest |V| below which a sign is not believed.
+# Share of the window's largest |V| below which a sign is ignored: at the least valid output, 8 mV, it is 0.8 mV,
+# above the 0.5 mV of noise in a bin of 0.1 s.
 DEAD_BAND = 0.1
 
 
 def signs(tilt: np.ndarray) -> np.ndarray:
     """Signs (..., 2, N) of V_x and V_y in every bin: -1, +1, or 0 before an output first leaves the dead band.
 
-    tilt: (..., 2, N) V. Within the dead band, +-0.1 of the largest |V| of the two, the last sign stands: an output
-    that comes to rest near zero does not change zone.
+    tilt: (..., 2, N) V. Within the dead band, +-DEAD_BAND of the largest |V| of the two, the last sign is kept: noise
+    of an output near zero changes no zone.
     """
     band = DEAD_BAND * np.abs(tilt).max(axis=(-2, -1), keepdims=True)
     outside = np.abs(tilt) > band
@@ -24,7 +25,7 @@ def signs(tilt: np.ndarray) -> np.ndarray:
 
 
 def first_and_last(sign: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """First sign that an output took and the one it has now, (...) each, of signs (..., N); 0: none so far."""
+    """First nonzero sign and last sign, (...) each, of signs (..., N); 0: none so far."""
     first = np.argmax(sign != 0, axis=-1)
     return np.take_along_axis(sign, first[..., None], axis=-1)[..., 0], sign[..., -1]
 
@@ -42,7 +43,7 @@ def zones_in_order(zones: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarra
     """
     bins = zones.shape[-1]
     before = np.concatenate([np.zeros_like(zones[..., :1]), zones[..., :-1]], axis=-1)
-    # Signs once known stay known, so 0 comes only at the start and every change enters a zone.
+    # Zone 0 occurs only before the first zone, so that every change of zone is an entry.
     rank = np.cumsum(zones != before, axis=-1)
     entered = rank[..., None, :] == np.arange(1, count + 1)[:, None]
     happened = entered.any(axis=-1)
