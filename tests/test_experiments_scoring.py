@@ -20,7 +20,7 @@ from experiments.evaluation.scoring import (
     turn,
 )
 from features.errors import InputError
-from pipeline.recordings.folder import LABELS
+from pipeline.recordings.manifest import LABELS
 from pipeline.sensor import Accelerometer, Sensor
 
 SENSOR = Sensor(

@@ -24,7 +24,8 @@ import softslide
 from experiments.sweep.space import read_sweep
 from experiments.sweep.trial import overall
 from features.errors import InputError
-from pipeline.recordings.folder import SAMPLE, read_folder, write_manifest
+from pipeline.recordings.folder import SAMPLE, read_folder
+from pipeline.recordings.manifest import write_manifest
 from serve.localizer import Localizer
 
 CONFIG = """

@@ -14,7 +14,8 @@ from hypothesis.extra import numpy as hnp
 import softslide
 from features.clock import check_clock
 from features.errors import InputError
-from pipeline.recordings.folder import LABELS, SAMPLE, Recording, read_folder, write_folder
+from pipeline.recordings.folder import SAMPLE, Recording, read_folder, write_folder
+from pipeline.recordings.manifest import LABELS
 from pipeline.recordings.slide_file import read_slide, write_slide
 from pipeline.sensor import Accelerometer, Sensor
 

@@ -119,3 +119,17 @@ class BlockMean:
         """volts (n, C) V -> (m, C) V, the means of the m blocks that these samples complete."""
         means = [samples.mean(axis=0) for samples in self._blocks.push(volts)]
         return np.array(means).reshape(len(means), self._channels)
+
+
+def without_lag(blocks: np.ndarray, conditioning: Conditioning) -> np.ndarray:
+    """Block means (m, C) V of a whole recording, with the skin's lag undone; r of `Conditioning.creep`.
+
+    `SlideHistory` does the same a block at a time, to the integral of r.
+    """
+    crept, before = np.zeros_like(blocks), np.zeros(blocks.shape[1:])
+    for n, output in enumerate(blocks - blocks[0]):
+        crept[n] = before = conditioning.creep * output + (1.0 - conditioning.creep) * before
+    # r = y + d tau z'
+    return blocks + conditioning.lag_s / conditioning.block_s * np.diff(
+        crept, axis=0, prepend=0.0 * crept[:1]
+    )

@@ -10,11 +10,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import sparse
 from scipy.linalg import solveh_banded
-from scipy.signal import lfilter
 
-from features.stream.conditioning import BlockMean, Conditioning
+from features.stream.conditioning import BlockMean, Conditioning, without_lag
 from models.response_map.map import MARGIN_MM, PARTS, ResponseMap, knots, splines_at
 from pipeline.recordings.folder import Folder
+from pipeline.recordings.stroke import stage_motion
 from pipeline.sensor import Sensor
 
 STRETCH_MM = 0.5
@@ -100,12 +100,15 @@ def calibration_slides(folder: Folder, conditioning: Conditioning) -> list[Calib
         recording = folder.load(str(name))
         blocks = BlockMean(recording.volts.shape[1], size).push(recording.volts)[:, tilt]
         time_s = recording.time_s[0] + (np.arange(len(blocks)) + 0.5) * conditioning.block_s
-        level = _without_lag(blocks, conditioning)
+        level = without_lag(blocks, conditioning)
         rest = blocks[time_s < row.motion_start_s - conditioning.block_s]
         if len(rest) < 5:
             continue
         moving = (time_s > row.motion_start_s - 0.1) & (time_s < row.motion_end_s)
-        travelled, speed = _stage(time_s[moving] - row.motion_start_s, row)
+        duration_s = row.motion_end_s - row.motion_start_s
+        travelled, speed = stage_motion(
+            time_s[moving] - row.motion_start_s, row.travel_mm, row.speed_mm_s, duration_s
+        )
         count = max(1, round(STRETCH_MM / row.speed_mm_s / conditioning.block_s))
         whole = len(travelled) // count * count
         slides.append(
@@ -123,28 +126,6 @@ def calibration_slides(folder: Folder, conditioning: Conditioning) -> list[Calib
             )
         )
     return slides
-
-
-def _without_lag(blocks: np.ndarray, conditioning: Conditioning) -> np.ndarray:
-    """Blocks' means (m, C) V with the skin's lag undone, as features/stream/tracker.py does it to a slide's history."""
-    rate = conditioning.creep
-    crept = lfilter([rate], [1.0, rate - 1.0], blocks - blocks[0], axis=0)
-    return blocks + conditioning.lag_s / conditioning.block_s * np.diff(
-        crept, axis=0, prepend=0.0 * crept[:1]
-    )
-
-
-def _stage(time_s: np.ndarray, row) -> tuple[np.ndarray, np.ndarray]:
-    """Travel (mm) and speed (mm/s) of a stage that starts and stops on ramps: T = L / v + ramp."""
-    total = row.motion_end_s - row.motion_start_s
-    ramp = max(total - row.travel_mm / row.speed_mm_s, 1e-6)
-    t = np.clip(time_s, 0.0, total)
-    speed = row.speed_mm_s * np.clip(np.minimum(t, total - t) / ramp, 0.0, 1.0)
-    cruise = row.speed_mm_s * (t - ramp / 2)
-    travelled = np.where(t < ramp, row.speed_mm_s * t**2 / (2 * ramp), cruise)
-    late = t > total - ramp
-    travelled[late] = row.travel_mm - row.speed_mm_s * (total - t[late]) ** 2 / (2 * ramp)
-    return travelled, speed
 
 
 def calibrate(

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
+from scipy.signal import welch
 
 from pipeline.checks.zone_signs import sign_agreement
 from pipeline.recordings.folder import Recording
@@ -124,20 +125,22 @@ def _rail_run(column: np.ndarray) -> int:
 def _spectrum(volts: np.ndarray, rate_hz: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Floor (channels,) V^2/Hz, frequencies (f,) Hz and power (f, channels) V^2/Hz above `NOISE_FROM_HZ`.
 
-    Welch's mean over seconds that overlap by half, Hann windows; the floor is the median over frequency. A
+    Welch's method (P. D. Welch, IEEE Trans. Audio Electroacoust. 15, 1967): the mean over seconds that overlap by half,
+    with Hann windows. The floor is the median over frequency. A
     recording of less than a quarter of a second has no spectrum: its floor is NaN.
     """
     length = min(max(int(rate_hz), 64), len(volts))
     if length < max(0.25 * rate_hz, 16):
         return np.full(volts.shape[1], np.nan), np.zeros(0), np.zeros((0, volts.shape[1]))
-    window = np.hanning(length)[:, None]
-    starts = range(0, len(volts) - length + 1, max(length // 2, 1))[:SECONDS]
-    power = np.zeros((length // 2 + 1, volts.shape[1]))
-    for start in starts:
-        block = volts[start : start + length]
-        power += np.abs(np.fft.rfft((block - block.mean(axis=0)) * window, axis=0)) ** 2
-    power *= 2 / (rate_hz * (window**2).sum() * max(len(starts), 1))
-    frequency = np.fft.rfftfreq(length, 1 / rate_hz)
+    hop = max(length // 2, 1)
+    frequency, power = welch(
+        volts[: length + (SECONDS - 1) * hop],
+        rate_hz,
+        window=np.hanning(length),
+        noverlap=length - hop,
+        detrend="constant",
+        axis=0,
+    )
     high = (frequency >= NOISE_FROM_HZ) & (frequency < 0.45 * rate_hz)
     if high.sum() < 8:
         high = frequency > frequency[-1] / 2

@@ -7,7 +7,7 @@ from typing import Any
 
 from features.errors import InputError
 from pipeline.importers.readers.delimited import CsvLayout
-from pipeline.recordings.folder import LABELS
+from pipeline.recordings.manifest import LABELS
 from pipeline.sensor import Sensor, read_sensor
 from pipeline.toml_tables import from_table, read_toml
 

@@ -9,7 +9,7 @@ import pandas as pd
 
 from features.errors import InputError
 from pipeline.importers.import_map import Label, Map
-from pipeline.recordings.folder import LABELS
+from pipeline.recordings.manifest import LABELS
 
 Row = dict[str, str | float]
 

@@ -31,7 +31,8 @@ from pipeline.importers.resampling import Samples
 from pipeline.importers.resume import Journal, fingerprint, size_bytes
 from pipeline.importers.streams import Source, write_even
 from pipeline.importers.units import converter
-from pipeline.recordings.folder import Recording, check_manifest, write_manifest
+from pipeline.recordings.folder import Recording
+from pipeline.recordings.manifest import check_manifest, write_manifest
 from pipeline.recordings.slide_file import read_slide, read_slide_in_blocks, write_slide_in_blocks
 from pipeline.sensor import Sensor, write_sensor
 from pipeline.staging import staged

@@ -12,7 +12,8 @@ import numpy as np
 from features.errors import InputError
 from features.stream.conditioning import BlockMean, Conditioning
 from features.stream.tracker import track
-from pipeline.recordings.folder import LABELS, Folder
+from pipeline.recordings.folder import Folder
+from pipeline.recordings.manifest import LABELS
 
 STROKE_FRACTIONS = tuple(k / 10 for k in range(1, 11))
 _TARGETS = ("direction_deg", "speed_mm_s", "offset_mm", "depth_mm")
