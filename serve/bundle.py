@@ -1,4 +1,4 @@
-"""Opens a bundle: the card, the graph, and the proof that they belong together and compute what they should."""
+"""Opens a bundle, and checks that card and graph belong together and give the result of the card's example."""
 
 import math
 from pathlib import Path
@@ -13,7 +13,7 @@ from features.vector.feature_vector import feature_names
 from features.window import WINDOW_BINS
 
 try:
-    # hashlib loads OpenSSL, 4 MB that a device has no other use for.
+    # hashlib loads OpenSSL, 4 MB of memory that nothing else here needs.
     from _sha2 import sha256
 except ImportError:
     try:
@@ -21,7 +21,8 @@ except ImportError:
     except ImportError:
         from hashlib import sha256
 
-# The largest difference of one processor's arithmetic to another's, relative or absolute.
+# Largest difference between two processors' arithmetic, relative or absolute. Graph and original differ by 4e-5
+# (experiments/LOG.md); more than 1e-3 is another graph.
 GOLDEN_TOLERANCE = 1e-3
 GRAPHS = ("model.onnx", "model.ort")
 _NEEDED = ("direction_cos", "direction_sin", "offset_mm")
@@ -31,8 +32,8 @@ def open_bundle(bundle: Path) -> tuple[Card, ort.InferenceSession]:
     """The card and a session of its graph, model.onnx or model.ort.
 
     Raises:
-        InputError: the bundle is missing, altered, truncated, made for other channels than it says, or does not
-            compute what its card says.
+        InputError: the bundle is missing, altered or truncated, its channels and its sensor disagree, or it does not
+            give the result of its card's example.
     """
     path = next((bundle / name for name in GRAPHS if (bundle / name).is_file()), bundle / GRAPHS[0])
     card = read_card(bundle / "model.json")
@@ -52,10 +53,10 @@ def open_bundle(bundle: Path) -> tuple[Card, ort.InferenceSession]:
 
 
 def open_session(graph: bytes, path: Path) -> ort.InferenceSession:
-    """One thread, no spinning: a small graph is slower on several. `path` is named where it fails.
+    """A session with one thread that does not spin: small graphs are slower on several. path: named in errors.
 
     Raises:
-        InputError: ONNX Runtime cannot load it: damaged, of a newer opset, or with unknown operators.
+        InputError: ONNX Runtime cannot load the graph: damaged, a newer opset, or unknown operators.
     """
     for level in (ort.GraphOptimizationLevel.ORT_ENABLE_ALL, ort.GraphOptimizationLevel.ORT_ENABLE_BASIC):
         options = ort.SessionOptions()
@@ -77,7 +78,7 @@ def open_session(graph: bytes, path: Path) -> ort.InferenceSession:
 
 
 def _check_card(card: Card, path: Path) -> None:
-    """What a card's own checks leave open, and the runtime relies on."""
+    """Checks of what the runtime relies on, beyond the card's own."""
     accelerometers = card.sensor.get("accelerometers") if isinstance(card.sensor, dict) else None
     if not isinstance(accelerometers, list | tuple):
         raise InputError(f"{path}: sensor names no accelerometers; export the bundle again")
@@ -112,11 +113,11 @@ def _check_card(card: Card, path: Path) -> None:
 
 
 def _check_shapes(card: Card, session: ort.InferenceSession, path: Path) -> None:
-    boards = len(card.channels) // 3
+    accelerometers = len(card.channels) // 3
     wanted: dict[str, tuple[int, ...]] = (
-        {"volts": (len(card.channels), WINDOW_BINS), "elapsed_s": (), "weight": (boards,)}
+        {"volts": (len(card.channels), WINDOW_BINS), "elapsed_s": (), "weight": (accelerometers,)}
         if card.input == "window"
-        else {"features": (len(feature_names(boards)),)}
+        else {"features": (len(feature_names(accelerometers)),)}
     )
     found = {node.name: node for node in session.get_inputs()}
     if set(found) != set(wanted):
@@ -157,5 +158,5 @@ def _number(value: object) -> bool:
 
 
 def _line(error: Exception) -> str:
-    """ONNX Runtime speaks in paragraphs."""
+    """The error in one line; ONNX Runtime's have several."""
     return " ".join(str(error).split())[:160]

@@ -1,4 +1,4 @@
-"""Recordings in files, read without pandas: CSV with the base install, Parquet where pyarrow is installed."""
+"""Reads recordings without pandas: CSV with the base install, Parquet where pyarrow is installed."""
 
 import csv
 from collections.abc import Sequence
@@ -13,11 +13,11 @@ from features.errors import InputError
 def read_recording(path: Path, channels: Sequence[str], rate_hz: float) -> np.ndarray:
     """The volts (n, C) of one recording in float64, in the order of `channels`; its clock is checked.
 
-    The file's columns are `time_s` in s and one in V for each of `channels`; further ones are left alone.
+    The file has a column `time_s` in s and one in V for each of `channels`; further columns are ignored.
 
     Raises:
-        InputError: no such file, another kind, a column missing, a cell that is no finite number, too few
-            samples, a gap in time, another rate than `rate_hz`.
+        InputError: no such file, another kind of file, a missing column, a cell that is no finite number, too few
+            samples, a gap in time, or another rate than `rate_hz`.
     """
     kind = path.suffix.lower()
     if kind not in (".csv", ".parquet"):
@@ -59,7 +59,7 @@ def _read_csv(path: Path, columns: Sequence[str]) -> np.ndarray:
 def _broken_cell(
     path: Path, lines: Sequence[str], columns: Sequence[str], places: Sequence[int]
 ) -> InputError:
-    """Finds the first cell that is no number; looked for only once a file is known to hold one."""
+    """The error for the first cell that is no number, of a file that is known to have one."""
     for row, cells in enumerate(csv.reader(lines), 1):
         for column, place in zip(columns, places, strict=True):
             text = cells[place].strip() if place < len(cells) else ""

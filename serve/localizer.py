@@ -1,4 +1,4 @@
-"""The device's runtime: load a bundle, push volts, read estimates. numpy and ONNX Runtime alone."""
+"""The runtime: load a bundle, push volts, read estimates. It needs numpy and ONNX Runtime alone."""
 
 import math
 from collections.abc import Iterator
@@ -21,52 +21,52 @@ from features.window import WINDOW_BINS, Window
 from serve.bundle import open_bundle
 from serve.sample_slots import SampleClock
 
-# Share of a slide's blocks that older ones may stand in for before it is not believed.
+# Largest share of a slide's blocks whose means may be old ones (features/stream/faults.py); above it none is valid.
 BRIDGED_SHARE = 0.05
-# Blocks from one reading of the drift at rest to the next; the static output takes hundreds to follow anything.
+# Blocks, 1 s, between two readings of the drift at rest; the static output's memory is 30 s.
 DRIFT_BLOCKS = 50
 _OUTPUT = ["estimate"]
 
 
 class Localizer:
-    """One stream's state. The same samples give the same estimates however they are cut into chunks.
+    """The localizer of one stream. The same samples give the same estimates, whatever chunks they come in.
 
-    A bad signal never raises: samples that are no numbers or beyond the supply count as lost; where too many are,
-    or a channel is frozen, the accelerometer is left out (of several) or the estimate is not valid. After that the
-    static output is learnt anew, which takes three times `trigger_blocks`.
+    A bad signal never raises. Samples that are not finite or outside the supply count as lost. Where too many are
+    lost, or a channel is frozen, that accelerometer is left out, or the estimate is not valid where it was the only
+    one. After that its static output is learnt anew, which takes three times `trigger_blocks`.
     """
 
     def __init__(self, card: Card, session: ort.InferenceSession) -> None:
         self.card = card
         self._session = session
-        channels, boards = len(card.channels), card.sensor["accelerometers"]
-        zero = np.repeat([float(board["zero_g_v"]) for board in boards], 3)
+        channels, accelerometers = len(card.channels), card.sensor["accelerometers"]
+        zero = np.repeat([float(a["zero_g_v"]) for a in accelerometers], 3)
         self._blocks = Blocks(channels, card.samples_per_block)
         self._clock = SampleClock(card.sample_rate_hz, (BRIDGED_BLOCKS + 2) * card.samples_per_block)
         read = np.full(channels, card.input == "features")
         read[tilt_channels(channels)] = True
-        # An accelerometer's output at no acceleration is half its supply, and cannot leave the supply.
+        # Without acceleration an output is half its supply, and no output is outside the supply.
         self._watch = SignalWatch(np.zeros(channels), 2.0 * zero, read)
         self._tracker = SlideTracker(card.conditioning, channels)
-        self._drift = DriftWatch(boards)
+        self._drift = DriftWatch(accelerometers)
         self._inputs = {
             "volts": np.zeros((1, channels, WINDOW_BINS), np.float32),
             "elapsed_s": np.zeros(1, np.float32),
-            "weight": np.ones((1, len(boards)), np.float32),
+            "weight": np.ones((1, len(accelerometers)), np.float32),
         }
         self.reset()
 
     @classmethod
     def load(cls, bundle: Path) -> "Localizer":
-        """Opens a bundle and works its golden example.
+        """Opens a bundle and checks the example of its card.
 
         Raises:
-            InputError: the bundle is missing, altered, truncated, or does not compute what its card says.
+            InputError: the bundle is missing, altered or truncated, or does not give the result of its example.
         """
         return cls(*open_bundle(bundle))
 
     def reset(self) -> None:
-        """Forgets the stream: a new static output is awaited."""
+        """Forgets the stream; the static output has to be learnt anew."""
         self._blocks.reset()
         self._clock.reset()
         self._watch.reset()
@@ -78,22 +78,22 @@ class Localizer:
         self._whole = True
         self._healthy = np.ones(len(self.card.channels) // 3, dtype=bool)
         self._held: tuple[Window, Estimate] | None = None
-        self._drifted = UNKNOWN
+        self._last_drift = UNKNOWN
 
     def feed(self, volts: np.ndarray, time_s: np.ndarray | None = None) -> None:
-        """Takes samples as `push` does, without asking for estimates."""
+        """Takes samples as `push` does, without computing estimates."""
         for samples in self._whole_blocks(volts, time_s):
             self._advance(samples)
 
     def push(self, volts: np.ndarray, time_s: np.ndarray | None = None) -> list[Estimate]:
-        """Takes samples (n, C) V in the card's channel order; one estimate for each block that they finish.
+        """Takes samples (n, C) V in the card's channel order; one estimate for each block that they complete.
 
-        time_s: (n,) s, each sample's own time; without it every sample is taken to follow the one before. With it
-        lost samples leave a hole; after a long one, or when time runs back, the stream begins anew, abstaining
-        until the static output is known. Estimates then tell time by this clock.
+        time_s: (n,) s, the samples' time stamps; None: each sample follows the one before. With stamps a lost sample
+        leaves an empty slot. After a long gap, or when time runs back, the stream begins anew: estimates are not valid
+        until the static output is known. The estimates' time_s is then of the stamps' clock.
 
         Raises:
-            InputError: not real numbers, another shape, a time that is no finite number; nothing was taken.
+            InputError: not real numbers, another shape, or a time that is not finite; no sample was taken.
         """
         estimates = []
         for samples in self._whole_blocks(volts, time_s):
@@ -102,12 +102,12 @@ class Localizer:
         return estimates
 
     def read(self) -> Estimate:
-        """The estimate as it stands, from the samples up to now."""
+        """The estimate from the samples up to now."""
         tracker = self._tracker
         time_s = self._clock.start_s + self._count * self.card.conditioning.block_s
         window = tracker.window()
         if window is None:
-            return Estimate(time_s, tracker.state, **self._drifted._asdict())
+            return Estimate(time_s, tracker.state, **self._last_drift._asdict())
         if tracker.state is not SlideState.ENDED:
             return self._estimate(window, time_s)
         assert self._held is not None
@@ -120,20 +120,20 @@ class Localizer:
 
     @property
     def subtracted(self) -> np.ndarray:
-        """(C,) V: the last block's mean less the static output; NaN where that is not known."""
+        """(C,) V: the last block's mean less the static output; NaN where the static output is not known."""
         known = np.repeat(self._tracker.known & self._healthy, 3)
         return np.where(known, self._tracker.subtracted, np.nan)
 
     def window(self) -> Window | None:
-        """The slide so far, or the last one."""
+        """The window of the slide so far, or else of the last one."""
         return self._tracker.window()
 
     def infer(self, inputs: dict[str, np.ndarray]) -> np.ndarray:
-        """The graph's row (K,) for one window's inputs."""
+        """The graph's output (K,) for one window's inputs."""
         return self._session.run(_OUTPUT, inputs)[0][0]
 
     def inputs(self, window: Window) -> dict[str, np.ndarray]:
-        """The graph's inputs for one window; overwritten by the next."""
+        """The graph's inputs for one window; the next call overwrites them."""
         if self.card.input == "features":
             return {"features": feature_vector(window.volts, window.elapsed_s)[None].astype(np.float32)}
         self._inputs["volts"][0] = window.volts
@@ -150,7 +150,7 @@ class Localizer:
             else math.nan
         )
         estimate = decode(row, self.card, window, tracker.state, time_s, width)
-        believed = (
+        valid = (
             estimate.valid
             and self._whole
             and tracker.moved
@@ -160,9 +160,9 @@ class Localizer:
             and (self.card.input == "window" or bool(tracker.usable.all()))
         )
         return estimate._replace(
-            valid=believed,
+            valid=valid,
             accelerometers=tracker.usable.tolist().count(True),
-            **self._drifted._asdict(),
+            **self._last_drift._asdict(),
         )
 
     def _whole_blocks(self, volts: np.ndarray, time_s: np.ndarray | None) -> Iterator[np.ndarray]:
@@ -184,7 +184,7 @@ class Localizer:
                 self._bridged = self._slide_blocks = 0
             if not sliding or tracker.usable is not usable:
                 # The static output stays as it is while something slides.
-                self._drifted = self._drift.read(tracker.static, tracker.usable)
+                self._last_drift = self._drift.read(tracker.static, tracker.usable)
             self._slide_blocks += 1
             bridged = bool((judged.bridged & tracker.usable).any())
             self._bridged += bridged
@@ -192,10 +192,10 @@ class Localizer:
         elif tracker.final is None:
             self._held = None
         elif self._held is None or self._held[0] is not tracker.final:
-            # Worked out as the slide ends, so that it does not matter when it is read.
+            # Computed as the slide ends, so that the result does not depend on when it is read.
             self._held = tracker.final, self._estimate(tracker.final, 0.0)
         if tracker.state is not SlideState.SLIDE and self._count % DRIFT_BLOCKS == 0:
-            self._drifted = self._drift.read(tracker.static, judged.healthy)
+            self._last_drift = self._drift.read(tracker.static, judged.healthy)
 
     def _checked(self, volts: np.ndarray, time_s: np.ndarray | None) -> tuple[np.ndarray, np.ndarray | None]:
         channels = len(self.card.channels)

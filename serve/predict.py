@@ -1,4 +1,4 @@
-"""One estimate for each recording in a file: what `softslide predict` prints."""
+"""One estimate for each recorded file: `softslide predict`."""
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -10,10 +10,10 @@ from serve.records import record
 
 
 def predict(bundle: Path, paths: Sequence[Path]) -> Iterator[dict[str, Any]]:
-    """Each recording's estimate as it stands at its end, ready for JSON: None where not estimated.
+    """The estimate at the end of each recording, ready for JSON; None: not estimated.
 
     Raises:
-        InputError: the bundle or a file is not what the contract says.
+        InputError: the bundle or a file is missing, damaged, or of another format.
     """
     localizer = Localizer.load(bundle)
     card = localizer.card

@@ -1,4 +1,4 @@
-"""An estimate as a record for JSON."""
+"""An estimate as a JSON record."""
 
 import math
 from typing import Any
@@ -7,7 +7,7 @@ from features.estimate import Estimate
 
 
 def record(estimate: Estimate) -> dict[str, Any]:
-    """Names with units and numbers; None where not estimated, since JSON knows no NaN."""
+    """The estimate's fields by name; None: not estimated, since JSON has no NaN."""
     return {name: _plain(value) for name, value in estimate._asdict().items()}
 
 

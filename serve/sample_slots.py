@@ -1,18 +1,19 @@
-"""Puts samples with times of their own into even slots, so that lost ones leave a hole and not a shorter slide."""
+"""Places time-stamped samples in even slots, so that a lost sample leaves an empty slot and not a shorter slide."""
 
 from collections.abc import Iterator
 
 import numpy as np
 
-# Samples that a clock may run ahead of the nominal rate before the difference is put down to the rate.
+# Samples by which stamps may be early: jitter of a sample or two. Earlier still means a clock faster than the nominal
+# rate, and the first slot's time is moved.
 AHEAD = 2.0
 
 
 class SampleClock:
     """One stream's clock.
 
-    longest: samples; a longer gap, or time that runs back or stands still, breaks the stream: as many lost samples
-    stand for it. start_s: time of the first slot, moved at a break so that slots after it tell their true time.
+    longest: samples. A longer gap, or time that runs back, breaks the stream and leaves `longest` empty slots.
+    start_s: time of the first slot, moved at a break, so that start_s + slot / rate is a slot's time after it.
     """
 
     def __init__(self, rate_hz: float, longest: int) -> None:
@@ -27,9 +28,9 @@ class SampleClock:
         self._slots = 0
 
     def place(self, volts: np.ndarray, time_s: np.ndarray | None) -> Iterator[np.ndarray]:
-        """volts (n, C) V at times (n,) s -> the same in slots, piece by piece; a lost sample is a row of NaN.
+        """volts (n, C) V at times (n,) s -> the rows of successive slots, in pieces; an empty slot is a row of NaN.
 
-        Without times each sample follows the one before.
+        time_s None: each sample follows the one before.
         """
         if not len(volts):
             return
@@ -42,7 +43,7 @@ class SampleClock:
             self.start_s = float(time_s[0]) - self._slots / self._rate
             self._last, self._late = float(time_s[0]) - 1.0 / self._rate, 0.0
         steps = np.diff(time_s, prepend=self._last) * self._rate
-        # Summed in the samples' order, as one by one, so that chunks do not matter.
+        # How late each sample is, in samples; summed one by one, so that the result does not depend on the chunks.
         late = np.cumsum(np.concatenate([[self._late], steps - 1.0]))[1:]
         self._last = float(time_s[-1])
         if (np.abs(late) < 0.5).all() and (steps > 0).all():
@@ -54,7 +55,7 @@ class SampleClock:
         for n, step in enumerate(steps.tolist()):
             lost, start_s = self._lost(step, float(time_s[n]))
             if lost or start_s != self.start_s:
-                # What came before is still told by the old clock.
+                # The samples before this one belong to the old start_s.
                 yield volts[begun:n]
                 begun, self.start_s = n, start_s
                 yield np.full((lost, volts.shape[1]), np.nan)
@@ -62,7 +63,7 @@ class SampleClock:
         yield volts[begun:]
 
     def _lost(self, step: float, time_s: float) -> tuple[int, float]:
-        """Slots to leave empty before a sample that comes `step` sample times after the last, and the new start_s."""
+        """Slots to leave empty before a sample `step` sample times after the last one, and the new start_s in s."""
         self._late += step - 1.0
         broken = step < 0 or (step < 0.5 and self._late < -AHEAD - 1)
         lost = 0 if self._late < 0.5 else round(self._late)

@@ -1,4 +1,4 @@
-"""The tracker: batch equals stream, memory is bounded, what is no slide is none."""
+"""The tracker: batch equals stream, memory is bounded, and only slides count as slides."""
 
 import tracemalloc
 
@@ -44,7 +44,7 @@ def test_the_batch_form_is_the_stream(conditioning: Conditioning) -> None:
 
 @pytest.mark.parametrize("seconds", [1.0, 6.0, 40.0])
 def test_a_window_holds_the_slides_mean(seconds: float) -> None:
-    """Whatever the duration, the window's mean is the slide's: nothing measured is thrown away."""
+    """Whatever the duration: no sample is thrown away."""
     means = blocks(still(0.6), pass_over(seconds)[: round(900 * seconds)])
     tracker = SlideTracker(CONDITIONING, 3)
     run(tracker, means)
@@ -66,7 +66,7 @@ def test_a_slide_after_a_slide_is_as_the_first() -> None:
     assert after.final.volts == pytest.approx(alone.final.volts, abs=0.012)
 
 
-def test_a_touch_goes_back_to_what_was() -> None:
+def test_after_a_touch_the_last_slide_still_stands() -> None:
     tracker = SlideTracker(CONDITIONING, 3)
     run(tracker, blocks(still(0.6), pass_over(1.5), still(0.8)))
     final = tracker.final
@@ -106,7 +106,7 @@ def test_what_changes_in_strength_alone_is_no_slide(amplitude_v: float, seed: in
 
 
 def test_a_slide_without_an_end_is_given_up() -> None:
-    """A weak output that never returns is a zero that has moved, not a slide."""
+    """A weak output that never returns is a shifted zero, not a slide."""
     short = Conditioning(longest_blocks=400)
     tracker = SlideTracker(short, 3)
     states = run(tracker, blocks(still(0.6), still(12.0, np.array([0.012, 0.0, 0.0]))))
@@ -126,7 +126,7 @@ def test_after_a_loss_nothing_begins_until_rest_is_found() -> None:
     assert run(tracker, blocks(pass_over(1.5), still(0.6), seed=2))[-1] is SlideState.ENDED
 
 
-def test_one_of_two_may_die_and_come_back() -> None:
+def test_one_of_two_accelerometers_may_fail_and_return() -> None:
     tracker = SlideTracker(CONDITIONING, 6)
     means = blocks(still(0.6), pass_over(1.5), still(1.2), accelerometers=2)
     run(tracker, means[:60])
@@ -138,7 +138,7 @@ def test_one_of_two_may_die_and_come_back() -> None:
     assert tracker.usable.tolist() == [True, True]
 
 
-def test_the_watch_bridges_shortly_and_then_gives_up() -> None:
+def test_a_short_loss_is_bridged_and_a_long_one_is_a_fault() -> None:
     watch = SignalWatch(np.zeros(3), np.full(3, 3.3), np.array([True, True, False]))
     good = stream(still(0.02))
     wanted = watch.push(good).mean
@@ -184,7 +184,7 @@ class Counting(StaticOutput):
         return False
 
 
-def test_long_rest_goes_a_shorter_way_to_the_same_numbers() -> None:
+def test_the_short_way_of_a_long_rest_gives_the_same_numbers() -> None:
     conditioning = Conditioning(rest_blocks=60)
     rest = still(9.0, np.linspace(0.0, 0.006, 9000)[:, None])
     means = blocks(
@@ -211,6 +211,6 @@ def test_long_rest_goes_a_shorter_way_to_the_same_numbers() -> None:
     "wrong",
     [{"delayed": 1.0}, {"delayed": -0.1}, {"tau_s": 0.0}, {"block_s": float("nan")}, {"release_v": 0.006}],
 )
-def test_constants_that_make_no_sense_are_refused(wrong: dict[str, float]) -> None:
+def test_inconsistent_constants_are_refused(wrong: dict[str, float]) -> None:
     with pytest.raises(ValueError, match=next(iter(wrong))):
         Conditioning(**wrong)

@@ -1,4 +1,4 @@
-"""The track filter: steadier than what it is given, never stuck, and no opinion where there is no slide."""
+"""The track filter: less noise, no bias, recovery from outliers, and no change where there is no slide."""
 
 import math
 
@@ -60,13 +60,13 @@ def test_noise_falls_and_nothing_is_biased():
     assert all(e.direction_hi_deg - e.direction_lo_deg == pytest.approx(3.29) for e in told)
 
 
-def test_what_is_not_a_valid_estimate_passes_as_it_is():
+def test_estimates_that_are_not_valid_pass_unchanged():
     track = TrackFilter()
     for given in (*estimates(5, 10.0, 1.0, valid=False), *estimates(5, 10.0, 1.0, state=SlideState.ENDED)):
         assert track.update(given) is given
 
 
-def test_one_wild_estimate_is_refused_and_many_are_believed():
+def test_one_outlier_is_refused_and_many_in_a_row_are_taken():
     track = TrackFilter()
     for given in estimates(200, 0.0, noise=0.0):
         told = track.update(given)
@@ -77,7 +77,7 @@ def test_one_wild_estimate_is_refused_and_many_are_believed():
     assert told.direction_deg == pytest.approx(180.0, abs=1e-6)
 
 
-def test_the_end_of_a_slide_ends_its_track():
+def test_the_end_of_a_slide_resets_the_filter():
     track = TrackFilter()
     for given in estimates(200, 0.0, noise=0.0):
         track.update(given)

@@ -11,7 +11,7 @@ import softslide
 
 
 @pytest.mark.parametrize("accelerometers", [1, 4])
-def test_the_last_line_is_one_object(
+def test_the_last_line_is_one_json_object(
     tmp_path: Path, capsys: pytest.CaptureFixture, accelerometers: int
 ) -> None:
     bundle = write_small_bundle(tmp_path / "b", a_sensor(accelerometers))
@@ -31,6 +31,6 @@ def test_the_last_line_is_one_object(
     assert 0 < told["libraries_s"] < told["first_estimate_s"]
 
 
-def test_no_bundle_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+def test_a_missing_bundle_is_an_error_of_one_line(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     assert softslide.main(["bench", "--model", str(tmp_path)]) == 2
     assert len(capsys.readouterr().err.splitlines()) == 1

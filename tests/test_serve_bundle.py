@@ -70,6 +70,6 @@ def test_another_graph_with_a_fitting_hash_is_refused(tmp_path: Path) -> None:
         Localizer.load(damaged(bundle, graph_sha256=card["graph_sha256"]))
 
 
-def test_no_bundle_at_all(tmp_path: Path) -> None:
+def test_a_missing_bundle_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no such file"):
         Localizer.load(tmp_path / "nothing")

@@ -1,4 +1,4 @@
-"""A trained bundle on drifted devices: errors stay within twice the clean ones."""
+"""A trained bundle on drifted sensors: errors of at most twice the clean ones."""
 
 from pathlib import Path
 

@@ -47,7 +47,7 @@ def lines(text: str) -> list[dict]:
     return [json.loads(line) for line in text.splitlines()]
 
 
-def test_a_recording_is_played(
+def test_a_recorded_file_is_played(
     bundle: Path, wanted: list[dict], tmp_path: Path, capsys: pytest.CaptureFixture
 ) -> None:
     (tmp_path / "a.csv").write_text("time_s,a0_vx,a0_vy,a0_vz\n" + CSV)
@@ -56,7 +56,7 @@ def test_a_recording_is_played(
     assert lines(capsys.readouterr().out) == wanted
 
 
-def test_smooth_estimates_are_the_track_filters(
+def test_smoothed_estimates_are_those_of_the_track_filter(
     bundle: Path, tmp_path: Path, capsys: pytest.CaptureFixture
 ) -> None:
     (tmp_path / "a.csv").write_text("time_s,a0_vx,a0_vy,a0_vz\n" + CSV)
@@ -145,7 +145,7 @@ def test_a_broken_pipe_is_no_failure(bundle: Path) -> None:
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_ends_it_while_nothing_comes(bundle: Path, number: signal.Signals) -> None:
+def test_a_signal_ends_a_silent_stream(bundle: Path, number: signal.Signals) -> None:
     with subprocess.Popen(
         command(bundle, "-"), stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE
     ) as running:
@@ -203,7 +203,9 @@ def test_a_serial_port(bundle: Path) -> None:
     ],
     ids=str,
 )
-def test_bad_usage_is_one_line(bundle: Path, options: list[str], capsys: pytest.CaptureFixture) -> None:
+def test_bad_usage_is_an_error_of_one_line(
+    bundle: Path, options: list[str], capsys: pytest.CaptureFixture
+) -> None:
     assert softslide.main(["serve", "--model", str(bundle), *options]) == 2
     *_, last = capsys.readouterr().err.splitlines()
     assert last.startswith("softslide serve: ")
@@ -219,7 +221,7 @@ def test_ros_without_rclpy(
 
 
 @pytest.mark.parametrize("size", [1, 7, 1000, 10**6])
-def test_bytes_may_come_in_any_pieces(size: int) -> None:
+def test_samples_do_not_depend_on_the_pieces_of_bytes(size: int) -> None:
     for form, data in (("csv", ("x,y,z\n" + CSV.rstrip()).encode()), ("f32", VOLTS.astype("<f4").tobytes())):
         framing = framing_of(form, 3)
         chunks = [c for begin in range(0, len(data), size) for c in framing.read(data[begin : begin + size])]
@@ -232,13 +234,13 @@ def test_bytes_may_come_in_any_pieces(size: int) -> None:
 
 
 @pytest.mark.parametrize("line", ["1,2", "1,2,3,4,5", "1,a,3", "nan,1,2,3", "1,2,3,4\n1,2,3"])
-def test_a_line_that_is_no_sample(line: str) -> None:
+def test_a_line_that_is_no_sample_is_refused_or_skipped(line: str) -> None:
     data = f"0,1,2,3\n{line}\n".encode() if "\n" not in line else f"{line}\n".encode()
     with pytest.raises(InputError, match="line 2"):
         list(framing_of("csv", 3).read(data))
     assert sum(len(volts) for volts, _ in framing_of("csv", 3, strict=False).read(data)) == 1
 
 
-def test_a_gap_in_a_line_is_a_lost_sample() -> None:
+def test_an_empty_cell_is_a_lost_sample() -> None:
     ((volts, _),) = framing_of("csv", 3).read(b"1.0,,2.0\n")
     assert np.isnan(volts[0, 1])

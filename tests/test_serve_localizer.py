@@ -1,4 +1,4 @@
-"""The runtime on good and bad signals: the same to the last bit however cut, and never wrong and valid."""
+"""The runtime on good and bad signals: independent of chunks to the last bit, not valid where it cannot be right."""
 
 import math
 import resource
@@ -23,7 +23,7 @@ TWO_SLIDES = stream(still(0.6), pass_over(1.2), still(0.8), pass_over(0.7), stil
 
 @pytest.fixture(scope="module")
 def localizer(tmp_path_factory: pytest.TempPathFactory) -> Localizer:
-    """An offset that depends on what the window holds, so that a wrong window shows."""
+    """Its offset depends on the window's volts, so that a wrong window shows."""
     folder = tmp_path_factory.mktemp("bundles") / "one"
     return Localizer.load(write_small_bundle(folder, a_sensor(), offset_mm_per_v=50.0))
 
@@ -52,7 +52,7 @@ def valid(estimates: list[Estimate]) -> np.ndarray:
 
 @settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
-def test_answers_do_not_depend_on_the_chunks(localizer: Localizer, data: st.DataObject) -> None:
+def test_estimates_do_not_depend_on_the_chunks(localizer: Localizer, data: st.DataObject) -> None:
     volts = TWO_SLIDES.copy()
     time_s = None
     if data.draw(st.booleans(), label="damaged"):
@@ -67,8 +67,8 @@ def test_answers_do_not_depend_on_the_chunks(localizer: Localizer, data: st.Data
     assert answers(localizer, volts, cuts, time_s) == answers(localizer, volts, [], time_s)
 
 
-def test_the_drift_told_with_a_slide_is_of_the_accelerometers_it_was_read_from(pair: Localizer) -> None:
-    """One that leans and was lost as the slide began is back before it ends, on whatever block that is."""
+def test_a_slides_drift_is_of_the_accelerometers_it_is_read_from(pair: Localizer) -> None:
+    """A tilted accelerometer is lost as the slide begins and returns before it ends, on any block."""
     rest, slide = still(0.6), pass_over(1.0)
     for blocks in range(50):
         lead = still(0.02 * blocks)
@@ -82,13 +82,13 @@ def test_the_drift_told_with_a_slide_is_of_the_accelerometers_it_was_read_from(p
         assert ended[0].turn_deg < 1.0
 
 
-def test_single_samples_and_other_layouts_give_the_same(localizer: Localizer) -> None:
+def test_single_samples_and_other_memory_layouts_give_the_same_estimates(localizer: Localizer) -> None:
     whole = answers(localizer, TWO_SLIDES, [])
     assert answers(localizer, TWO_SLIDES, list(range(1, len(TWO_SLIDES)))) == whole
     assert answers(localizer, np.asfortranarray(TWO_SLIDES), [777]) == whole
 
 
-def test_feeding_and_reading_is_pushing(localizer: Localizer) -> None:
+def test_feed_and_read_give_what_push_gives(localizer: Localizer) -> None:
     localizer.reset()
     pushed = localizer.push(TWO_SLIDES)[-1]
     localizer.reset()
@@ -97,7 +97,7 @@ def test_feeding_and_reading_is_pushing(localizer: Localizer) -> None:
     assert repr(localizer.read()) == repr(pushed)
 
 
-def test_each_of_two_slides_is_told(localizer: Localizer) -> None:
+def test_two_slides_give_two_estimates(localizer: Localizer) -> None:
     localizer.reset()
     estimates = localizer.push(TWO_SLIDES)
     states = [estimate.state for estimate in estimates]
@@ -115,7 +115,7 @@ def test_each_of_two_slides_is_told(localizer: Localizer) -> None:
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf, 3.4, -0.1, 1e308])
-def test_lost_samples_are_left_out_and_a_long_loss_abstains(localizer: Localizer, bad: float) -> None:
+def test_few_lost_samples_are_left_out_and_a_long_loss_is_not_valid(localizer: Localizer, bad: float) -> None:
     clean = stream(still(0.6), pass_over(1.2), still(0.6))
     few = clean.copy()
     few[np.random.default_rng(1).random(len(few)) < 0.05] = bad
@@ -135,7 +135,7 @@ def test_lost_samples_are_left_out_and_a_long_loss_abstains(localizer: Localizer
     assert after[-1].valid
 
 
-def test_a_short_hole_abstains_until_it_is_a_small_part(localizer: Localizer) -> None:
+def test_after_a_short_loss_estimates_are_valid_once_it_is_a_small_share(localizer: Localizer) -> None:
     volts = stream(still(0.6), pass_over(2.0), still(0.6))
     volts[1600:1660] = math.nan
     localizer.reset()
@@ -145,7 +145,7 @@ def test_a_short_hole_abstains_until_it_is_a_small_part(localizer: Localizer) ->
     assert told[-1]
 
 
-def test_a_frozen_channel_abstains_and_comes_back(localizer: Localizer) -> None:
+def test_a_frozen_channel_is_not_valid_until_it_works_again(localizer: Localizer) -> None:
     volts = stream(still(1.2), pass_over(1.2), still(0.6))
     volts[:, 1] = volts[0, 1]
     localizer.reset()
@@ -153,7 +153,7 @@ def test_a_frozen_channel_abstains_and_comes_back(localizer: Localizer) -> None:
     assert localizer.push(stream(still(0.6), pass_over(1.2), still(0.6), seed=3))[-1].valid
 
 
-def test_a_frozen_stream_shows_nothing(localizer: Localizer) -> None:
+def test_a_frozen_stream_is_never_valid(localizer: Localizer) -> None:
     localizer.reset()
     assert not valid(localizer.push(np.full((5000, 3), 1.7))).any()
 
@@ -173,7 +173,7 @@ def test_a_dead_accelerometer_is_left_out(pair: Localizer, level_v: float) -> No
     assert pair.push(volts)[-1].accelerometers == 2
 
 
-def test_one_that_dies_in_a_slide_leaves_it(pair: Localizer) -> None:
+def test_an_accelerometer_that_fails_in_a_slide_is_left_out(pair: Localizer) -> None:
     volts = stream(still(0.6), pass_over(2.0), still(1.0), pass_over(1.2), still(0.6), accelerometers=2)
     volts[1200:3300, 3:] = math.nan
     pair.reset()
@@ -218,7 +218,7 @@ def test_a_jump_of_the_zero_is_followed(localizer: Localizer) -> None:
     assert estimates[-1].offset_mm == pytest.approx(clean.offset_mm, abs=0.1)
 
 
-def test_gravity_tells_gain_and_turn(localizer: Localizer) -> None:
+def test_gain_and_tilt_are_read_from_gravity(localizer: Localizer) -> None:
     turn = math.radians(5.0)
     gravity = 1.05 * 0.8 * np.array([math.sin(turn), 0.0, math.cos(turn)]) - [0.0, 0.0, 0.8]
     localizer.reset()
@@ -227,8 +227,8 @@ def test_gravity_tells_gain_and_turn(localizer: Localizer) -> None:
     assert last.turn_deg == pytest.approx(5.0, abs=0.1)
 
 
-def test_what_weighs_nothing_is_no_slide(localizer: Localizer) -> None:
-    """A skin that tilts turns gravity and keeps its length; a signal of something else need not."""
+def test_a_slide_must_keep_the_length_of_gravity(localizer: Localizer) -> None:
+    """Accelerometers that only tilt measure 1 g throughout; other signals need not."""
     slide = pass_over(1.2)
     assert valid(localizer.push(stream(still(0.6), slide, still(0.6)))).any()
     localizer.reset()
@@ -236,7 +236,7 @@ def test_what_weighs_nothing_is_no_slide(localizer: Localizer) -> None:
     assert not valid(localizer.push(stream(still(0.6), slide, still(0.6)))).any()
 
 
-def test_a_gap_in_time_begins_anew_and_a_lost_sample_does_not(localizer: Localizer) -> None:
+def test_a_long_gap_in_time_restarts_the_stream_and_lost_samples_do_not(localizer: Localizer) -> None:
     volts = stream(still(0.6), pass_over(1.2), still(0.6))
     time_s = 50.0 + np.arange(len(volts)) / RATE_HZ
     kept = np.random.default_rng(0).random(len(volts)) > 0.05
@@ -271,7 +271,7 @@ def test_a_gap_in_time_begins_anew_and_a_lost_sample_does_not(localizer: Localiz
     ],
     ids=str,
 )
-def test_what_is_no_chunk_is_refused_and_changes_nothing(localizer: Localizer, chunk: object) -> None:
+def test_a_malformed_chunk_is_refused_and_changes_nothing(localizer: Localizer, chunk: object) -> None:
     localizer.reset()
     localizer.feed(TWO_SLIDES[:1000])
     before = repr(localizer.read())
@@ -393,7 +393,7 @@ def resident_bytes() -> int:
 
 @pytest.mark.long
 @pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="memory is read from Linux's /proc")
-def test_a_day_in_pieces_is_a_day_and_keeps_no_memory(tmp_path: Path) -> None:
+def test_a_day_in_any_chunks_is_the_same_and_memory_does_not_grow(tmp_path: Path) -> None:
     bundle = write_small_bundle(tmp_path / "b", a_sensor(), offset_mm_per_v=50.0)
     told, grown = replayed(bundle, 24 * 60)
     assert told == 24 * 60

@@ -1,4 +1,4 @@
-"""The live page: what a viewer gets, that none holds up the stream, and the page as a user reads it in a browser."""
+"""The live page: frames and viewers, which never delay the stream, and the page in a browser."""
 
 import json
 import re
@@ -110,7 +110,7 @@ def decoded(frame: bytes, about: dict) -> dict:
     }
 
 
-def test_a_frame_is_the_estimate_and_what_was_subtracted(bundle: Path) -> None:
+def test_a_frame_holds_the_estimate_and_the_subtracted_output(bundle: Path) -> None:
     with serving(bundle) as running, viewer(running.address) as view:
         about = json.loads(view.recv(timeout=30))
         assert about["sensor"]["chamber_mm"] == [50.0, 50.0]
@@ -128,7 +128,7 @@ def test_a_frame_is_the_estimate_and_what_was_subtracted(bundle: Path) -> None:
     assert np.abs(wanted).max() > 0.05
 
 
-def test_what_is_subtracted_is_unknown_before_the_static_output(bundle: Path) -> None:
+def test_the_subtracted_output_is_nan_until_the_static_output_is_known(bundle: Path) -> None:
     localizer = Localizer.load(bundle)
     localizer.push(VOLTS[:40])
     assert np.isnan(localizer.subtracted).all()
@@ -155,7 +155,7 @@ def test_frames_come_at_forty_hertz_at_most_and_in_order(bundle: Path) -> None:
     assert (len(arrivals) - 1) / (arrivals[-1] - arrivals[0]) < 44
 
 
-def test_a_viewer_that_does_not_read_holds_up_nobody(bundle: Path, tmp_path: Path) -> None:
+def test_a_viewer_that_does_not_read_delays_nobody(bundle: Path, tmp_path: Path) -> None:
     header = "time_s," + ",".join(f"a{n}_{axis}" for n in range(BOARDS) for axis in ("vx", "vy", "vz"))
     rows = np.column_stack([np.arange(len(VOLTS)) / 1000.0, VOLTS])
     np.savetxt(tmp_path / "a.csv", rows, delimiter=",", header=header, comments="", fmt="%.6f")
@@ -173,7 +173,7 @@ def test_a_viewer_that_does_not_read_holds_up_nobody(bundle: Path, tmp_path: Pat
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_ends_it_with_viewers_there(bundle: Path, number: signal.Signals) -> None:
+def test_a_signal_ends_the_stream_with_viewers_connected(bundle: Path, number: signal.Signals) -> None:
     with serving(bundle) as running, viewer(running.address) as silent, viewer(running.address) as keen:
         assert silent.recv(timeout=30)
         running.feed(REST)
@@ -184,7 +184,7 @@ def test_a_signal_ends_it_with_viewers_there(bundle: Path, number: signal.Signal
     assert error.strip().splitlines() == [f"softslide serve: {len(REST) // 20} estimates"]
 
 
-def test_a_page_of_another_origin_reads_nothing(bundle: Path) -> None:
+def test_a_page_of_another_origin_is_refused(bundle: Path) -> None:
     with serving(bundle) as running:
         with viewer(running.address, origin=running.address.rstrip("/")) as view:
             assert view.recv(timeout=30)
@@ -193,12 +193,14 @@ def test_a_page_of_another_origin_reads_nothing(bundle: Path) -> None:
 
 
 @pytest.mark.parametrize("place", ["x", "127.0.0.1", "70000", "no-such-host.invalid:0", "203.0.113.1:0"])
-def test_a_bad_place_is_one_line(bundle: Path, place: str, capsys: pytest.CaptureFixture) -> None:
+def test_a_bad_address_is_an_error_of_one_line(
+    bundle: Path, place: str, capsys: pytest.CaptureFixture
+) -> None:
     assert softslide.main(["serve", "--model", str(bundle), "--source", "-", "--page", place]) == 2
     assert capsys.readouterr().err.splitlines()[1:][0].startswith(f"softslide serve: --page {place}: ")
 
 
-def test_a_taken_port_is_one_line(bundle: Path, capsys: pytest.CaptureFixture) -> None:
+def test_a_taken_port_is_an_error_of_one_line(bundle: Path, capsys: pytest.CaptureFixture) -> None:
     with socket.create_server(("127.0.0.1", 0)) as other:
         port = str(other.getsockname()[1])
         assert softslide.main(["serve", "--model", str(bundle), "--source", "-", "--page", port]) == 2
@@ -206,7 +208,7 @@ def test_a_taken_port_is_one_line(bundle: Path, capsys: pytest.CaptureFixture) -
 
 
 @pytest.mark.parametrize("missing", ["fastapi", "websockets"])
-def test_without_the_extra_it_says_so(
+def test_a_missing_extra_is_named(
     bundle: Path, missing: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
 ) -> None:
     monkeypatch.setitem(sys.modules, missing, None)
@@ -214,7 +216,7 @@ def test_without_the_extra_it_says_so(
     assert "softslide[live]" in capsys.readouterr().err
 
 
-def test_what_the_page_costs(bundle: Path, capsys: pytest.CaptureFixture) -> None:
+def test_the_bench_measures_the_page(bundle: Path, capsys: pytest.CaptureFixture) -> None:
     assert softslide.main(["bench", "--model", str(bundle), "--page", "--decisions", "50"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert list(told) == ["alone", "viewers_0", "viewers_1", "viewers_4"]
@@ -265,7 +267,7 @@ def value(page: Page, title: str) -> str:
     return page.get_by_role("row", name=title).get_by_role("cell").first.inner_text()
 
 
-def test_a_user_sees_a_slide_begin(bundle: Path, browser: Browser) -> None:
+def test_the_page_shows_a_slide(bundle: Path, browser: Browser) -> None:
     with serving(bundle) as running, opened(browser, running.address) as (page, complaints):
         expect(page.locator("#connection")).to_have_text("no samples yet")
         running.feed(REST)
@@ -296,7 +298,7 @@ def test_a_user_sees_a_slide_begin(bundle: Path, browser: Browser) -> None:
         assert value(page, "speed") == "2.00 mm/s"
 
 
-def test_the_page_comes_back_by_itself(bundle: Path, browser: Browser) -> None:
+def test_the_page_reconnects_by_itself(bundle: Path, browser: Browser) -> None:
     with serving(bundle) as running, opened(browser, running.address) as (page, _):
         running.feed(REST)
         expect(page.locator("#phase")).to_have_text("rest")
@@ -310,7 +312,7 @@ def test_the_page_comes_back_by_itself(bundle: Path, browser: Browser) -> None:
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 @pytest.mark.parametrize("width", [340, 700, 1600])
-def test_it_fits_and_is_legible(bundle: Path, browser: Browser, scheme: str, width: int) -> None:
+def test_the_page_fits_and_is_legible(bundle: Path, browser: Browser, scheme: str, width: int) -> None:
     """No scrolling sideways, nothing wider than its box, and WCAG's contrast of text, 4.5 to 1."""
     size = {"width": width, "height": 600}
     with (

@@ -1,1 +1,1 @@
-"""What the runtime costs."""
+"""Cost of the runtime and of the live page."""

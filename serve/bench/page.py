@@ -1,7 +1,7 @@
-"""What the live page costs the stream: share of a core, and how late estimates and frames are. Linux alone.
+"""Cost of the live page: share of a core, and delay of estimates and frames. Linux only.
 
-A stream of rest in real time through standard input, its samples stamped with this machine's clock: an estimate's time
-is when its last sample was due, so what it is late by holds reading, deciding, writing and the way to the reader.
+A stream at rest comes in real time through standard input, its samples stamped with this computer's clock. An
+estimate's time is that of its last sample, so that its delay is the time of reading, computing, writing and transfer.
 """
 
 import json
@@ -23,15 +23,15 @@ from features.errors import InputError
 from serve.localizer import Localizer
 
 VIEWERS = (0, 1, 4)
-# Blocks before anything is measured: the process starts, viewers come.
+# Blocks, 2 s, before measuring: the process starts and viewers connect.
 WARM_UP = 100
 
 
 def bench_page(bundle: Path, blocks: int = 300) -> dict[str, Any]:
-    """For the stream alone, with the page, and with viewers: share of a core, ms that estimates and frames are late.
+    """Share of a core, and delays of estimates and frames in ms: without the page, and with 0, 1 and 4 viewers.
 
     Raises:
-        InputError: the bundle is not what it should be, or the live extra is missing.
+        InputError: the bundle cannot be opened, or the live extra is missing.
     """
     card = Localizer.load(bundle).card
     alone = _measured(bundle, card, blocks, None)
@@ -82,7 +82,7 @@ def _measured(bundle: Path, card: Card, blocks: int, viewers: int | None) -> dic
 
 
 def _address(said: IO[str], page: bool) -> str:
-    """Waits until the stream is open; the page's address."""
+    """Waits until the stream is open; returns the page's address, empty without a page."""
     for line in said:
         if "http://" in line:
             return line.split()[-1]
@@ -94,7 +94,7 @@ def _address(said: IO[str], page: bool) -> str:
 
 
 def _feed(stream: IO[str], card: Card) -> Iterator[None]:
-    """A block of rest whenever one is due."""
+    """Writes a block at rest whenever one is due."""
     size, rate = card.samples_per_block, card.sample_rate_hz
     zero = np.repeat([board["zero_g_v"] for board in card.sensor["accelerometers"]], 3)
     generator = np.random.default_rng(0)
@@ -117,7 +117,7 @@ def _read(lines: IO[str], late: list[float]) -> None:
 
 
 def _watch(address: str, late: list[float]) -> None:
-    """A viewer, until the stream ends."""
+    """One viewer, until the stream ends."""
     from websockets.exceptions import ConnectionClosed
     from websockets.sync.client import connect
 
@@ -134,7 +134,7 @@ def _watch(address: str, late: list[float]) -> None:
 
 
 def _processor_s(process: int) -> float:
-    """Processor time that a process has spent, s."""
+    """Processor time of a process so far, s."""
     fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 

@@ -1,6 +1,6 @@
-"""What the runtime costs: one decision beside a one-node call, start-up, memory, size. One thread.
+"""Cost of the runtime: time of a decision, start-up, memory, size; with one thread.
 
-Every time is measured beside a call of a graph of one node, in turns, so that a busy machine slows both alike.
+Each time is measured in alternation with a call of a graph of one node, so that a busy computer slows both alike.
 """
 
 import json
@@ -22,7 +22,7 @@ from features.stream.tracker import SlideState
 from serve.bundle import open_bundle, open_session
 from serve.localizer import Localizer
 
-# A graph of one Identity over one float32 (opset 18), written out so that nothing but ONNX Runtime is needed.
+# A graph of one Identity over one float32 (opset 18), serialized, so that only ONNX Runtime is needed.
 ONE_NODE = (
     b'\x08\x08:7\n\x10\n\x01x\x12\x01y"\x08Identity\x12\x01oZ\x0f\n\x01x\x12\n\n\x08\x08\x01\x12\x04\n\x02\x08\x01'
     b"b\x0f\n\x01y\x12\n\n\x08\x08\x01\x12\x04\n\x02\x08\x01B\x04\n\x00\x10\x12"
@@ -48,13 +48,15 @@ print(json.dumps({{"first_estimate_s": time.perf_counter() - begun, "libraries_s
 
 
 def bench(bundle: Path, decisions: int = 300) -> dict[str, Any]:
-    """Figures of one bundle: times in us and as ratios to the one-node call, s, MB, kB.
+    """Figures of one bundle: times in us and as ratios to the one-node call; s, MB, kB, as the names say.
 
     Raises:
-        InputError: the bundle is not what it should be.
+        InputError: the bundle cannot be opened.
     """
     card, graph = open_bundle(bundle)
-    one, four, one_resting = _at_rest([Localizer(_boards(card, n), graph) for n in (1, 4)], decisions)
+    one, four, one_resting = _at_rest(
+        [Localizer(_with_accelerometers(card, n), graph) for n in (1, 4)], decisions
+    )
     sliding, inference, one_sliding = _in_slides(Localizer(card, graph), decisions)
     return {
         "one_node": _us(np.concatenate([one_resting, one_sliding])),
@@ -68,20 +70,20 @@ def bench(bundle: Path, decisions: int = 300) -> dict[str, Any]:
     }
 
 
-def _boards(card: Card, count: int) -> Card:
-    """The card with so many accelerometers like its first: at rest no graph is asked."""
+def _with_accelerometers(card: Card, count: int) -> Card:
+    """The card with `count` accelerometers like its first one; at rest the graph is not run."""
     names = tuple(f"a{n}_{axis}" for n in range(count) for axis in ("vx", "vy", "vz"))
-    boards = [card.sensor["accelerometers"][0]] * count
-    return replace(card, channels=names, sensor={**card.sensor, "accelerometers": boards})
+    accelerometers = [card.sensor["accelerometers"][0]] * count
+    return replace(card, channels=names, sensor={**card.sensor, "accelerometers": accelerometers})
 
 
 def one_node() -> Callable[[], object]:
-    """A call of a graph of one node, which every time is measured beside."""
+    """A call of a graph of one node, the unit of comparison."""
     return partial(open_session(ONE_NODE, Path("one node")).run, None, {"x": np.zeros(1, np.float32)})
 
 
 def _at_rest(localizers: list[Localizer], decisions: int) -> np.ndarray:
-    """Seconds (localizers + 1, decisions) of a block at rest, long after the start, and of one node."""
+    """Seconds (localizers + 1, decisions) of a block at rest, long after the start, and of the one-node call."""
     bare = one_node()
     blocks = [_blocks(localizer)[0] for localizer in localizers]
     for localizer, rest in zip(localizers, blocks, strict=True):
@@ -96,7 +98,7 @@ def _at_rest(localizers: list[Localizer], decisions: int) -> np.ndarray:
 
 
 def _in_slides(localizer: Localizer, decisions: int) -> np.ndarray:
-    """Seconds (3, decisions) of a block in a slide, of its graph alone, of one node."""
+    """Seconds (3, decisions) of a block in a slide, of its graph alone, and of the one-node call."""
     bare = one_node()
     times = np.zeros((3, decisions))
     rest, slide = _blocks(localizer)
@@ -137,9 +139,9 @@ def _blocks(localizer: Localizer) -> tuple[list[np.ndarray], list[np.ndarray]]:
 
 
 def _start(bundle: Path) -> dict[str, float]:
-    """In a process of its own: import and first estimate, s; memory above numpy with ONNX Runtime, MB.
+    """In a process of its own: import and first estimate, s; memory above that of numpy and ONNX Runtime, MB.
 
-    Private: without the pages of libraries' code, most of which a first session of ONNX Runtime brings in.
+    Private memory is without shared pages of code, most of which the first session of ONNX Runtime loads.
     """
     root = Path(__file__).parents[2]
     done = subprocess.run(
@@ -171,5 +173,5 @@ def _us(seconds: np.ndarray) -> dict[str, float]:
 
 
 def _beside(seconds: np.ndarray, bare: np.ndarray) -> dict[str, float]:
-    """us; p99_ratio: to the median; ratio: the median's to the one-node call's."""
+    """us; p99_ratio: 99th percentile over median; ratio: median over that of the one-node call."""
     return {**_us(seconds), "ratio": round(float(np.median(seconds) / np.median(bare)), 2)}

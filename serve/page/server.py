@@ -1,7 +1,7 @@
 """The live page: a web server in a thread of its own, which shows every viewer the latest estimate.
 
-The stream hands over by overwriting one slot, and waits for nobody. A viewer asks for each frame, so that no more than
-one is ever on its way: a slow viewer sees fewer, not older ones.
+The stream overwrites one slot and never waits. A viewer asks for each frame, so that at most one is on its way to it: a
+slow viewer sees fewer frames, not older ones.
 """
 
 import asyncio
@@ -21,10 +21,11 @@ from features.estimate import Estimate
 from features.stream.tracker import SlideState
 
 PLACE = "write PORT or HOST:PORT, port 0 for any that is free"
+# Blocks come 50 times a second; a screen needs no more than this.
 FRAME_S = 1 / 40
-# A viewer of a silent stream gets the last frame again, and so one that has left is noticed.
+# After this time without a new estimate the last frame is sent again, so that a viewer that has left is noticed.
 SILENCE_S = 1.0
-# What viewers have, at the end, to ask for the last frame.
+# Time that viewers have at the end to ask for the last frame.
 FAREWELL_S = 0.5
 STATES = tuple(SlideState)
 NUMBERS = tuple(name for name in Estimate._fields if name not in ("time_s", "state"))
@@ -32,13 +33,13 @@ _FILES = Path(__file__).with_name("static")
 
 
 class Page:
-    """Listens from the start, serves until it is closed."""
+    """Listens once it is made, serves until it is closed."""
 
     def __init__(self, place: str, card: Card, source: str) -> None:
-        """place: [HOST:]PORT, the host this machine alone if it is left out. source: the stream's name.
+        """place: [HOST:]PORT; without a host 127.0.0.1. source: the stream's name, to be shown.
 
         Raises:
-            InputError: no such place, it is taken, or the live extra is missing.
+            InputError: no such address, it is taken, or the live extra is missing.
         """
         self._about = json.dumps(about(card, source))
         self._latest: tuple[Estimate, np.ndarray] | None = None
@@ -55,11 +56,11 @@ class Page:
         self._thread.start()
 
     def show(self, estimate: Estimate, subtracted_v: np.ndarray) -> None:
-        """Puts one estimate and the subtracted output (C,) V of the same moment in the place of the last."""
+        """Replaces the estimate shown, and with it the subtracted output (C,) V of the same moment."""
         self._latest = estimate, subtracted_v
 
     def close(self) -> None:
-        """Shows the last estimate, says that the stream has ended, and gives the place back."""
+        """Shows the last estimate, tells viewers that the stream has ended, and frees the address."""
         self._ended = True
         until = time.monotonic() + FAREWELL_S
         while self._viewers and time.monotonic() < until:
@@ -69,7 +70,7 @@ class Page:
 
     def _application(self, place: str) -> Any:
         try:
-            import websockets  # noqa: F401 - uvicorn's, who asks for it too late to say so in one line
+            import websockets  # noqa: F401 - uvicorn imports it too late for an error in one line
             from fastapi import FastAPI, WebSocket, WebSocketDisconnect
             from fastapi.staticfiles import StaticFiles
         except ImportError:
@@ -78,7 +79,7 @@ class Page:
 
         @application.websocket("/stream")
         async def stream(viewer: WebSocket) -> None:
-            # A page of another origin may not read along through its visitor's browser.
+            # A page of another origin must not read the stream through its visitor's browser.
             origin = viewer.headers.get("origin")
             if origin is not None and origin.partition("://")[2] != viewer.headers.get("host"):
                 await viewer.close(1008)
@@ -96,7 +97,7 @@ class Page:
         return application
 
     async def _attend(self, viewer: Any) -> None:
-        """One viewer: what there is to see, then a frame whenever it asks, until it leaves or the stream ends."""
+        """Serves one viewer: the description, then a frame for each request, until it leaves or the stream ends."""
         await viewer.send_text(self._about)
         shown = None
         while (await viewer.receive())["type"] != "websocket.disconnect":
@@ -108,7 +109,7 @@ class Page:
             await asyncio.sleep(FRAME_S)
 
     async def _next(self, shown: tuple[Estimate, np.ndarray] | None) -> tuple[Estimate, np.ndarray] | None:
-        """What is newer than `shown`; after a while of silence, or at the end, whatever there is."""
+        """The first estimate after `shown`; after SILENCE_S, or at the end, the latest one."""
         for _ in range(round(SILENCE_S / FRAME_S)):
             if self._latest is not shown or self._ended:
                 break
@@ -117,7 +118,7 @@ class Page:
 
 
 def about(card: Card, source: str) -> dict[str, Any]:
-    """What a viewer has to know once: the sensor, and what the numbers of a frame are."""
+    """What a viewer gets once: the sensor, and the names of the numbers of a frame."""
     return {
         "model": card.model,
         "source": source,
@@ -170,7 +171,7 @@ def _server(application: Any) -> Any:
             ws_max_size=1024,
             ws_per_message_deflate=False,
             timeout_graceful_shutdown=1,
-            # Another release's page must not linger in a browser.
+            # A browser must not keep the page of another release.
             headers=[("Cache-Control", "no-cache")],
         )
     )

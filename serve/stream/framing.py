@@ -1,4 +1,4 @@
-"""Bytes from outside become samples: lines of numbers, or frames of float32."""
+"""From bytes to samples: lines of numbers, or frames of float32."""
 
 import math
 from collections.abc import Iterator
@@ -9,15 +9,15 @@ import numpy as np
 from features.errors import InputError
 
 Chunk = tuple[np.ndarray, np.ndarray | None]
-# Longer than any line that samples make.
+# Longer than any line of samples: an unfinished line beyond it is an error.
 _LINE_BYTES = 1 << 16
 
 
 def framing_of(form: str, channels: int, strict: bool = True) -> "Framing":
-    """A reader of bytes as they come, in pieces of any size, that keeps what is unfinished.
+    """A reader of bytes in pieces of any size; it keeps an unfinished sample for the next piece.
 
-    csv: lines of the channels' volts, with a time in s before them or none; a first line of names is skipped, and
-    so are empty ones. f32: little-endian float32, one for each channel.
+    form: csv, lines of the channels' volts with or without a time in s before them, where a first line of names and
+    empty lines are skipped; or f32, little-endian float32, one for each channel. strict: as in `Lines`.
     """
     return Lines(channels, strict) if form == "csv" else Frames(channels)
 
@@ -26,14 +26,14 @@ class Framing(Protocol):
     """Bytes in, chunks out."""
 
     def read(self, data: bytes) -> Iterator[Chunk]:
-        """The samples that these bytes finish."""
+        """The samples that these bytes complete."""
 
     def end(self) -> Iterator[Chunk]:
-        """The last sample, if only the end of the stream finishes it."""
+        """The last sample, where the end of the stream completes it."""
 
 
 class Frames:
-    """float32 frames, end to end."""
+    """float32 frames one after the other."""
 
     def __init__(self, channels: int) -> None:
         self._channels, self._rest = channels, b""
@@ -50,9 +50,9 @@ class Frames:
 
 
 class Lines:
-    """Lines of comma-separated numbers; the first good one says whether a time comes before the volts.
+    """Lines of comma-separated numbers. The first valid one decides whether a time comes before the volts.
 
-    strict: what is no sample is an error; else it is left out, as a lost one.
+    strict: a line that is no sample is an error; otherwise it is skipped, as a lost sample.
     """
 
     def __init__(self, channels: int, strict: bool) -> None:

@@ -1,4 +1,4 @@
-"""The device at work: samples from a source, estimates to sinks and the page, until the source ends or is stopped."""
+"""`softslide serve`: from a source of samples to sinks and the page, until the source ends or a signal comes."""
 
 import signal
 import sys
@@ -29,12 +29,12 @@ def serve(
 ) -> int:
     """Streams until the source ends, or SIGINT or SIGTERM comes. Returns the number of estimates written.
 
-    source, sinks: as in serve/stream/sources.py and serve/stream/sinks.py. form: of bytes from outside, csv or f32.
-    fast: play a recording back as fast as it goes. page: [HOST:]PORT of the live page, None for none.
-    smooth: filter each slide's place, direction and speed (features/track_filter.py).
+    source, sinks: as in serve/stream/sources.py and serve/stream/sinks.py. form: csv or f32, of bytes that come in.
+    fast: play a recording as fast as possible. page: [HOST:]PORT of the live page, None for none.
+    smooth: filter each slide's position, direction and speed (features/track_filter.py).
 
     Raises:
-        InputError: the bundle, the source, a sink or the page's place is not what it should be.
+        InputError: the bundle, the source, a sink or the page's address is wrong or cannot be opened.
     """
     localizer = Localizer.load(bundle)
     steady = TrackFilter().update if smooth else None
@@ -62,7 +62,7 @@ def _hand_on(
     sinks: Sequence[Sink],
     page: Page | None,
 ) -> int:
-    """One chunk's estimates to the sinks and the page; their number."""
+    """Hands one chunk's estimates to the sinks and the page; returns their number."""
     written = 0
     for piece in _pieces(chunk, localizer.card.samples_per_block):
         estimates = localizer.push(*piece)
@@ -78,7 +78,7 @@ def _hand_on(
 
 
 def _pieces(chunk: Chunk | tuple[()], size: int) -> Iterator[Chunk]:
-    """A chunk in pieces that finish a block each, so that what is subtracted is of the estimate's own moment."""
+    """A chunk in pieces of a block, so that the subtracted output shown is of the same moment as the estimate."""
     if not chunk:
         return
     volts, time_s = chunk
@@ -88,7 +88,7 @@ def _pieces(chunk: Chunk | tuple[()], size: int) -> Iterator[Chunk]:
 
 @contextmanager
 def _stoppable() -> Iterator[list[int]]:
-    """A list that is no longer empty once a signal asked to stop; a second one stops at once."""
+    """A list that a first SIGINT or SIGTERM fills, to stop in order; a second one stops the process at once."""
     received: list[int] = []
 
     def note(number: int, frame: FrameType | None) -> None:

@@ -17,10 +17,10 @@ _WAIT_S = 0.2
 
 
 def samples(topic: str, channels: int) -> Iterator[Chunk | tuple[()]]:
-    """Chunks from a topic of std_msgs/Float64MultiArray: rows of the channels' volts, one after the other.
+    """Chunks from a topic of std_msgs/Float64MultiArray, whose data are rows of the channels' volts.
 
     Raises:
-        InputError: no ROS 2 here, or a message that is no whole number of rows.
+        InputError: rclpy is not installed, or a message is no whole number of rows.
     """
     rclpy, node = _node("softslide_source", f"--source ros2://{topic}")
     from std_msgs.msg import Float64MultiArray
@@ -51,7 +51,7 @@ def _spun(
 class RosSink:
     """Valid estimates as geometry_msgs/PointStamped in m on TOPIC/position, all as JSON lines on TOPIC/estimate.
 
-    The position's covariance has no place in a PointStamped: the estimate's intervals go with the JSON.
+    A PointStamped has no field for a covariance; the intervals are in the JSON.
     """
 
     def __init__(self, topic: str) -> None:
@@ -75,7 +75,7 @@ class RosSink:
         self._position.publish(message)
 
     def close(self) -> None:
-        """Leaves the graph."""
+        """Destroys the node."""
         self._node.destroy_node()
 
 

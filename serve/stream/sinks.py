@@ -1,4 +1,4 @@
-"""Where estimates go: JSON lines on standard output, datagrams, ROS 2."""
+"""Sinks of estimates: JSON lines on standard output, UDP, ROS 2."""
 
 import json
 import socket
@@ -15,20 +15,20 @@ KINDS = "'-' writes JSON lines on standard output; udp://HOST:PORT one JSON obje
 
 
 class Sink(Protocol):
-    """Takes estimates until it is closed."""
+    """Anything that takes estimates until it is closed."""
 
     def write(self, estimate: Estimate) -> None:
-        """Hands one estimate on."""
+        """Passes one estimate on."""
 
     def close(self) -> None:
-        """Gives back what the sink holds."""
+        """Releases what the sink holds."""
 
 
 def open_sink(name: str) -> Sink:
     """The sink of that name (KINDS).
 
     Raises:
-        InputError: no such sink, or what it needs is missing.
+        InputError: no such sink, or a package that it needs is missing.
     """
     if name == "-":
         return Lines()
@@ -42,7 +42,7 @@ def open_sink(name: str) -> Sink:
 
 
 class Lines:
-    """Standard output, each line at once: somebody may be waiting for it."""
+    """Standard output, flushed after each line, since a reader may be waiting for it."""
 
     def write(self, estimate: Estimate) -> None:
         sys.stdout.write(_text(estimate) + "\n")
@@ -53,7 +53,7 @@ class Lines:
 
 
 class Datagrams:
-    """UDP; that nobody listens is no error."""
+    """UDP; a missing listener is no error."""
 
     def __init__(self, host: str, port: int) -> None:
         try:

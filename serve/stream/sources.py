@@ -1,7 +1,7 @@
-"""Where samples come from: a recording played back, standard input, UDP, a serial port, a ROS 2 topic.
+"""Sources of samples: a recording, standard input, UDP, a serial port, a ROS 2 topic.
 
-A source yields chunks (volts (n, C) V, time_s (n,) s or None), and () while nothing came for a while, so that a
-reader can be stopped. Everything from outside is judged by the localizer; what is no sample at all is refused here.
+A source yields chunks (volts (n, C) V, time_s (n,) s or None), and () when nothing has come for WAIT_S, so that the
+reader can stop. The localizer judges the values; here only input that is no sample at all is refused.
 """
 
 import io
@@ -31,10 +31,10 @@ _READ_BYTES = 1 << 16
 
 
 def open_source(name: str, card: Card, form: str, fast: bool) -> Source:
-    """The source of that name (KINDS). form: csv or f32, of bytes from outside; fast: play back without waiting.
+    """The source of that name (KINDS). form: csv or f32, of bytes that come in; fast: play a recording without waiting.
 
     Raises:
-        InputError: no such source, or what it needs is missing.
+        InputError: no such source, or a package that it needs is missing.
     """
     channels = len(card.channels)
     if name == "-":
@@ -55,13 +55,13 @@ def open_source(name: str, card: Card, form: str, fast: bool) -> Source:
 
 def _bytes_from(stream: BinaryIO, framing: Framing) -> Source:
     """Until the stream ends."""
-    # A buffered reader would keep what select cannot see.
+    # A buffered reader would hold bytes that select cannot see.
     raw = stream.raw if isinstance(stream, io.BufferedReader) else stream
     with selectors.DefaultSelector() as selector:
         try:
             selector.register(raw, selectors.EVENT_READ)
         except (PermissionError, ValueError):
-            # A plain file is always ready, and epoll will not have it.
+            # A plain file is always ready, and epoll refuses it.
             while data := raw.read(_READ_BYTES):
                 yield from framing.read(data)
         else:
@@ -97,7 +97,7 @@ def _received(listener: socket.socket, form: str, channels: int) -> Source:
             except TimeoutError:
                 yield ()
                 continue
-            # A datagram is whole or lost; what one leaves over is not the next one's beginning.
+            # A datagram is whole or lost: the rest of one is not the beginning of the next.
             framing = framing_of(form, channels, strict=False)
             yield from framing.read(data)
             yield from framing.end()
@@ -112,17 +112,17 @@ def _serial(name: str, framing: Framing) -> Source:
     if baud and not baud.isdigit():
         raise InputError(f"--source {name}: '{baud}' is no baud rate; write serial:///dev/ttyUSB0?921600")
     try:
-        device = serial.Serial(port, int(baud or 921_600), timeout=WAIT_S)
+        port_open = serial.Serial(port, int(baud or 921_600), timeout=WAIT_S)
     except (OSError, ValueError) as error:
         raise InputError(f"--source {name}: cannot be opened ({' '.join(str(error).split())})") from None
-    return _heard(name, device, framing)
+    return _heard(name, port_open, framing)
 
 
-def _heard(name: str, device: BinaryIO, framing: Framing) -> Source:
-    with device:
+def _heard(name: str, port: BinaryIO, framing: Framing) -> Source:
+    with port:
         while True:
             try:
-                data = device.read(max(1, getattr(device, "in_waiting", 1)))
+                data = port.read(max(1, getattr(port, "in_waiting", 1)))
             except OSError as error:
                 raise InputError(f"--source {name}: the port is gone ({error}); plug it in again") from None
             if data:
@@ -132,7 +132,7 @@ def _heard(name: str, device: BinaryIO, framing: Framing) -> Source:
 
 
 def _played(volts: np.ndarray, card: Card, fast: bool) -> Source:
-    """A block at a time, as it was recorded or as fast as it is read."""
+    """A block at a time, at the recorded rate or as fast as possible."""
     size = card.samples_per_block
     begun = time.monotonic()
     for begin in range(0, len(volts), size):
@@ -144,7 +144,7 @@ def _played(volts: np.ndarray, card: Card, fast: bool) -> Source:
 
 
 def address(name: str) -> tuple[str, int]:
-    """HOST and PORT of udp://HOST:PORT; the host may be left out, and is this machine then.
+    """HOST and PORT of udp://HOST:PORT; without a host 127.0.0.1.
 
     Raises:
         InputError: no port.
