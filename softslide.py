@@ -112,7 +112,17 @@ def _parser() -> argparse.ArgumentParser:
         metavar="sensor.toml",
         help="names, places and electronics of the atlas's design (default: the article's electronics)",
     )
-    synthesize.add_argument("--slides", type=int, required=True, metavar="N", help="how many recordings")
+    synthesize.add_argument(
+        "--slides", type=int, default=0, metavar="N", help="how many slides along straight lines"
+    )
+    synthesize.add_argument(
+        "--paths",
+        type=int,
+        default=0,
+        metavar="N",
+        help="how many contacts along any path, with their truth: lines, curves, changing speed, stops, turns back, "
+        "touch-downs, lifts, changing depth, presses; splits track-KIND",
+    )
     synthesize.add_argument(
         "--seed", type=int, default=0, metavar="S", help="of all that is random (default: %(default)s)"
     )
@@ -446,7 +456,14 @@ def _simulate(arguments: argparse.Namespace) -> int:
 def _synthesize(arguments: argparse.Namespace) -> int:
     from pipeline.synthesis.synthesize import synthesize
 
-    folder = synthesize(arguments.atlas, arguments.sensor, arguments.slides, arguments.seed, arguments.out)
+    folder = synthesize(
+        arguments.atlas,
+        arguments.sensor,
+        arguments.slides,
+        arguments.seed,
+        arguments.out,
+        paths=arguments.paths,
+    )
     counts = folder.manifest["split"].value_counts(sort=False)
     print(f"{folder.root}: {', '.join(f'{count} {split}' for split, count in counts.items())}")
     return 0

@@ -14,6 +14,7 @@ from features.clock import check_clock
 from features.errors import InputError
 from pipeline.recordings.manifest import check_manifest, read_table, write_manifest
 from pipeline.recordings.slide_file import read_slide, write_slide
+from pipeline.recordings.truth import read_truth, truth_path, write_truth
 from pipeline.sensor import Sensor, read_sensor, write_sensor
 from pipeline.staging import staged
 
@@ -23,11 +24,15 @@ SAMPLE = Path(__file__).parents[1] / "sample"
 
 @dataclass(frozen=True)
 class Recording:
-    """One slide's samples in float64: time_s (n,) s, volts (n, channels) V in `Sensor.channels` order."""
+    """One slide's samples in float64: time_s (n,) s, volts (n, channels) V in `Sensor.channels` order.
+
+    truth: what was so at each moment, as `pipeline.recordings.truth` says; None where the lab did not give it.
+    """
 
     name: str
     time_s: np.ndarray
     volts: np.ndarray
+    truth: pd.DataFrame | None = None
 
 
 @dataclass(frozen=True)
@@ -46,7 +51,7 @@ class Folder:
         return len(self.manifest)
 
     def load(self, recording: str) -> Recording:
-        """Reads one slide and holds it against the sensor's rate and the manifest's moments of motion.
+        """Reads one slide, and its truth if any; holds it against the sensor's rate and the moments of motion.
 
         Raises:
             InputError: no such recording, a broken file, or samples that are not what the contract says.
@@ -64,7 +69,8 @@ class Folder:
                     f"{self.root / 'manifest.csv'}: {recording}, {label} = {row[label]:g} lies outside the "
                     f"recording ({time_s[0]:g} to {time_s[-1]:g} s); correct it or leave it empty"
                 )
-        return Recording(recording, time_s, volts)
+        truth = truth_path(path)
+        return Recording(recording, time_s, volts, read_truth(truth) if truth.is_file() else None)
 
     def select(self, *prefixes: str) -> "Folder":
         """The recordings whose split begins with one of the prefixes; may be none."""
@@ -129,6 +135,8 @@ def write_folder(
                 raise InputError(f"{out}: recording '{recording.name}' has no row in the manifest; add one")
             file = scratch / "slides" / f"{recording.name}.parquet"
             write_slide(file, recording.time_s, recording.volts, sensor.channels)
+            if recording.truth is not None:
+                write_truth(truth_path(file), recording.truth)
             written.append(recording.name)
         if missing := sorted(set(names) - set(written)):
             raise InputError(f"{out}: recording '{missing[0]}' is in the manifest alone; take its row out")

@@ -10,7 +10,7 @@ from pipeline.skin.lines import reach_mm
 from pipeline.synthesis.motion import Stroke
 
 # Motion begins and ends this far outside of where the indenter can touch the skin.
-_CLEAR_MM = 1.0
+CLEAR_MM = 1.0
 
 
 @dataclass(frozen=True)
@@ -36,6 +36,11 @@ class Slide:
     def duration_s(self) -> float:
         """The whole recording's."""
         return self.motion_start_s + self.stroke.duration_s + self.rest_after_s
+
+    @property
+    def quickest_mm_s(self) -> float:
+        """The highest speed."""
+        return self.stroke.speed_mm_s
 
     def labels(self) -> dict[str, float | str]:
         """The manifest's row, of the first stroke."""
@@ -74,7 +79,7 @@ def crossing(
 
     It begins and ends clear of where the indenter can touch the skin.
     """
-    reach = np.array(reach_mm(sensor)) + _CLEAR_MM
+    reach = np.array(reach_mm(sensor)) + CLEAR_MM
     angle = np.deg2rad(direction_deg)
     # Sines of whole right angles are to be exact zeros: a start has no digits of rounding.
     along = np.round([np.cos(angle), np.sin(angle)], 15)
@@ -103,9 +108,15 @@ def meets_failure(
     atlas: Atlas, start_mm: tuple[float, float], direction_deg: float, travel_mm: float
 ) -> bool:
     """Whether a line passes next to a place that was not solved, at any depth and pressure."""
-    failed = np.argwhere(~atlas.valid.all(axis=(2, 3)))
     angle, way = np.deg2rad(direction_deg), np.arange(0, travel_mm, 0.5)
-    x, y = (start_mm[k] + way * part for k, part in enumerate((np.cos(angle), np.sin(angle))))
+    return near_failure(
+        atlas, *(start_mm[k] + way * part for k, part in enumerate((np.cos(angle), np.sin(angle))))
+    )
+
+
+def near_failure(atlas: Atlas, x: np.ndarray, y: np.ndarray) -> bool:
+    """Whether one of the places (n,) mm is next to one that was not solved, at any depth and pressure."""
+    failed = np.argwhere(~atlas.valid.all(axis=(2, 3)))
     # A spline leans on the solved corners of its cell.
     cell = atlas.x_mm[1] - atlas.x_mm[0], atlas.y_mm[1] - atlas.y_mm[0]
     return any(

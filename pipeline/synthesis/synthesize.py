@@ -24,6 +24,10 @@ from pipeline.skin.lines import PER_BOARD
 from pipeline.synthesis.board_gravity import in_tilted_device, upright
 from pipeline.synthesis.distribution import Distribution, draw_slide
 from pipeline.synthesis.electronics import Electronics, draw_electronics, ideal_electronics, volts
+from pipeline.synthesis.paths.contact_path import ContactPath
+from pipeline.synthesis.paths.distribution import PathDistribution
+from pipeline.synthesis.paths.draw import draw_path
+from pipeline.synthesis.paths.response import path_response, path_truth
 from pipeline.synthesis.slide_plan import Slide
 from pipeline.synthesis.upsampling import upsampled
 from pipeline.synthesis.viscoelastic_lag import standard_solid
@@ -37,7 +41,7 @@ _RINGING = 3.0
 # The vibration amplitude in `Distribution` is for this speed and this normal force.
 _VIBRATION_MM_S, _VIBRATION_N = 10.0, 0.3
 # Streams of random numbers of one seed.
-_DEVICE, _PLAN, _NOISE = 0, 1, 2
+_DEVICE, _PLAN, _NOISE, _PATH_PLAN, _PATH_NOISE = 0, 1, 2, 3, 4
 
 
 @dataclass(frozen=True)
@@ -97,28 +101,58 @@ def synthetic_slides(
         yield slide, record(slide, device, atlas, noise_of(number, seed))
 
 
+def synthetic_paths(
+    count: int,
+    seed: int,
+    atlas: Atlas | None = None,
+    sensor: Sensor | None = None,
+    distribution: Distribution | None = None,
+    paths: PathDistribution | None = None,
+) -> Iterator[tuple[ContactPath, Recording]]:
+    """As `synthetic_slides`, of contacts along any path, on the same device of a seed."""
+    atlas, distribution = atlas or read_atlas(), distribution or Distribution()
+    sensor = sensor or sensor_of(atlas)
+    device = draw_device(sensor, distribution, seed)
+    for number in range(count):
+        path = path_plan(number, seed, atlas, sensor, distribution, paths)
+        yield path, record(path, device, atlas, noise_of(number, seed, _PATH_NOISE))
+
+
 def plan(number: int, seed: int, atlas: Atlas, sensor: Sensor, distribution: Distribution) -> Slide:
     """The plan of a seed's slide."""
     return draw_slide(number, atlas, sensor, distribution, np.random.default_rng([seed, _PLAN, number]))
 
 
-def noise_of(number: int, seed: int) -> np.random.Generator:
+def path_plan(
+    number: int,
+    seed: int,
+    atlas: Atlas,
+    sensor: Sensor,
+    distribution: Distribution,
+    paths: PathDistribution | None = None,
+) -> ContactPath:
+    """The plan of a seed's path."""
+    random = np.random.default_rng([seed, _PATH_PLAN, number])
+    return draw_path(number, atlas, sensor, distribution, random, paths)
+
+
+def noise_of(number: int, seed: int, stream: int = _NOISE) -> np.random.Generator:
     """The random numbers of a seed's slide that are no part of its plan."""
-    return np.random.default_rng([seed, _NOISE, number])
+    return np.random.default_rng([seed, stream, number])
 
 
-def record(slide: Slide, device: Device, atlas: Atlas, random: np.random.Generator) -> Recording:
-    """What the device records of a slide.
+def record(plan: Slide | ContactPath, device: Device, atlas: Atlas, random: np.random.Generator) -> Recording:
+    """What the device records of a slide or of a contact along a path.
 
     Raises:
-        InputError: the slide leaves the atlas's depths or heights.
+        InputError: the plan leaves the atlas's depths or heights.
     """
     rate = device.electronics.rate_hz
-    count = int(slide.duration_s * rate) + 1
-    factor = max(1, int(rate * min(SLOW_S, SLOW_MM / slide.stroke.speed_mm_s)))
+    count = int(plan.duration_s * rate) + 1
+    factor = max(1, int(rate * min(SLOW_S, SLOW_MM / plan.quickest_mm_s)))
     slow_s = (np.arange(-1, -(-count // factor) + 2)) * factor / rate
-    tilt, yaw, rubbing = _skin(slide, device, atlas, slow_s, random)
-    gravity = in_tilted_device(tilt, yaw, upright(slide.posture_deg))
+    tilt, yaw, rubbing = _skin(plan, device, atlas, slow_s, random)
+    gravity = in_tilted_device(tilt, yaw, upright(plan.posture_deg))
     boards = len(gravity)
     gravity += _drift(slow_s, device.drift_g, boards, random)
     slow = np.concatenate([gravity.reshape(boards * 3, -1), rubbing[None]])
@@ -128,28 +162,24 @@ def record(slide: Slide, device: Device, atlas: Atlas, random: np.random.Generat
         coupling = random.standard_normal((boards, 3, 1)).astype(np.float32)
         sensed += coupling * (fast[-1] * _ringing(count, device, random))
     output = volts(sensed, device.electronics, random)
-    return Recording(slide.name, np.arange(count) / rate, output.astype(float))
+    truth = path_truth(plan, atlas) if isinstance(plan, ContactPath) else None
+    return Recording(plan.name, np.arange(count) / rate, output.astype(float), truth)
 
 
 def _skin(
-    slide: Slide, device: Device, atlas: Atlas, time_s: np.ndarray, random: np.random.Generator
+    plan: Slide | ContactPath, device: Device, atlas: Atlas, time_s: np.ndarray, random: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """What the skin does to its boards at (n,) s.
 
     Returns:
         Readings along x and y in a level device (boards, 2, n) g; yaw (boards, n) rad; the vibration's rms (n,) g.
     """
-    stroke, boards = slide.stroke, atlas.boards
-    since = time_s - slide.motion_start_s
-    forth, back = stroke.forth(since), stroke.back(since)
-    level = atlas.pressure_at(slide.height_mm)
-    parts = _along_the_way(slide, atlas, level)(forth - back)
-    # Friction is fully there once the indenter slides and turns within some way (P. R. Dahl, 1968).
-    turned = np.where(back > 0, 2 * np.exp(-back / max(device.friction_mm, 1e-9)) - 1, 1.0)
-    angle = np.deg2rad(slide.direction_deg)
-    drag = np.cos(angle) * parts[:, 1] + np.sin(angle) * parts[:, 2]
-    values = parts[:, 0] + turned[:, None] * drag
-    posture = slide.gain * values[:, : PER_BOARD * boards].reshape(-1, boards, PER_BOARD)
+    boards, level = atlas.boards, atlas.pressure_at(plan.height_mm)
+    if isinstance(plan, ContactPath):
+        values, speed = path_response(plan, atlas, time_s)
+    else:
+        values, speed = _line_response(plan, device, atlas, time_s)
+    posture = plan.gain * values[:, : PER_BOARD * boards].reshape(-1, boards, PER_BOARD)
     chosen = posture[:, :, [0, 1, 6]].reshape(-1, boards * 3)
     lagging = standard_solid(chosen, time_s[1] - time_s[0], device.delayed, device.tau_s)
     tilt = atlas.static(level)[:, :2] + lagging.reshape(-1, boards, 3)[:, :, :2]
@@ -158,8 +188,23 @@ def _skin(
         # All tilts go with the pressure as the static one does, to first order.
         tilt = tilt * (1 + _static_exponent(atlas, level) * device.ripple * wave)[:, None, None]
     pressing = np.maximum(values[:, -1], 0) / _VIBRATION_N
-    rubbing = device.vibration_g * np.sqrt(stroke.speed(since) / _VIBRATION_MM_S) * pressing
+    rubbing = device.vibration_g * np.sqrt(speed / _VIBRATION_MM_S) * pressing
     return np.moveaxis(tilt, 0, -1), lagging.reshape(-1, boards, 3)[:, :, 2].T, rubbing
+
+
+def _line_response(
+    slide: Slide, device: Device, atlas: Atlas, time_s: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """What the atlas says of a slide at (n,) s, without any lag: (n, channels); and the speed (n,) mm/s."""
+    stroke = slide.stroke
+    since = time_s - slide.motion_start_s
+    forth, back = stroke.forth(since), stroke.back(since)
+    parts = _along_the_way(slide, atlas, atlas.pressure_at(slide.height_mm))(forth - back)
+    # Friction is fully there once the indenter slides and turns within some way (P. R. Dahl, 1968).
+    turned = np.where(back > 0, 2 * np.exp(-back / max(device.friction_mm, 1e-9)) - 1, 1.0)
+    angle = np.deg2rad(slide.direction_deg)
+    drag = np.cos(angle) * parts[:, 1] + np.sin(angle) * parts[:, 2]
+    return parts[:, 0] + turned[:, None] * drag, stroke.speed(since)
 
 
 def _along_the_way(slide: Slide, atlas: Atlas, level: float) -> BSpline:
@@ -231,14 +276,20 @@ def synthesize(
     seed: int,
     out: Path,
     distribution: Distribution | None = None,
+    paths: int = 0,
 ) -> Folder:
     """`softslide synthesize`: writes a folder of recordings, whole or not at all.
 
+    count: of slides along straight lines; paths: of contacts along any path, on the same device.
+
     Raises:
-        InputError: no slides, a negative seed, an atlas that is none or of another design, an `out` not to be written.
+        InputError: no recordings, a negative seed, an atlas that is none or of another design, an `out` not to be
+            written.
     """
-    if count < 1:
-        raise InputError(f"--slides {count}: at least one is needed")
+    if count < 0 or paths < 0 or not count + paths:
+        raise InputError(
+            f"--slides {count}, --paths {paths}: at least one of either is needed, and no negative number"
+        )
     if seed < 0:
         raise InputError(f"--seed {seed}: it must not be negative")
     atlas = read_atlas(atlas_path) if atlas_path else read_atlas()
@@ -248,9 +299,15 @@ def synthesize(
     sensor = replace(sensor, name=f"{sensor.name}, synthetic")
     distribution = distribution or Distribution()
     device = draw_device(sensor, distribution, seed)
-    slides = [plan(number, seed, atlas, sensor, distribution) for number in range(count)]
-    manifest = pd.DataFrame([slide.labels() for slide in slides])
-    recordings = (record(slide, device, atlas, noise_of(n, seed)) for n, slide in enumerate(slides))
+    plans: list[tuple[Slide | ContactPath, np.random.Generator]] = []
+    for number in range(count):
+        plans.append((plan(number, seed, atlas, sensor, distribution), noise_of(number, seed)))
+    for number in range(paths):
+        plans.append(
+            (path_plan(number, seed, atlas, sensor, distribution), noise_of(number, seed, _PATH_NOISE))
+        )
+    manifest = pd.DataFrame([each.labels() for each, _ in plans])
+    recordings = (record(each, device, atlas, noise) for each, noise in plans)
     origin = {
         "what": "synthetic slides, made by softslide synthesize; never measured on hardware",
         "seed": seed,
@@ -258,8 +315,10 @@ def synthesize(
         "atlas_heights_mm": atlas.height_mm.tolist(),
         "distribution": asdict(distribution),
     }
+    if paths:
+        origin["paths"] = asdict(PathDistribution())
     notes = {"synthesis.json": json.dumps(origin, indent=1) + "\n"}
-    return write_folder(out, sensor, manifest, _bar(recordings, count), notes)
+    return write_folder(out, sensor, manifest, _bar(recordings, len(plans)), notes)
 
 
 def _bar(recordings: Iterable[Recording], count: int) -> Iterable[Recording]:

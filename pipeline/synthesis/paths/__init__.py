@@ -1,0 +1,1 @@
+"""Contacts along any path: drawn, timed, and what the skin answers to them."""
