@@ -104,7 +104,7 @@ def _chosen(folder: Folder, splits: Sequence[str] | None) -> Folder:
     if splits is None:
         chosen = folder.select("test")
         if not len(chosen):
-            raise InputError(f"{place}, none begins with 'test'; name one with --split")
+            raise InputError(f"is needed: {place}, none begins with 'test'; name one", "split")
         return chosen
     if unknown := [split for split in splits if split not in present]:
         raise InputError(f"{place}, not '{unknown[0]}'; name one of these")

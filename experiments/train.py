@@ -95,7 +95,7 @@ def train(
         if (lost := fitted.summary.get("heldout_lost", 0.0)) > LOST:
             print(
                 f"the model is lost on {lost:.0%} of the slides kept from it and abstains where it sees that; "
-                "train for more steps ([training] of --config), or look at the recordings with 'softslide check'",
+                "train for more steps ([training] in the configuration), or run 'softslide check' on the recordings",
                 file=sys.stderr,
             )
         windows = fitted.windows or labelled_windows(folder, fitted.conditioning)

@@ -54,11 +54,13 @@ def fit_model(
         except InputError:
             raise
         except ValueError as error:
-            raise InputError(f"--init: {error}") from None
+            raise InputError(str(error), "init") from None
     if name in MODELS:
         from models.classical.fit import fit_classical
 
         if atlas is not None or init is not None:
-            raise InputError(f"{name} learns from recordings alone; leave --atlas and --init out, or use cnn")
+            raise InputError(
+                f"{name} learns from recordings alone; leave the atlas and the bundle to start from out, or use cnn"
+            )
         return fit_classical(name, folder, config)
     raise InputError(f"no model '{name}'; name one of {', '.join(MODELS)}")

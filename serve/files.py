@@ -72,13 +72,9 @@ def _broken_cell(
 
 
 def _read_parquet(path: Path, columns: Sequence[str]) -> np.ndarray:
-    try:
-        import pyarrow as pa
-        import pyarrow.parquet as pq
-    except ImportError:
-        raise InputError(
-            f"{path}: reading Parquet needs the io extra; pip install 'softslide[io]', or write it as CSV"
-        ) from None
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
     try:
         with pq.ParquetFile(path) as file:
             _places(path, file.schema_arrow.names, columns)

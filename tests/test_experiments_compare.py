@@ -14,7 +14,7 @@ from pandas.testing import assert_frame_equal
 from small_bundle import OUTPUTS, write_small_bundle
 
 import softslide
-from experiments.comparison import compare, efficiency
+from experiments.comparison import efficiency
 from experiments.comparison import figures as comparison_figures
 from experiments.comparison.peers import Study, kept
 from experiments.comparison.table import error_rows, markdown
@@ -48,7 +48,9 @@ def out(lab: Folder, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def compared(recordings: Path, out: Path, *models: str) -> int:
-    return compare.main(["--recordings", str(recordings), "--out", str(out), "--models", *models])
+    return softslide.main(
+        ["compare", "--recordings", str(recordings), "--out", str(out), "--models", *models]
+    )
 
 
 def test_the_table_holds_what_evaluate_says_of_the_same_bundle(
@@ -285,9 +287,12 @@ def test_bad_input_is_one_line(
     for n, word in enumerate(arguments):
         if word.startswith("--"):
             given[word] = arguments[n + 1 :]
-    assert compare.main([word for name, values in given.items() for word in (name, *values)]) == 2
+    assert (
+        softslide.main(["compare", *(word for name, values in given.items() for word in (name, *values))])
+        == 2
+    )
     (line,) = capsys.readouterr().err.splitlines()
-    assert line.startswith("compare: ")
+    assert line.startswith("softslide compare: ")
     assert says in line
 
 

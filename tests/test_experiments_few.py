@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from experiments.studies import few_recordings as few
-from experiments.studies import sensor_drift as injection
+import softslide
+from experiments.studies.few_recordings import study
 from pipeline.atlas.library import atlas_of
 from pipeline.recordings.folder import Folder, read_folder
 
@@ -18,7 +18,7 @@ def test_twelve_recordings_are_better_than_none():
     scored = manifest.index[manifest["split"] == "test"][:4]
     taught = manifest.index[manifest["split"].str.startswith("calibration")]
     some = Folder(folder.root, folder.sensor, manifest.loc[[*taught, *scored]])
-    none, twelve = few.study(some, [0, 12], 1, ["test"], atlas_of(folder.sensor))
+    none, twelve = study(some, [0, 12], 1, ["test"], atlas_of(folder.sensor))
     assert (none["slides"], twelve["slides"]) == (0, 12)
     assert twelve["offset_mm_mean"] < none["offset_mm_mean"] < 2.0
     assert twelve["speed_percent_mean"] < 3.0
@@ -26,17 +26,18 @@ def test_twelve_recordings_are_better_than_none():
 
 
 @pytest.mark.parametrize(
-    ("command", "line", "said"),
+    ("words", "says"),
     [
-        (few, ["--recordings", "nowhere"], "nowhere"),
-        (few, ["--recordings", str(SAMPLE), "--draws", "0"], "in 0 draws"),
-        (few, ["--recordings", str(SAMPLE), "--split", "holiday"], "holiday"),
-        (injection, ["--model", "nowhere", "--recordings", str(SAMPLE)], "nowhere"),
-        (injection, ["--model", "nowhere", "--recordings", str(SAMPLE), "--every", "0"], "--every 0"),
+        (["few", "--recordings", "nowhere"], "nowhere"),
+        (["few", "--recordings", str(SAMPLE), "--draws", "0"], "--draws 0"),
+        (["few", "--recordings", str(SAMPLE), "--split", "holiday"], "holiday"),
+        (["drift", "--model", "nowhere", "--recordings", str(SAMPLE)], "nowhere"),
+        (["drift", "--model", str(SAMPLE), "--recordings", str(SAMPLE), "--every", "0"], "--every 0"),
+        (["drift", "--model", str(SAMPLE), "--recordings", str(SAMPLE)], "model.json"),
     ],
 )
-def test_bad_input_is_one_line(command, line, said, capsys):
-    assert command.main(line) == 2
+def test_bad_input_is_one_line(words: list[str], says: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert softslide.main(words) == 2
     *_, last = capsys.readouterr().err.splitlines()
-    assert last.startswith(command.__name__.rpartition(".")[2])
-    assert said in last
+    assert last.startswith(f"softslide {words[0]}: ")
+    assert says in last

@@ -88,7 +88,7 @@ def test_labels_of_other_splits_change_nothing(bundle: Path, lab: Path, tmp_path
     ("options", "says"),
     [
         (["--model", "oracle"], "no model 'oracle'; name one of"),
-        (["--config", "none.toml"], "none.toml: cannot be read"),
+        (["--config", "none.toml"], "none.toml: no such file"),
         (["--atlas", "none.npz"], "none.npz: no such file"),
         (["--init", "none"], "none"),
     ],

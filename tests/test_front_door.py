@@ -1,7 +1,9 @@
 """The command as a user meets it: help, exit statuses, and what runs with the base install alone."""
 
+import ast
 import importlib
 import json
+import re
 import signal
 import subprocess
 import sys
@@ -23,14 +25,13 @@ HEAVY = (
     *("joblib", "dask", "matplotlib", "jinja2", "tqdm", "tomli_w", "h5py", "optuna"),
     *("fastapi", "uvicorn", "websockets", "serial"),
 )
-COMMANDS = sorted(
-    next(a for a in softslide._parser()._actions if a.dest == "command").choices  # type: ignore[arg-type]
-)
+SUBPARSERS = next(a for a in softslide.parser()._actions if a.dest == "command").choices
+COMMANDS = sorted(SUBPARSERS)  # type: ignore[arg-type]
 
 
 def test_packages_are_those_of_this_tree() -> None:
     rooms = [path.parent.name for path in HERE.glob("*/__init__.py")]
-    assert {"features", "pipeline", "models", "experiments", "serve"} <= set(rooms)
+    assert {"commands", "features", "pipeline", "models", "experiments", "serve"} <= set(rooms)
     for room in rooms:
         assert Path(importlib.import_module(room).__file__ or "").parent == HERE / room
 
@@ -43,7 +44,7 @@ import sys
 class Absent:
     def find_spec(self, name, path=None, target=None):
         if name.split(".")[0] in {HEAVY!r}:
-            raise ImportError(name + " is not on this device")
+            raise ModuleNotFoundError(name + " is not on this device", name=name)
 
 sys.meta_path.insert(0, Absent())
 sys.path.insert(0, {str(HERE)!r})
@@ -163,13 +164,120 @@ def test_help_comes_without_opening_a_room(command: str) -> None:
 
 
 def test_every_option_of_every_command_is_explained() -> None:
-    commands = next(a for a in softslide._parser()._actions if a.dest == "command")
-    for name, parser in commands.choices.items():  # type: ignore[union-attr]
+    for name, parser in SUBPARSERS.items():  # type: ignore[union-attr]
         for action in parser._actions:
             assert action.help, f"{name}: {action.dest}"
             if action.default not in (None, False, "==SUPPRESS==") and action.option_strings:
                 shown = parser._get_formatter()._expand_help(action)
                 assert "default" in shown, f"{name} {action.option_strings}: {shown}"
+
+
+def test_help_is_read_as_it_is_written() -> None:
+    for name, parser in SUBPARSERS.items():  # type: ignore[union-attr]
+        shown = parser.format_help()
+        assert "%%" not in shown, name
+        assert f"    softslide {name} " in shown, f"{name} shows no example"
+        assert max(map(len, (parser.description or "").splitlines())) <= 88, name
+
+
+def test_the_version_is_told() -> None:
+    done = run("--version")
+    assert done.returncode == 0
+    assert done.stdout == f"softslide {softslide.__version__}\n"
+
+
+# A call of every command, complete but for the extras that it needs.
+CALLS = {
+    "check": [SAMPLE],
+    "import": [SAMPLE / "slides", "--map", SAMPLE / "sensor.toml", "--out", "out"],
+    "simulate": ["--sensor", SAMPLE / "sensor.toml", "--out", "out"],
+    "synthesize": ["--slides", 1, "--out", "out"],
+    "demo": ["--out", "out"],
+    "train": ["--recordings", SAMPLE, "--out", "out"],
+    "sweep": ["--config", SAMPLE / "sensor.toml"],
+    "evaluate": ["--model", SAMPLE, "--recordings", SAMPLE, "--out", "out"],
+    "export": ["--model", SAMPLE, "--to", "ort", "--out", "out"],
+    "compare": ["--recordings", SAMPLE, "--out", "out"],
+    "few": ["--recordings", SAMPLE],
+    "drift": ["--model", SAMPLE, "--recordings", SAMPLE],
+    "bench": [],
+    "predict": ["--model", "BUNDLE", "slide.parquet"],
+    "serve": ["--model", "BUNDLE", "--source", "-", "--page", "0"],
+}
+EXTRAS = {"check": "io", "import": "io", "synthesize": "io", "predict": "io", "serve": "live"}
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_missing_extra_is_said_in_one_line(command: str, device: Path, tmp_path: Path) -> None:
+    places = {"BUNDLE": device / "bundle", "slide.parquet": device / "slide.parquet", "out": tmp_path / "out"}
+    done = run(command, *(places.get(word, word) for word in CALLS[command]))
+    extra = EXTRAS.get(command, "train")
+    assert done.returncode == 2, done.stderr
+    *_, last = done.stderr.splitlines()
+    assert last == f"softslide {command} needs softslide[{extra}]: pip install 'softslide[{extra}]'"
+    assert "Traceback" not in done.stderr
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_module_of_our_own_that_is_missing_is_no_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pipeline.recordings.folder", None)
+    monkeypatch.delitem(sys.modules, "pipeline.checks.findings", raising=False)
+    with pytest.raises(ModuleNotFoundError, match=r"pipeline\.recordings"):
+        softslide.main(["check", str(SAMPLE)])
+
+
+@pytest.mark.parametrize(
+    ("command", "word"),
+    [
+        (c, w)
+        for c, words in CALLS.items()
+        for w in words
+        if isinstance(w, Path) or w in ("BUNDLE", "slide.parquet")
+    ],
+)
+def test_a_mistyped_path_is_refused_before_anything_heavy_is_imported(command: str, word: object) -> None:
+    words = [
+        "nowhere" if w == word else SAMPLE if w in ("BUNDLE", "slide.parquet") else w for w in CALLS[command]
+    ]
+    begun = time.monotonic()
+    done = run(command, *words)
+    assert time.monotonic() - begun < 1.0
+    assert done.returncode == 2
+    (line,) = done.stderr.splitlines()
+    assert line == f"softslide {command}: nowhere: no such file or folder; name one that exists"
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["synthesize", "--slides", "0"], "--slides 0: at least one is needed, or a path"),
+        (["synthesize", "--paths", "-1"], "--paths -1: it must not be negative"),
+        (["synthesize", "--slides", "1", "--seed", "-1"], "--seed -1: it must not be negative"),
+        (["simulate", "--jobs", "0"], "--jobs 0: at least one is needed"),
+        (["simulate", "--workers", "0"], "--jobs 0: at least one is needed"),
+        (["few", "--recordings", str(SAMPLE), "--slides", "-1"], "--slides -1: take 0 slides or more"),
+        (["bench", "--page"], "--page measures a bundle; name one with --model"),
+    ],
+)
+def test_a_bad_value_is_named_by_its_option(
+    words: list[str], says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = ["--out", str(tmp_path / "out")] if words[0] in ("synthesize", "simulate") else []
+    assert softslide.main([*words, *out]) == 2
+    *_, last = capsys.readouterr().err.splitlines()
+    assert last == f"softslide {words[0]}: {says}"
+
+
+def test_no_library_knows_an_option() -> None:
+    """A library's errors name its parameters; which option a value came from is the command line's business."""
+    options = {o for parser in SUBPARSERS.values() for a in parser._actions for o in a.option_strings}  # type: ignore[union-attr]
+    for room in ("features", "pipeline", "models", "serve", "experiments"):
+        for path in sorted((HERE / room).rglob("*.py")):
+            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+                if isinstance(node, ast.Raise) and node.exc is not None:
+                    text = ast.unparse(node.exc)
+                    named = [o for o in options if len(o) > 2 and re.search(rf"(?<![\w-]){o}(?![\w-])", text)]
+                    assert not named, f"{path}:{node.lineno}: {named}"
 
 
 def test_ctrl_c_is_one_line_and_130(tmp_path: Path) -> None:

@@ -1,12 +1,9 @@
 """One table with every baseline: fitted to the same calibration slides, read out alike on the same test slides.
 
-python -m experiments.comparison.compare --recordings DIR [DIR ...] --out DIR [--models NAME ...] [--jobs N]
-
 Writes comparison.csv, comparison.md, times.csv, efficiency.csv and figures. Below OUT each folder of recordings has
 its bundles and readouts; what an earlier run has left there, of the same configuration and data, is taken up again.
 """
 
-import argparse
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -122,40 +119,3 @@ def _write(found: dict[str, Findings], out: Path) -> None:
         if len(r):
             (out / f"efficiency-{folder}.svg").write_text(comparison_figures.efficiency(r), encoding="utf-8")
     (out / "comparison.md").write_text("\n".join(text), encoding="utf-8")
-
-
-def main(argv: Sequence[str] | None = None) -> int:
-    """Runs the comparison; returns 0, or 2 on bad input."""
-    parser = argparse.ArgumentParser(
-        prog="python -m experiments.comparison.compare", description=__doc__.split("\n\n")[0]
-    )
-    parser.add_argument(
-        "--recordings", type=Path, nargs="+", required=True, metavar="DIR", help="folders, one sensor each"
-    )
-    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="where everything goes")
-    parser.add_argument(
-        "--models",
-        nargs="+",
-        default=list(MODELS),
-        metavar="NAME",
-        help=f"of {', '.join(MODELS)} (default: all)",
-    )
-    parser.add_argument(
-        "--jobs",
-        type=int,
-        default=1,
-        metavar="N",
-        help="recordings a bundle reads at a time (default: %(default)s)",
-    )
-    arguments = parser.parse_args(argv)
-    try:
-        compare(arguments.recordings, arguments.out, arguments.models, arguments.jobs)
-    except InputError as error:
-        print(f"compare: {error}", file=sys.stderr)
-        return 2
-    print(arguments.out / "comparison.md")
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -91,9 +91,7 @@ def environment() -> Path:
             subprocess.run(command, check=True, capture_output=True, text=True)
         except (OSError, subprocess.CalledProcessError) as error:
             said = (getattr(error, "stderr", None) or str(error)).strip().splitlines()[-1]
-            raise InputError(
-                f"{folder}: no environment for MiniRocket ({said}); leave it out with --models"
-            ) from None
+            raise InputError(f"{folder}: no environment for MiniRocket ({said}); leave it out") from None
     # Written last: without it a half-built environment is built anew.
     built.write_text(wanted, encoding="utf-8")
     return python

@@ -1,14 +1,9 @@
 """How few recordings will do: the response map from so many calibration slides, inverted on every test slide.
 
-python -m experiments.studies.few_recordings --recordings DIR [--slides 0 4 12 24 48] [--draws 3] [--split NAME ...]
-
-No network is trained: the map is what recordings pay for, and its inversion by least squares (models/cnn/inversion.py)
-shows what it is worth.
+No network is trained: the recordings determine the map, and its inversion by least squares (models/cnn/inversion.py)
+shows how accurate it is.
 """
 
-import argparse
-import json
-import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -26,16 +21,30 @@ from pipeline.recordings.folder import Folder, read_folder
 from pipeline.recordings.windows import LabelledWindows, labelled_windows
 
 
+def few(
+    recordings: Path, slides: Sequence[int], draws: int, splits: Sequence[str]
+) -> Iterator[dict[str, float]]:
+    """`study` of a folder, with the atlas of its sensor's design.
+
+    Raises:
+        InputError: as in `study`, or the folder or its sensor is not valid.
+    """
+    folder = read_folder(recordings)
+    yield from study(folder, slides, draws, splits, atlas_of(folder.sensor))
+
+
 def study(
     folder: Folder, counts: Sequence[int], draws: int, splits: Sequence[str], atlas: Atlas
 ) -> Iterator[dict[str, float]]:
     """Mean and largest errors at the end of the stroke for each number of slides and each random draw of them.
 
     Raises:
-        InputError: a number of slides or draws that is none, or no labelled slide of the splits.
+        InputError: a negative number of slides, no draw, or no labelled slide of the splits.
     """
-    if min(counts) < 0 or draws < 1:
-        raise InputError(f"{min(counts)} slides in {draws} draws; take 0 or more in at least one")
+    if min(counts) < 0:
+        raise InputError(f"{min(counts)}: take 0 slides or more", "slides")
+    if draws < 1:
+        raise InputError(f"{draws}: take at least one", "draws")
     config = CnnConfig()
     taught = folder.select("calibration", "train").labelled()
     names = [slide.recording for slide in calibration_slides(taught, config.conditioning)]
@@ -65,43 +74,3 @@ def _errors(found: np.ndarray, windows: LabelledWindows) -> dict[str, float]:
         for name, values in errors.items()
         for what, of in (("mean", np.mean), ("max", np.max))
     }
-
-
-def main(argv: Sequence[str] | None = None) -> int:
-    """Prints one JSON object a draw. Returns 0, or 2 on bad input."""
-    parser = argparse.ArgumentParser(
-        prog="python -m experiments.studies.few_recordings", description=__doc__.split("\n\n")[0]
-    )
-    parser.add_argument(
-        "--recordings", type=Path, required=True, metavar="DIR", help="a folder of one sensor"
-    )
-    parser.add_argument(
-        "--slides",
-        type=int,
-        nargs="+",
-        default=[0, 4, 12, 24, 48],
-        metavar="N",
-        help="how many (default: %(default)s)",
-    )
-    parser.add_argument("--draws", type=int, default=3, metavar="N", help="of each (default: %(default)s)")
-    parser.add_argument(
-        "--split",
-        nargs="+",
-        default=["test"],
-        metavar="NAME",
-        help="beginnings of the splits scored (default: test)",
-    )
-    arguments = parser.parse_args(argv)
-    try:
-        folder = read_folder(arguments.recordings)
-        atlas = atlas_of(folder.sensor)
-        for row in study(folder, arguments.slides, arguments.draws, arguments.split, atlas):
-            print(json.dumps(row), flush=True)
-    except InputError as error:
-        print(f"few: {error}", file=sys.stderr)
-        return 2
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,12 +1,7 @@
-"""How much worse a bundle gets on a device that has drifted: recordings with the drift put in, clean ones beside.
+"""How much worse a bundle gets on a sensor that has drifted: recordings with a drift added, and without."""
 
-python -m experiments.studies.sensor_drift --model BUNDLE --recordings DIR [--every N]
-"""
-
-import argparse
-import json
-import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,10 +11,10 @@ from pipeline.recordings.folder import Folder, read_folder
 from pipeline.sensor import Sensor
 from serve.localizer import Localizer
 
-Injection = Callable[[np.ndarray, np.ndarray, Sensor], tuple[np.ndarray, np.ndarray]]
+Drift = Callable[[np.ndarray, np.ndarray, Sensor], tuple[np.ndarray, np.ndarray]]
 ZERO_SHIFT_V = 0.05
 GAIN = 1.05
-TURN_DEG = 5.0
+TILT_DEG = 5.0
 LOST = 0.05
 
 
@@ -39,10 +34,10 @@ def gain(volts: np.ndarray, time_s: np.ndarray, sensor: Sensor) -> tuple[np.ndar
     return zero + GAIN * (volts - zero), time_s
 
 
-def turn(volts: np.ndarray, time_s: np.ndarray, sensor: Sensor) -> tuple[np.ndarray, np.ndarray]:
-    """The device stands 5 degrees askew, about the middle between its x and y axes: gravity turns."""
+def tilt(volts: np.ndarray, time_s: np.ndarray, sensor: Sensor) -> tuple[np.ndarray, np.ndarray]:
+    """The sensor is mounted 5 degrees tilted, about the axis half way between its x and y."""
     axis = np.array([1.0, 1.0, 0.0]) / np.sqrt(2.0)
-    angle = np.deg2rad(TURN_DEG)
+    angle = np.deg2rad(TILT_DEG)
     cross = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
     rotation = np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
     zero = _zero(sensor)
@@ -56,14 +51,14 @@ def lost(volts: np.ndarray, time_s: np.ndarray, sensor: Sensor) -> tuple[np.ndar
     return volts[kept], time_s[kept]
 
 
-INJECTIONS: dict[str, Injection] = {f.__name__: f for f in (clean, zero_shift, gain, turn, lost)}
+DRIFTS: dict[str, Drift] = {f.__name__: f for f in (clean, zero_shift, gain, tilt, lost)}
 
 
-def errors(localizer: Localizer, folder: Folder, inject: Injection) -> Iterator[dict[str, float]]:
-    """One recording after the other: absolute errors at its end, whether valid, and what the device noticed."""
+def errors(localizer: Localizer, folder: Folder, drift: Drift) -> Iterator[dict[str, float]]:
+    """Each recording's absolute errors at its end, whether it is valid, and the drift that the runtime found."""
     for name, row in folder.manifest.iterrows():
         recording = folder.load(str(name))
-        volts, time_s = inject(recording.volts, recording.time_s, folder.sensor)
+        volts, time_s = drift(recording.volts, recording.time_s, folder.sensor)
         localizer.reset()
         localizer.feed(volts, time_s)
         told = localizer.read()
@@ -77,12 +72,26 @@ def errors(localizer: Localizer, folder: Folder, inject: Injection) -> Iterator[
         }
 
 
+def drift(bundle: Path, recordings: Path, every: int = 1) -> dict[str, dict[str, float]]:
+    """`study` of every so manyth labelled recording of a folder's test splits.
+
+    Raises:
+        InputError: the bundle or the folder is not valid, it has no such recording, or `every` is below 1.
+    """
+    if every < 1:
+        raise InputError(f"{every}: take every first, second or later one", "every")
+    folder = read_folder(recordings).select("test").labelled()
+    if not len(folder):
+        raise InputError(f"{recordings}: no labelled slide of a split test*; name another folder")
+    return study(bundle, replace(folder, manifest=folder.manifest.iloc[::every]))
+
+
 def study(bundle: Path, folder: Folder) -> dict[str, dict[str, float]]:
-    """Each injection's mean figures; errors are those of the estimates marked valid."""
+    """Each drift's mean figures; errors are those of the estimates marked valid."""
     localizer = Localizer.load(bundle)
     figures = {}
-    for label, inject in INJECTIONS.items():
-        rows = list(errors(localizer, folder, inject))
+    for label, added in DRIFTS.items():
+        rows = list(errors(localizer, folder, added))
         table = {key: np.array([row[key] for row in rows]) for key in rows[0]}
         valid = table["valid"] > 0
         figures[label] = {
@@ -93,32 +102,3 @@ def study(bundle: Path, folder: Folder) -> dict[str, dict[str, float]]:
 
 def _zero(sensor: Sensor) -> np.ndarray:
     return np.repeat([board.zero_g_v for board in sensor.accelerometers], 3)
-
-
-def main(argv: Sequence[str] | None = None) -> int:
-    """Prints the figures as one JSON object. Returns 0, or 2 on bad input."""
-    parser = argparse.ArgumentParser(prog="python -m experiments.studies.sensor_drift", description=__doc__)
-    parser.add_argument("--model", type=Path, required=True, metavar="BUNDLE")
-    parser.add_argument(
-        "--recordings", type=Path, required=True, metavar="DIR", help="its test splits are used"
-    )
-    parser.add_argument("--every", type=int, default=1, metavar="N", help="every Nth recording only")
-    arguments = parser.parse_args(argv)
-    try:
-        if arguments.every < 1:
-            raise InputError(f"--every {arguments.every}: take every first, second or later one")
-        folder = read_folder(arguments.recordings).select("test").labelled()
-        if not len(folder):
-            raise InputError(
-                f"{arguments.recordings}: no labelled slide of a split test*; name another folder"
-            )
-        some = Folder(folder.root, folder.sensor, folder.manifest.iloc[:: arguments.every])
-        print(json.dumps(study(arguments.model, some), indent=1))
-    except InputError as error:
-        print(f"injection: {error}", file=sys.stderr)
-        return 2
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -91,9 +91,7 @@ def read_sweep(path: Path) -> Sweep:
     for key, kind in KEYS.items():
         if (key in NEEDED and not table.get(key)) or not isinstance(table.get(key, kind()), kind):
             wish = "a table" if kind is dict else "a text"
-            raise InputError(
-                f"{path}: '{key}' is missing or empty, or not {wish}; see softslide sweep --help"
-            )
+            raise InputError(f"{path}: '{key}' is missing or empty, or not {wish}; write one")
     default = changed(default_config(table["model"]), table.get("settings", {}), f"{path}: settings")
     sweep = Sweep(
         place=str(path),

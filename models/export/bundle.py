@@ -10,6 +10,7 @@ import onnx
 import onnxruntime as ort
 
 from features.card import Card, write_card
+from features.errors import CheckFailed
 from features.vector.feature_vector import feature_matrix
 from models.fitted_model import FittedModel
 from models.graph.packing import unpack
@@ -20,7 +21,7 @@ from pipeline.staging import staged
 PARITY = 1e-4  # relative difference of graph and original
 
 
-class ParityError(RuntimeError):
+class ParityError(CheckFailed):
     """The exported graph and the original disagree."""
 
 
@@ -55,11 +56,13 @@ def write_bundle(
     stands = believed(original, fitted)
     if not stands.any():
         raise ParityError(
-            f"the trained {fitted.name} answers none of the windows it was given; nothing to compare"
+            f"the trained {fitted.name} answers none of the windows it was given; nothing was written"
         )
     difference = float(relative_differences(exported[stands], original[stands]).max())
     if not difference <= PARITY:
-        raise ParityError(f"ONNX Runtime and the trained {fitted.name} differ by {difference:.1e} relative")
+        raise ParityError(
+            f"ONNX Runtime and the trained {fitted.name} differ by {difference:.1e} relative; nothing was written"
+        )
     # A whole slide, if there is one, that the model answers: JSON has no NaN.
     golden = int(np.flatnonzero(stands)[windows.stroke_fraction[stands].argmax()])
     card = Card(

@@ -50,7 +50,9 @@ def _as_c(card: Card, path: Path, out: Path) -> dict[str, Any]:
     try:
         files, figures = sources(read_graph(path.parent), card)
     except NoForm as error:
-        raise InputError(f"{path}: {error} has no form in C; use --to ort on a small processor") from None
+        raise InputError(
+            f"{path}: {error} has no form in C; use the ORT format on a small processor"
+        ) from None
     with staged(out) as folder:
         for name, text in files.items():
             (folder / name).write_text(text, encoding="utf-8")

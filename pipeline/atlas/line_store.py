@@ -29,7 +29,7 @@ class LineStore:
         try:
             self._folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise InputError(f"{folder}: cannot be written ({error.strerror}); name another --out") from None
+            raise InputError(f"{folder}: cannot be written ({error.strerror}); name another place") from None
 
     def _path(self, task: Task) -> Path:
         level, depth, line = task

@@ -124,7 +124,7 @@ def simulate(
     out: Path,
     is_coarse: bool,
     depths: list[float] | None,
-    workers: int,
+    jobs: int,
     backend: str,
 ) -> None:
     """`softslide simulate`: reads a design, solves it, writes the atlas, says what did not converge.
@@ -136,17 +136,17 @@ def simulate(
     sensor = read_sensor(path)
     if out.is_dir():
         raise InputError(f"{out}: a folder; name a file that ends in .npz")
-    if workers < 1:
-        raise InputError(f"--workers {workers}: at least one is needed")
+    if jobs < 1:
+        raise InputError(f"{jobs}: at least one is needed", "jobs")
     grid = COARSE if is_coarse else Grid()
     try:
         grid = replace(grid, depth_mm=tuple(depths)) if depths else grid
     except ValueError as error:
-        raise InputError(f"--depth: {error}") from None
+        raise InputError(str(error), "depth") from None
     atlas = solve_atlas(
         coarse(sensor) if is_coarse else sensor,
         grid,
-        workers=workers,
+        workers=jobs,
         backend=backend,
         work=out.with_name(f".{out.name}.lines"),
         progress=_bar,

@@ -170,7 +170,7 @@ def read_map(path: Path) -> Map:
     Raises:
         InputError: a file is missing or no TOML, a key is unknown or missing, a value is wrong.
     """
-    table = read_toml(path, "print a map to start from with --map-template KIND")
+    table = read_toml(path, "name a map, or start from a template")
     sensor = table.pop("sensor", None)
     if not isinstance(sensor, str):
         raise InputError(f'{path}: sensor is {sensor!r}; write sensor = "sensor.toml", a file beside the map')

@@ -31,7 +31,7 @@ class Journal:
                 self.path.write_text(head + "\n")
             except OSError as error:
                 raise InputError(
-                    f"{partial.parent}: cannot be written ({error.strerror}); name another --out"
+                    f"{partial.parent}: cannot be written ({error.strerror}); name another folder"
                 ) from None
 
     def has(self, job: Source) -> bool:

@@ -286,12 +286,14 @@ def synthesize(
         InputError: no recordings, a negative seed, an atlas that is none or of another design, an `out` not to be
             written.
     """
-    if count < 0 or paths < 0 or not count + paths:
-        raise InputError(
-            f"--slides {count}, --paths {paths}: at least one of either is needed, and no negative number"
-        )
+    if count < 0:
+        raise InputError(f"{count}: it must not be negative", "slides")
+    if paths < 0:
+        raise InputError(f"{paths}: it must not be negative", "paths")
+    if not count + paths:
+        raise InputError(f"{count}: at least one is needed, or a path", "slides")
     if seed < 0:
-        raise InputError(f"--seed {seed}: it must not be negative")
+        raise InputError(f"{seed}: it must not be negative", "seed")
     atlas = read_atlas(atlas_path) if atlas_path else read_atlas()
     sensor = read_sensor(sensor_path) if sensor_path else sensor_of(atlas)
     check_atlas(atlas, sensor, str(atlas_path or "the default atlas"))

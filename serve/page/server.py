@@ -45,7 +45,7 @@ class Page:
         self._latest: tuple[Estimate, np.ndarray] | None = None
         self._ended = False
         self._viewers = 0
-        application = self._application(place)
+        application = self._application()
         listener = _listener(place)
         host, port = listener.getsockname()[:2]
         self.address = f"http://{f'[{host}]' if ':' in host else host}:{port}/"
@@ -68,13 +68,12 @@ class Page:
         self._server.should_exit = True
         self._thread.join(timeout=5.0)
 
-    def _application(self, place: str) -> Any:
-        try:
-            import websockets  # noqa: F401 - uvicorn imports it too late for an error in one line
-            from fastapi import FastAPI, WebSocket, WebSocketDisconnect
-            from fastapi.staticfiles import StaticFiles
-        except ImportError:
-            raise InputError(f"--page {place}: needs the live extra; pip install 'softslide[live]'") from None
+    def _application(self) -> Any:
+        # uvicorn imports it too late for an error in one line.
+        import websockets  # noqa: F401
+        from fastapi import FastAPI, WebSocket, WebSocketDisconnect
+        from fastapi.staticfiles import StaticFiles
+
         application = FastAPI(openapi_url=None)
 
         @application.websocket("/stream")
@@ -139,11 +138,11 @@ def frame(estimate: Estimate, subtracted_v: np.ndarray) -> bytes:
 def _listener(place: str) -> socket.socket:
     host, _, port = place.rpartition(":")
     if not port.isdigit() or int(port) > 65535:
-        raise InputError(f"--page {place}: no port; {PLACE}")
+        raise InputError(f"{place}: no port; {PLACE}", "page")
     try:
         where = socket.getaddrinfo(host.strip("[]") or "127.0.0.1", int(port), type=socket.SOCK_STREAM)[0]
     except OSError as error:
-        raise InputError(f"--page {place}: no such host ({error.strerror}); {PLACE}") from None
+        raise InputError(f"{place}: no such host ({error.strerror}); {PLACE}", "page") from None
     listener = socket.socket(where[0], socket.SOCK_STREAM)
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
@@ -152,7 +151,8 @@ def _listener(place: str) -> socket.socket:
     except OSError as error:
         listener.close()
         raise InputError(
-            f"--page {place}: cannot listen there ({error.strerror}); name another port, or 0 for any"
+            f"{place}: cannot listen there ({error.strerror}); name another port, or 0 for any",
+            "page",
         ) from None
     return listener
 

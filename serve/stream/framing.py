@@ -62,7 +62,7 @@ class Lines:
     def read(self, data: bytes) -> Iterator[Chunk]:
         *lines, self._rest = (self._rest + data).split(b"\n")
         if len(self._rest) > _LINE_BYTES:
-            raise InputError(f"line {self._line + 1} does not end; send one sample a line, or --format f32")
+            raise InputError(f"line {self._line + 1} does not end; send one sample a line, or float32 frames")
         rows = [row for line in lines if (row := self._row(line)) is not None]
         if rows:
             table = np.array(rows)

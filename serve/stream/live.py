@@ -51,7 +51,7 @@ def serve(
             try:
                 written += _hand_on(localizer, chunk, steady, opened, shown)
             except InputError as error:
-                raise InputError(f"--source {source}: {error}") from None
+                raise InputError(f"{source}: {error}", "source") from None
     return written
 
 

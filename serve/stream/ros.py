@@ -22,7 +22,7 @@ def samples(topic: str, channels: int) -> Iterator[Chunk | tuple[()]]:
     Raises:
         InputError: rclpy is not installed, or a message is no whole number of rows.
     """
-    rclpy, node = _node("softslide_source", f"--source ros2://{topic}")
+    rclpy, node = _node("softslide_source", "source", f"ros2://{topic}")
     from std_msgs.msg import Float64MultiArray
 
     waiting: deque[Any] = deque()
@@ -55,7 +55,7 @@ class RosSink:
     """
 
     def __init__(self, topic: str) -> None:
-        _, self._node = _node("softslide_sink", f"--sink ros2://{topic}")
+        _, self._node = _node("softslide_sink", "sink", f"ros2://{topic}")
         from geometry_msgs.msg import PointStamped
         from std_msgs.msg import String
 
@@ -79,11 +79,13 @@ class RosSink:
         self._node.destroy_node()
 
 
-def _node(name: str, option: str) -> tuple[Any, Any]:
+def _node(name: str, parameter: str, topic: str) -> tuple[Any, Any]:
     try:
         import rclpy
     except ImportError:
-        raise InputError(f"{option}: rclpy is not here; source a ROS 2 installation first") from None
+        raise InputError(
+            f"{topic}: rclpy is not here; source a ROS 2 installation first", parameter
+        ) from None
     if not rclpy.ok():
         rclpy.init()
     return rclpy, rclpy.create_node(name)

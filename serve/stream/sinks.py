@@ -38,7 +38,7 @@ def open_sink(name: str) -> Sink:
         from serve.stream.ros import RosSink
 
         return RosSink(name.removeprefix("ros2://"))
-    raise InputError(f"--sink {name}: unknown kind; {KINDS}")
+    raise InputError(f"{name}: unknown kind; {KINDS}", "sink")
 
 
 class Lines:
@@ -59,7 +59,7 @@ class Datagrams:
         try:
             self._address = socket.getaddrinfo(host, port, socket.AF_INET, socket.SOCK_DGRAM)[0][4]
         except OSError as error:
-            raise InputError(f"--sink udp://{host}:{port}: no such host ({error.strerror})") from None
+            raise InputError(f"udp://{host}:{port}: no such host ({error.strerror})", "sink") from None
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
 
     def write(self, estimate: Estimate) -> None:

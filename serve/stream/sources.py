@@ -48,7 +48,7 @@ def open_source(name: str, card: Card, form: str, fast: bool) -> Source:
 
         return samples(name.removeprefix("ros2://"), channels)
     if "://" in name:
-        raise InputError(f"--source {name}: unknown kind; {KINDS}")
+        raise InputError(f"{name}: unknown kind; {KINDS}", "source")
     volts = read_recording(Path(name), card.channels, card.sample_rate_hz)
     return _played(volts, card, fast)
 
@@ -83,7 +83,7 @@ def _datagrams(name: str, form: str, channels: int) -> Source:
     except OSError as error:
         listener.close()
         raise InputError(
-            f"--source {name}: cannot listen there ({error.strerror}); name another port"
+            f"{name}: cannot listen there ({error.strerror}); name another port", "source"
         ) from None
     listener.settimeout(WAIT_S)
     return _received(listener, form, channels)
@@ -104,17 +104,15 @@ def _received(listener: socket.socket, form: str, channels: int) -> Source:
 
 
 def _serial(name: str, framing: Framing) -> Source:
-    try:
-        import serial
-    except ImportError:
-        raise InputError(f"--source {name}: needs the live extra; pip install 'softslide[live]'") from None
+    import serial
+
     port, _, baud = name.removeprefix("serial://").partition("?")
     if baud and not baud.isdigit():
-        raise InputError(f"--source {name}: '{baud}' is no baud rate; write serial:///dev/ttyUSB0?921600")
+        raise InputError(f"{name}: '{baud}' is no baud rate; write serial:///dev/ttyUSB0?921600", "source")
     try:
         port_open = serial.Serial(port, int(baud or 921_600), timeout=WAIT_S)
     except (OSError, ValueError) as error:
-        raise InputError(f"--source {name}: cannot be opened ({' '.join(str(error).split())})") from None
+        raise InputError(f"{name}: cannot be opened ({' '.join(str(error).split())})", "source") from None
     return _heard(name, port_open, framing)
 
 
@@ -124,7 +122,7 @@ def _heard(name: str, port: BinaryIO, framing: Framing) -> Source:
             try:
                 data = port.read(max(1, getattr(port, "in_waiting", 1)))
             except OSError as error:
-                raise InputError(f"--source {name}: the port is gone ({error}); plug it in again") from None
+                raise InputError(f"{name}: the port is gone ({error}); plug it in again", "source") from None
             if data:
                 yield from framing.read(data)
             else:

@@ -1,0 +1,91 @@
+"""What the subcommands share: how one is declared, paths that have to exist, and the options that several of them have.
+
+A subcommand is a function of its parser: it declares its arguments and returns what runs them. Its name is the
+command's, its docstring the text of `--help`. The rooms are imported when it runs, not before.
+"""
+
+import argparse
+import inspect
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from features.errors import InputError
+
+Parser = argparse.ArgumentParser
+# Runs with the arguments given; returns the exit status, None for 0.
+Run = Callable[[argparse.Namespace], int | None]
+Command = Callable[[Parser], Run]
+
+
+def add_commands(parser: Parser, commands: Sequence[Command]) -> None:
+    """Adds a subcommand for each function; `arguments.command` is its name and `arguments.run` what runs it."""
+    subparsers = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    for command in commands:
+        text = inspect.getdoc(command) or ""
+        subparser = subparsers.add_parser(
+            command.__name__.rstrip("_"),
+            help=text.partition("\n")[0].replace("%", "%%"),
+            description=text,
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+        )
+        subparser.set_defaults(run=command(subparser))
+
+
+class Existing(argparse.Action):
+    """One path or several that have to exist; checked before anything that takes time is imported.
+
+    Raises:
+        InputError: there is no such file or folder.
+    """
+
+    def __call__(
+        self, parser: Parser, namespace: argparse.Namespace, values: Any, option_string: str | None = None
+    ) -> None:
+        for path in values if isinstance(values, list) else [values]:
+            if not path.exists():
+                raise InputError(f"{path}: no such file or folder; name one that exists")
+        setattr(namespace, self.dest, values)
+
+
+def existing(parser: Parser, name: str, metavar: str, help: str, **options: Any) -> None:
+    """An argument for a path that has to exist."""
+    parser.add_argument(name, type=Path, action=Existing, metavar=metavar, help=help, **options)
+
+
+def model(parser: Parser, required: bool = True, help: str = "a bundle from 'train'") -> None:
+    """--model BUNDLE"""
+    existing(parser, "--model", "BUNDLE", help, required=required)
+
+
+def recordings(parser: Parser, help: str, **options: Any) -> None:
+    """--recordings DIR"""
+    existing(parser, "--recordings", "DIR", help, required=True, **options)
+
+
+def sensor(parser: Parser, help: str) -> None:
+    """--sensor sensor.toml"""
+    existing(parser, "--sensor", "sensor.toml", help)
+
+
+def atlas(parser: Parser, help: str) -> None:
+    """--atlas ATLAS"""
+    existing(parser, "--atlas", "ATLAS", help)
+
+
+def out(parser: Parser, help: str, metavar: str = "DIR", required: bool = True) -> None:
+    """--out DIR"""
+    parser.add_argument("--out", type=Path, required=required, metavar=metavar, help=help)
+
+
+def jobs(parser: Parser, default: int, help: str, *also: str) -> None:
+    """--jobs N; `also`: older names of it."""
+    parser.add_argument(
+        "--jobs",
+        *also,
+        dest="jobs",
+        type=int,
+        default=default,
+        metavar="N",
+        help=f"{help} (default: %(default)s)",
+    )

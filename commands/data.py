@@ -1,0 +1,165 @@
+"""Subcommands that make and check data: import, check, simulate, synthesize."""
+
+import argparse
+import json
+import sys
+
+from commands import arguments
+from commands.arguments import Parser, Run
+from features.errors import InputError
+
+
+def check(parser: Parser) -> Run:
+    """validate a folder of recordings
+
+    Checks a folder's format and its health: clock, clipping, wiring, noise
+    (g/sqrt(Hz)), mains, drift, labels, splits, signs of made-up data; each
+    finding with its figure and its limit. Exit status 2 on an error, 0 with
+    warnings alone.
+
+        softslide check my-recordings
+        softslide check my-recordings --json
+    """
+    arguments.existing(parser, "folder", "DIR", "holds sensor.toml, manifest.csv, slides/*.parquet")
+    parser.add_argument("--json", action="store_true", help="the findings as one JSON object")
+
+    def run(given: argparse.Namespace) -> None:
+        from pipeline.checks.findings import as_json, examine
+        from pipeline.recordings.folder import read_folder
+
+        recordings = read_folder(given.folder)
+        findings = examine(recordings)
+        errors = [finding for finding in findings if finding.level == "error"]
+        if given.json:
+            print(json.dumps(as_json(recordings, findings), indent=1, allow_nan=False))
+        else:
+            for finding in findings:
+                print(finding.line())
+            warnings = len(findings) - len(errors)
+            print(f"{len(recordings)} recordings, {len(errors)} errors, {warnings} warnings")
+        if errors:
+            first = errors[0].line()
+            raise InputError(f"{given.folder}: {len(errors)} errors, first {first}; correct or remove these")
+
+    return run
+
+
+def import_(parser: Parser) -> Run:
+    """turn a lab's files into a folder of recordings
+
+    Reads CSV, Parquet, HDF5, TDMS, MATLAB, ROS 1, ROS 2 and MCAP files as a
+    map says (volts, g, m/s2 or counts; s, ms, us, ns or timestamps), converts
+    them to volts (V) at an even sample rate (Hz), and reports which signs it
+    changed and why. An interrupted import resumes; bad input leaves nothing.
+
+        softslide import --map-template csv > map.toml
+        softslide import lab/*.csv --map map.toml --out my-recordings
+    """
+    arguments.existing(parser, "sources", "SOURCE", "files, or folders to search", nargs="*")
+    arguments.existing(parser, "--map", "MAP.toml", "what the files mean: columns, units, labels")
+    arguments.out(parser, "the folder of recordings to write", required=False)
+    parser.add_argument(
+        "--map-template",
+        metavar="KIND",
+        help="print a commented map to start from: csv, parquet, hdf5, tdms, mat (both kinds), ros (1, 2, MCAP)",
+    )
+
+    def run(given: argparse.Namespace) -> None:
+        from pipeline.importers.import_map import KINDS, read_map, template
+
+        if given.map_template:
+            if given.map_template not in KINDS:
+                raise InputError(f"{given.map_template}: name one of {', '.join(KINDS)}", "map_template")
+            print(template(given.map_template), end="")
+            return
+        if not (given.sources and given.map and given.out):
+            raise InputError("give SOURCE..., --map MAP.toml and --out DIR, or --map-template KIND")
+        from pipeline.importers.run import import_recordings
+
+        done = import_recordings(given.sources, read_map(given.map), given.out)
+        for note in done.notes:
+            print(note, file=sys.stderr)
+        resumed = f", {done.resumed} of them finished before" if done.resumed else ""
+        print(f"{done.out}: {done.recordings} recordings imported{resumed}")
+
+    return run
+
+
+def simulate(parser: Parser) -> Run:
+    """solve the skin: the response atlas of a sensor design
+
+    Slides an indenter over the inflated skin along lines in both axes and
+    both directions, at each contact depth (mm) and each skin height (mm) or
+    effective pressure (MPa) of the design, and writes what every
+    accelerometer reads (V). An interrupted solve resumes from the lines it
+    has finished.
+
+        softslide simulate --sensor sensor.toml --coarse --out atlas.npz
+    """
+    arguments.sensor(parser, "the design (default: the article's sensor)")
+    arguments.out(parser, "the .npz file to write", metavar="ATLAS")
+    parser.add_argument("--coarse", action="store_true", help="minutes instead of an hour, for a first look")
+    parser.add_argument(
+        "--depth", type=float, nargs="+", metavar="MM", help="contact depths in mm (default: 0.2 0.6 1.2)"
+    )
+    arguments.jobs(parser, 2, "processes", "--workers")
+    parser.add_argument(
+        "--backend", choices=("loky", "dask"), default="loky", help="what runs them (default: %(default)s)"
+    )
+
+    def run(given: argparse.Namespace) -> None:
+        from pipeline.atlas.solve import simulate
+
+        simulate(given.sensor, given.out, given.coarse, given.depth, given.jobs, given.backend)
+
+    return run
+
+
+def synthesize(parser: Parser) -> Run:
+    """write a folder of synthetic recordings from an atlas
+
+    Slides along straight lines at any angle, offset (mm), speed (mm/s),
+    contact depth (mm) and pressure (MPa) over one sensor drawn from the seed:
+    volts (V) with the accelerometer's noise and bandwidth, mains, vibration
+    and the skin's lag. Of every ten slides five are of split calibration
+    (along x and y), two of calibration-diagonal (any direction), two of test
+    and one of test-diagonal, on lines that are not in calibration. The same
+    seed writes the same files; synthesis.json says what they were drawn from.
+
+        softslide synthesize --slides 100 --seed 5 --out synthetic
+        softslide synthesize --paths 40 --out paths
+    """
+    arguments.atlas(parser, "from 'simulate' (default: the article's sensor's)")
+    arguments.sensor(
+        parser,
+        "names, places and electronics of the atlas's design (default: the article's electronics)",
+    )
+    parser.add_argument(
+        "--slides", type=int, default=0, metavar="N", help="how many slides along straight lines (default: none)"
+    )
+    parser.add_argument(
+        "--paths",
+        type=int,
+        default=0,
+        metavar="N",
+        help="how many contacts along any path, with their truth: lines, curves, changing speed, stops, turns back, "
+        "touch-downs, lifts, changing depth, presses; splits track-KIND (default: none)",
+    )
+    parser.add_argument(
+        "--seed", type=int, default=0, metavar="S", help="of all that is random (default: %(default)s)"
+    )
+    arguments.out(parser, "the folder to write")
+
+    def run(given: argparse.Namespace) -> None:
+        from pipeline.synthesis.synthesize import synthesize
+
+        folder = synthesize(
+            given.atlas, given.sensor, given.slides, given.seed, given.out, paths=given.paths
+        )
+        counts = folder.manifest["split"].value_counts(sort=False)
+        print(f"{folder.root}: {', '.join(f'{count} {split}' for split, count in counts.items())}")
+
+    return run
+
+
+COMMANDS = (check, import_, simulate, synthesize)

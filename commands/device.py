@@ -1,0 +1,100 @@
+"""Subcommands that a device has, with the base install alone: predict, serve."""
+
+import argparse
+import json
+import sys
+
+from commands import arguments
+from commands.arguments import Parser, Run
+
+
+def predict(parser: Parser) -> Run:
+    """one JSON line a recording
+
+    The estimate at each recording's end as a line of JSON: angles in degrees
+    (deg), lengths in mm, speed in mm/s, time in s; lo and hi bound a 90 %
+    interval; null where nothing is estimated.
+
+        softslide predict --model my-model slide.csv
+    """
+    arguments.model(parser)
+    arguments.existing(
+        parser,
+        "files",
+        "FILE",
+        "CSV with time_s (s) and a0_vx, a0_vy, a0_vz, ... (V), or Parquet (needs the io extra)",
+        nargs="+",
+    )
+
+    def run(given: argparse.Namespace) -> None:
+        from serve.predict import predict
+
+        for line in predict(given.model, given.files):
+            print(json.dumps(line, allow_nan=False), flush=True)
+
+    return run
+
+
+def serve(parser: Parser) -> Run:
+    """stream estimates from a live source
+
+    Estimates of a live stream, one every 20 ms: angles in degrees (deg),
+    lengths in mm, speed in mm/s, time in s; lo and hi bound a 90 % interval;
+    null where nothing is estimated. Ends with the source, or on SIGINT or
+    SIGTERM. Other machines can connect only where HOST says so.
+
+        softslide serve --model my-model --source slide.csv --page 8000
+        softslide serve --model my-model --source udp://:9000 --sink udp://127.0.0.1:9001
+    """
+    arguments.model(parser)
+    parser.add_argument(
+        "--source",
+        required=True,
+        help="FILE.csv or FILE.parquet (needs the io extra) plays a recording; '-' reads standard input; "
+        "udp://HOST:PORT; serial:///dev/PORT?BAUD (needs the live extra); ros2://TOPIC (needs rclpy)",
+    )
+    parser.add_argument(
+        "--sink",
+        action="append",
+        help="'-' writes JSON lines on standard output (default); udp://HOST:PORT one JSON object a datagram; "
+        "ros2://TOPIC positions in m and estimates; may be given again",
+    )
+    parser.add_argument(
+        "--format",
+        choices=("csv", "f32"),
+        default="csv",
+        help="of bytes from outside: csv, lines of volts (V) with or without a time (s) before them; f32, "
+        "little-endian float32 frames, one number a channel (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--smooth",
+        action="store_true",
+        help="pass place, direction and speed through a Kalman filter: a fifth of the jitter, no further accuracy",
+    )
+    parser.add_argument("--fast", action="store_true", help="play a recording as fast as it goes")
+    parser.add_argument(
+        "--page",
+        metavar="[HOST:]PORT",
+        help="show the stream on a live page as well (needs the live extra); without HOST this machine alone "
+        "reaches it, port 0 is any that is free; open it before a recording is played: it waits and comes back",
+    )
+
+    def run(given: argparse.Namespace) -> None:
+        from serve.stream.live import serve
+
+        print(f"softslide serve: {given.source}; stop with Ctrl-C", file=sys.stderr)
+        written = serve(
+            given.model,
+            given.source,
+            given.sink or ["-"],
+            given.format,
+            given.fast,
+            given.page,
+            given.smooth,
+        )
+        print(f"softslide serve: {written} estimates", file=sys.stderr)
+
+    return run
+
+
+COMMANDS = (predict, serve)

@@ -1,0 +1,152 @@
+"""Subcommands around one model: demo, train, sweep, evaluate, export."""
+
+import argparse
+import json
+import sys
+
+from commands import arguments
+from commands.arguments import Parser, Run
+
+
+def demo(parser: Parser) -> Run:
+    """the whole path on the recordings that ship with the project
+
+    Trains the article's interpolation, trees and the CNN on a sample of
+    emulated bench recordings, evaluates each against the article's bounds,
+    prints the errors (deg, %, mm), and says where everything lies. Takes
+    minutes on two cores.
+
+        softslide demo --out demo
+    """
+    arguments.out(parser, "where everything goes")
+
+    def run(given: argparse.Namespace) -> None:
+        from experiments.demo import demo
+
+        print(demo(given.out))
+
+    return run
+
+
+def train(parser: Parser) -> Run:
+    """train a model, tracked in MLflow, and export it
+
+    Uses the splits whose names begin with calibration or train and no other.
+    The run is kept in sqlite:///mlflow.db, or where MLFLOW_TRACKING_URI says.
+    A folder without labelled recordings trains cnn from the sensor's design.
+
+        softslide train --recordings my-recordings --out my-model
+        softslide train --recordings my-recordings --model trees --out my-trees
+    """
+    arguments.recordings(parser, "what to learn from")
+    arguments.atlas(parser, "the design's response atlas, from 'simulate'")
+    arguments.existing(parser, "--init", "BUNDLE", "a bundle of the same model to start from (warm start)")
+    parser.add_argument(
+        "--model",
+        default="cnn",
+        metavar="NAME",
+        help="interpolation, trees, mlp, gp or cnn (default: %(default)s)",
+    )
+    arguments.existing(parser, "--config", "FILE", "TOML with changes to the model's defaults")
+    arguments.out(parser, "where the bundle goes", metavar="BUNDLE")
+
+    def run(given: argparse.Namespace) -> None:
+        from experiments.train import train
+
+        done = train(
+            given.recordings,
+            given.out,
+            given.model,
+            atlas=given.atlas,
+            init=given.init,
+            config=given.config,
+        )
+        print(f"softslide train: run {done.run.identifier} in {done.run.store}", file=sys.stderr)
+        print(done.bundle)
+
+    return run
+
+
+def sweep(parser: Parser) -> Run:
+    """a tracked hyperparameter search
+
+    Searches a model's settings for the least errors on calibration lines held
+    out of the fit; test splits are never read. FILE names model, recordings,
+    atlas (if any), a table budget (trials, seconds of one call, workers), a
+    table settings that holds in every trial, and a table space: the settings'
+    keys, each { low, high, log } or a list of choices. Prints the best
+    settings as TOML for 'train --config'. Trials are kept beside FILE, as
+    .journal, and in MLflow; the same command continues an interrupted search.
+
+        softslide sweep --config sweep.toml > best.toml
+        softslide train --recordings my-recordings --config best.toml --out my-model
+    """
+    arguments.existing(parser, "--config", "FILE", "the sweep as TOML", required=True)
+
+    def run(given: argparse.Namespace) -> None:
+        from experiments.sweep.search import sweep
+
+        print(sweep(given.config), end="")
+
+    return run
+
+
+def evaluate(parser: Parser) -> Run:
+    """score a bundle on a folder of recordings against the article's bounds
+
+    Runs the exported bundle over recordings with the device's own runtime.
+    Writes predictions.csv (deg, mm/s, mm), metrics.json and report.html.
+    Exit status 1: a bound of the article is not met.
+
+        softslide evaluate --model my-model --recordings my-recordings --out results
+    """
+    arguments.model(parser)
+    arguments.recordings(parser, "what to score on")
+    parser.add_argument(
+        "--split",
+        nargs="+",
+        action="extend",
+        metavar="NAME",
+        help="splits to score, by their full names (default: all that begin with test)",
+    )
+    arguments.out(parser, "where the results go")
+    arguments.jobs(parser, 2, "recordings at a time")
+
+    def run(given: argparse.Namespace) -> int:
+        from experiments.evaluate import evaluate
+
+        result = evaluate(given.model, given.recordings, given.split, given.out, jobs=given.jobs)
+        print(f"softslide evaluate: wrote {given.out}/report.html", file=sys.stderr)
+        print("\n".join(verdict.line() for verdict in result.verdicts))
+        return 0 if result.met else 1
+
+    return run
+
+
+def export(parser: Parser) -> Run:
+    """other formats of a bundle: int8, ORT, C99
+
+    int8: weights of convolutions and dense layers in 8 bits, refused where it
+    costs accuracy; the errors of both, in degrees (deg), percent (%) and mm,
+    are shown. ort: ONNX Runtime's own format, with the list of operators for
+    a reduced build. c: model.c and model.h in C99 that need nothing but
+    math.h, one function from a window to the estimate, with check.c that
+    computes the card's example on the target; constants and static memory in
+    kB are shown. Prints one JSON object.
+
+        softslide export --model my-model --to c --out my-model-c
+    """
+    arguments.model(parser)
+    parser.add_argument("--to", required=True, choices=("int8", "ort", "c"), help="the format")
+    arguments.out(parser, "the bundle to write")
+
+    def run(given: argparse.Namespace) -> None:
+        from models.export.formats import export
+
+        print(json.dumps(export(given.model, given.to, given.out)))
+        print(f"softslide export: wrote {given.out}", file=sys.stderr)
+
+    return run
+
+
+COMMANDS = (demo, train, sweep, evaluate, export)

@@ -1,0 +1,158 @@
+"""Subcommands that compare and measure: compare, few, drift, bench."""
+
+import argparse
+import json
+
+from commands import arguments
+from commands.arguments import Parser, Run
+from features.errors import InputError
+
+
+def compare(parser: Parser) -> Run:
+    """every model in one table, fitted and read out alike
+
+    Fits the article's interpolation, trees, a small network and a Gaussian
+    process on features, MiniRocket, the inverted response map and the default
+    model to the same calibration slides and scores all on the same test
+    slides: errors in degrees (deg), percent (%) and mm, time of a window in
+    ms, and errors over the Cramer-Rao bound. Writes comparison.csv,
+    comparison.md, times.csv, efficiency.csv and figures. Bundles and readouts
+    are kept below DIR; a later run of the same settings and data reuses them.
+
+        softslide compare --recordings bench-a bench-d --out comparison
+    """
+    arguments.recordings(parser, "folders, one sensor each", nargs="+")
+    arguments.out(parser, "where everything goes")
+    parser.add_argument(
+        "--models",
+        nargs="+",
+        metavar="NAME",
+        help="some of interpolation, trees, mlp, gp, minirocket, inversion, cnn (default: all)",
+    )
+    arguments.jobs(parser, 1, "recordings that a bundle reads at a time")
+
+    def run(given: argparse.Namespace) -> None:
+        from experiments.comparison.compare import compare
+        from experiments.comparison.peers import MODELS
+
+        compare(given.recordings, given.out, given.models or MODELS, given.jobs)
+        print(given.out / "comparison.md")
+
+    return run
+
+
+def few(parser: Parser) -> Run:
+    """how few calibration recordings will do
+
+    Calibrates the response map with so many of the calibration slides, drawn
+    at random, and inverts it by least squares on every test slide; no network
+    is trained. Prints one JSON object a draw: mean and largest errors at the
+    end of the stroke in degrees (deg), percent (%) and mm.
+
+        softslide few --recordings my-recordings --slides 4 12
+    """
+    arguments.recordings(parser, "a folder of one sensor")
+    parser.add_argument(
+        "--slides",
+        type=int,
+        nargs="+",
+        default=[0, 4, 12, 24, 48],
+        metavar="N",
+        help="how many calibration slides (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--draws", type=int, default=3, metavar="N", help="random draws of each (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--split",
+        nargs="+",
+        default=["test"],
+        metavar="NAME",
+        help="beginnings of the names of the splits to score (default: %(default)s)",
+    )
+
+    def run(given: argparse.Namespace) -> None:
+        from experiments.studies.few_recordings import few
+
+        for row in few(given.recordings, given.slides, given.draws, given.split):
+            print(json.dumps(row), flush=True)
+
+    return run
+
+
+def drift(parser: Parser) -> Run:
+    """how much a sensor's drift costs a bundle
+
+    Reads the test splits as they are and with a drift added by calculation:
+    zero shifted by 50 mV, gain up by 5 %, gravity tilted by 5 deg, 5 % of the
+    samples lost. Prints one JSON object: for each its mean errors at the end
+    of the recording in degrees (deg), percent (%) and mm.
+
+        softslide drift --model my-model --recordings my-recordings
+    """
+    arguments.model(parser)
+    arguments.recordings(parser, "its test splits are used")
+    parser.add_argument(
+        "--every", type=int, default=1, metavar="N", help="every Nth recording only (default: %(default)s)"
+    )
+
+    def run(given: argparse.Namespace) -> None:
+        from experiments.studies.sensor_drift import drift
+
+        print(json.dumps(drift(given.model, given.recordings, given.every), indent=1))
+
+    return run
+
+
+def bench(parser: Parser) -> Run:
+    """the benchmark suite
+
+    Without a bundle, the skin: the solver against FElupe, a slide, two
+    workers, the synthetic signal (positions a core-second, times real time;
+    minutes). With one, the device's runtime: one decision (20 ms of samples
+    in, an estimate out) in us, at rest (of one and of four accelerometers)
+    and in a slide, each beside a call of a one-node graph; import and first
+    estimate in s; memory above numpy with ONNX Runtime in MB, all and without
+    pages of code; the bundle's size in kB. One thread. The last line is one
+    JSON object.
+
+        OMP_NUM_THREADS=1 softslide bench
+        softslide bench --model my-model
+    """
+    arguments.model(parser, required=False, help="a bundle from 'train' (default: measure the skin)")
+    parser.add_argument(
+        "--decisions",
+        type=int,
+        default=300,
+        metavar="N",
+        help="how often each is measured (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--page",
+        action="store_true",
+        help="what the live page costs instead (needs the live extra): share of a core, ms that estimates and frames "
+        "are late, for the stream alone and with 0, 1 and 4 viewers, each over N estimates",
+    )
+
+    def run(given: argparse.Namespace) -> None:
+        if given.model is None and given.page:
+            raise InputError("measures a bundle; name one with --model", "page")
+        if given.decisions < 1:
+            raise InputError(f"{given.decisions}: measure at least one", "decisions")
+        if given.model is None:
+            from experiments.bench.skin import run_all
+
+            print(json.dumps(run_all()))
+        elif given.page:
+            from serve.bench.page import bench_page
+
+            print(json.dumps(bench_page(given.model, given.decisions)))
+        else:
+            from serve.bench.runtime import bench
+
+            print(json.dumps(bench(given.model, given.decisions)))
+
+    return run
+
+
+COMMANDS = (compare, few, drift, bench)
