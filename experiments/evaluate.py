@@ -2,14 +2,12 @@
 
 import json
 import math
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
-from tqdm import tqdm
 
 from experiments.evaluation.bounds import Verdict, check, read_bounds
 from experiments.evaluation.readout import predictions
@@ -23,6 +21,7 @@ from experiments.evaluation.scoring import (
     summary,
 )
 from features.errors import InputError
+from pipeline.progress import progress_bar
 from pipeline.recordings.folder import Folder, read_folder
 from pipeline.staging import staged
 
@@ -53,12 +52,8 @@ def evaluate(
     folder = _chosen(read_folder(recordings), splits)
     bounds = read_bounds()
     with staged(out) as scratch:
-        rows = tqdm(
-            predictions(bundle, folder, jobs),
-            total=len(folder),
-            desc=f"localizing with {bundle.name}",
-            unit="recording",
-            disable=not sys.stderr.isatty(),
+        rows = progress_bar(
+            f"localizing with {bundle.name}", "recording", predictions(bundle, folder, jobs), len(folder)
         )
         table = pd.concat(rows, ignore_index=True)
         write_predictions(scratch / "predictions.csv", table)

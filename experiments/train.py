@@ -1,14 +1,14 @@
 """One training: recordings in, a bundle out, an MLflow run kept."""
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import onnx
 import pandas as pd
-from tqdm import tqdm
 
 from experiments import tracking
 from experiments.configuration import configured
@@ -21,13 +21,15 @@ from models.fitted_model import FittedModel
 from models.registry import default_config, fit_model
 from pipeline.atlas.atlas import Atlas
 from pipeline.atlas.library import atlas_of
+from pipeline.progress import progress_bar
 from pipeline.recordings.folder import Folder, read_folder
 from pipeline.recordings.windows import labelled_windows
 from pipeline.staging import check_replaceable
 from serve.localizer import Localizer
 
 BUNDLE_FILES = ("model.onnx", "model.json")
-LOST = 0.1  # share of held-out slides
+# Share of the held-out slides whose direction is lost (models/cnn/fit.py) above which `train` says so.
+LOST = 0.1
 
 
 @dataclass(frozen=True)
@@ -54,61 +56,81 @@ def train(
     """Fits one model to the splits that begin with `calibration` or `train`, and exports it.
 
     atlas: what the sensor's design says, from `softslide simulate`; without one, and without labelled
-    recordings, the default sensor's. init: a bundle to go on from. config: TOML over the model's defaults;
+    recordings, the default sensor's. init: a bundle to start from (warm start). config: TOML over the model's defaults;
     change: applied to the defaults before it. store: as in `tracking.tracked`.
 
     Raises:
         InputError: what is read is not what the contract says, or there is nothing to train on.
         ParityError: the exported graph and the original disagree; nothing is written.
     """
-    whole = read_folder(recordings)
-    folder = whole.select("calibration", "train").labelled()
+    folder = read_folder(recordings).select("calibration", "train").labelled()
     settings = configured(change(default_config(model)), config)
-    start = None if init is None else _graph_to_go_on_from(init)
+    start = None if init is None else _graph_of(init)
     check_replaceable(out, BUNDLE_FILES)
     design = design_of(folder, atlas) if model == "cnn" or atlas is not None else None
-    configuration = {
-        "model": model,
-        "recordings": str(recordings),
-        "atlas": None if atlas is None else str(atlas),
-        "init": None if init is None else str(init),
-        "settings": asdict(settings),
-    }
-    provenance: dict[str, Any] = {
-        "configuration": configuration,
+    provenance = {
+        "configuration": {
+            "model": model,
+            "recordings": str(recordings),
+            "atlas": None if atlas is None else str(atlas),
+            "init": None if init is None else str(init),
+            "settings": asdict(settings),
+        },
         "data": tracking.data_hashes(folder),
         "code": tracking.code_revision(),
     }
-    tags = {f"data.{name}": digest for name, digest in provenance["data"].items()}
-    with tracking.tracked(f"{model} on {folder.sensor.name}", configuration, tags, store) as run:
-        if len(folder):
-            run.data(folder, "training")
-        losses: dict[int, float] = {}
-        with tqdm(desc=f"fitting {model}", unit="step", disable=not sys.stderr.isatty()) as bar:
-
-            def progress(step: int, loss: float) -> None:
-                losses[step] = loss
-                bar.set_postfix(loss=f"{loss:.3f}", refresh=False)
-                bar.update(step - bar.n)
-
-            fitted = fit_model(model, folder, settings, atlas=design, init=start, progress=progress)
-        if (lost := fitted.summary.get("heldout_lost", 0.0)) > LOST:
-            print(
-                f"the model is lost on {lost:.0%} of the slides kept from it and abstains where it sees that; "
-                "train for more steps ([training] in the configuration), or run 'softslide check' on the recordings",
-                file=sys.stderr,
-            )
+    with _tracked(model, folder, provenance, store) as run:
+        fitted, losses = _fit(model, folder, settings, design, start)
+        _warn_if_lost(fitted)
         windows = fitted.windows or labelled_windows(folder, fitted.conditioning)
-        difference = write_bundle(fitted, folder.sensor, windows, provenance, out)
+        parity = write_bundle(fitted, folder.sensor, windows, provenance, out)
         logged = run.model(out, model)
         run.losses(losses)
-        run.metrics({**fitted.summary, "parity": difference}, logged)
+        run.metrics({**fitted.summary, "parity": parity}, logged)
         if len(folder):
             _log_fit(run, out, folder, logged)
     return Training(out, fitted, run, logged)
 
 
-def _graph_to_go_on_from(bundle: Path) -> onnx.ModelProto:
+@contextmanager
+def _tracked(
+    model: str, folder: Folder, provenance: dict[str, Any], store: str | None
+) -> Iterator[tracking.Run]:
+    """The run, tagged with what its data hash to."""
+    tags = {f"data.{name}": digest for name, digest in provenance["data"].items()}
+    name = f"{model} on {folder.sensor.name}"
+    with tracking.tracked(name, provenance["configuration"], tags, store) as run:
+        if len(folder):
+            run.data(folder, "training")
+        yield run
+
+
+def _fit(
+    model: str, folder: Folder, settings: Any, design: Atlas | None, start: onnx.ModelProto | None
+) -> tuple[FittedModel, dict[int, float]]:
+    """The fitted model and its loss by step, with a bar for who watches."""
+    losses: dict[int, float] = {}
+    with progress_bar(f"fitting {model}", "step") as bar:
+
+        def progress(step: int, loss: float) -> None:
+            losses[step] = loss
+            bar.set_postfix(loss=f"{loss:.3f}", refresh=False)
+            bar.update(step - bar.n)
+
+        return fit_model(model, folder, settings, atlas=design, init=start, progress=progress), losses
+
+
+def _warn_if_lost(fitted: FittedModel) -> None:
+    """Says so where too many held-out slides have an estimate that is no better than chance."""
+    if (lost := fitted.summary.get("heldout_lost", 0.0)) > LOST:
+        print(
+            f"the model is lost on {lost:.0%} of the slides held out of its fit and abstains where it sees that; "
+            "train for more steps ([training] in the configuration), or run 'softslide check' on the recordings",
+            file=sys.stderr,
+        )
+
+
+def _graph_of(bundle: Path) -> onnx.ModelProto:
     """The graph of a bundle that is whole.
 
     Raises:

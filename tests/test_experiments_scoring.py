@@ -16,8 +16,8 @@ from experiments.evaluation.scoring import (
     by_distance,
     by_speed,
     score,
+    signed_errors,
     summary,
-    turn,
 )
 from features.errors import InputError
 from pipeline.recordings.manifest import LABELS
@@ -75,9 +75,62 @@ def scored(*predictions: pd.DataFrame, **rows: dict) -> pd.DataFrame:
     return score(table, a_manifest(**(rows or {"s": {}})), SENSOR)
 
 
-def test_angles_are_compared_the_short_way_round() -> None:
-    given = pd.Series([0.0, 359.0, -359.0, 180.0, 181.0, 540.0])
-    assert turn(given).tolist() == [0.0, -1.0, 1.0, 180.0, -179.0, 180.0]
+@pytest.mark.parametrize(
+    ("estimate", "label", "error"),
+    [(359.0, 1.0, 2.0), (1.0, 359.0, 2.0), (180.0, 0.0, 180.0), (181.0, 0.0, 179.0)],
+)
+def test_directions_are_compared_the_shorter_way_round(estimate: float, label: float, error: float) -> None:
+    row = scored(predicted(direction_deg=estimate), s={"direction_deg": label}).iloc[0]
+    assert row["direction_deg_error"] == error
+
+
+def test_signed_errors_are_estimate_minus_label() -> None:
+    table = pd.DataFrame(
+        {
+            "direction_deg": [359.0, 3.0],
+            "true_direction_deg": [1.0, 1.0],
+            "speed_mm_s": [2.0 * math.e, 1.0],
+            "true_speed_mm_s": 2.0,
+            "offset_mm": [-1.0, 4.0],
+            "true_offset_mm": 1.0,
+        }
+    )
+    errors = signed_errors(table)
+    assert errors["direction_deg"].tolist() == [-2.0, 2.0]
+    assert errors["log_speed"].tolist() == pytest.approx([1.0, -math.log(2.0)])
+    assert errors["offset_mm"].tolist() == [-2.0, 3.0]
+
+
+@pytest.mark.parametrize("direction_deg", [0.0, 30.0, 90.0, 115.0, 200.0, 340.0])
+@pytest.mark.parametrize("fraction", [0.5, 1.0])
+def test_a_position_error_is_split_into_along_and_across_the_motion(
+    direction_deg: float, fraction: float
+) -> None:
+    """In every direction: the right place has no error, a place 3 mm ahead on the line is off along it alone, a place
+    3 mm beside it across alone."""
+    angle = math.radians(direction_deg)
+    along, across = (math.cos(angle), math.sin(angle)), (-math.sin(angle), math.cos(angle))
+    offset_mm, travel_mm, moved_mm = 6.0, 58.0, 3.0
+    start = [-29.0 * a + offset_mm * b for a, b in zip(along, across, strict=True)]
+    slide = {
+        "direction_deg": direction_deg,
+        "offset_mm": offset_mm,
+        "start_x_mm": start[0],
+        "start_y_mm": start[1],
+        "travel_mm": travel_mm,
+    }
+    there = [s + fraction * travel_mm * a for s, a in zip(start, along, strict=True)]
+
+    def errors(shift: tuple[float, float]) -> tuple[float, float, float]:
+        x, y = (t + moved_mm * s for t, s in zip(there, shift, strict=True))
+        row = scored(predicted(fraction=fraction, x_mm=x, y_mm=y), s=slide).iloc[0]
+        return row["position_mm_error"], row["position_percent_error"], row["travelled_mm"]
+
+    assert errors((0.0, 0.0))[:2] == pytest.approx((0.0, 0.0), abs=1e-9)
+    distance, percent, travelled = errors(along)
+    assert (distance, percent) == pytest.approx((moved_mm, 100 * moved_mm / travelled))
+    distance, percent, _ = errors(across)
+    assert (distance, percent) == pytest.approx((moved_mm, 100 * moved_mm / offset_mm))
 
 
 def test_a_right_answer_has_no_error_and_a_wrong_one_has_the_one_worked_out_by_hand() -> None:

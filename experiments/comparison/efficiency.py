@@ -1,16 +1,16 @@
 """How near an estimator's errors come to the least that any can have: the Cramer-Rao bound of the calibrated map.
 
-The bound is worked out at each window's true line with gain, zero and depth unknown within their spread, and holds for
-the map and the noise that the calibration found: a device that repeats better than its calibration says may pass it.
+The bound is computed at each window's true line with gain and zero unknown within their spread and the depth known, and
+holds for the map and the noise that the calibration found: a sensor that repeats better than its calibration says may
+have smaller errors.
 """
 
-import math
 from itertools import pairwise
 
 import numpy as np
 import pandas as pd
 
-from experiments.evaluation.scoring import turn
+from experiments.evaluation.scoring import signed_errors
 from models.cnn.inversion import cramer_rao
 from models.response_map.map import ResponseMap
 from pipeline.recordings.windows import LabelledWindows
@@ -46,11 +46,7 @@ def ratios(scored: pd.DataFrame, bounds: pd.DataFrame) -> pd.DataFrame:
     keys = ["recording", "stroke_fraction"]
     table = scored[scored["valid"].astype(bool)].round({"stroke_fraction": 3})
     table = table.merge(bounds.round({"stroke_fraction": 3}), on=keys)
-    errors: dict[str, pd.Series] = {
-        "direction_deg": turn(table["direction_deg"] - table["true_direction_deg"]),
-        "log_speed": (table["speed_mm_s"] / table["true_speed_mm_s"]).map(math.log),
-        "offset_mm": table["offset_mm"] - table["true_offset_mm"],
-    }
+    errors = signed_errors(table)
     names = [f"{low:g}-{high:g}" for low, high in pairwise(DISTANCE_MM)]
     table["distance_mm"] = pd.cut(
         table["true_offset_mm"].abs(), DISTANCE_MM, labels=names, include_lowest=True

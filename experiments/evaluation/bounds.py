@@ -5,10 +5,9 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pandas as pd
 
-from experiments.evaluation.scoring import AXIS_TOLERANCE_DEG, ESTIMATES, QUANTITIES, turn
+from experiments.evaluation.scoring import ESTIMATES, QUANTITIES, near_deg
 from features.errors import InputError
 
 BOUNDS = Path(__file__).parent / "bounds.toml"
@@ -142,16 +141,16 @@ def _within(bound: Bound, scored: pd.DataFrame) -> pd.Series:
     on_lines = pd.Series(False, index=scored.index)
     for axis, area in ((0, bound.x_offset_mm), (90, bound.y_offset_mm)):
         if area is not None:
-            # Twice the angle: forward and backward along an axis are one line.
-            tilt = np.abs(turn(2 * (scored["true_direction_deg"] - axis))) / 2
-            on_lines |= (tilt < AXIS_TOLERANCE_DEG) & distance.between(*area)
+            direction = scored["true_direction_deg"]
+            along = near_deg(direction, axis) | near_deg(direction, axis + 180)
+            on_lines |= along & distance.between(*area)
     for label in ("speed_mm_s", "depth_mm"):
         value = scored[f"true_{label}"]
         on_lines &= value.isna() | value.between(*getattr(bound, label))
     if not bound.after_travel_mm:
         return on_lines & (scored["stroke_fraction"] == 1.0)
     travelled = pd.Series(False, index=scored.index)
-    for direction, delay in bound.after_travel_mm.items():
-        near = np.abs(turn(scored["true_direction_deg"] - float(direction))) < AXIS_TOLERANCE_DEG
+    for heading, delay in bound.after_travel_mm.items():
+        near = near_deg(scored["true_direction_deg"], float(heading))
         travelled |= near & scored["travelled_mm"].between(delay, INFLATED_MM)
     return on_lines & travelled

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from features.angles import wrapped_deg
 from pipeline.sensor import Sensor
 
 # What is scored, and the unit each error is shown in.
@@ -36,9 +37,21 @@ INTERVALS = ("direction_deg", "speed_mm_s", "offset_mm")
 AXIS_TOLERANCE_DEG = 1.0
 
 
-def turn(degrees: pd.Series) -> pd.Series:
-    """Angles as the shortest turn, in (-180, 180] deg."""
-    return 180.0 - (180.0 - degrees) % 360.0
+def signed_errors(table: pd.DataFrame) -> pd.DataFrame:
+    """Estimate minus label, as `direction_deg` (the shorter way round), `log_speed` and `offset_mm`.
+
+    table: estimates and, with the prefix `true_`, labels; NaN where either is missing.
+    """
+    direction = (table["direction_deg"] - table["true_direction_deg"]).to_numpy(dtype=float)
+    ratio = (table["speed_mm_s"] / table["true_speed_mm_s"]).to_numpy(dtype=float)
+    return pd.DataFrame(
+        {
+            "direction_deg": wrapped_deg(direction),
+            "log_speed": np.log(ratio),
+            "offset_mm": table["offset_mm"] - table["true_offset_mm"],
+        },
+        index=table.index,
+    )
 
 
 def score(predictions: pd.DataFrame, manifest: pd.DataFrame, sensor: Sensor) -> pd.DataFrame:
@@ -56,11 +69,10 @@ def score(predictions: pd.DataFrame, manifest: pd.DataFrame, sensor: Sensor) -> 
     direction = np.deg2rad(table["true_direction_deg"])
     along_x, along_y = np.cos(direction), np.sin(direction)
 
-    turned = turn(estimated["direction_deg"] - table["true_direction_deg"])
-    table["direction_deg_error"] = np.abs(turned)
-    ratio = estimated["speed_mm_s"] / table["true_speed_mm_s"]
-    table["speed_percent_error"] = 100 * (ratio - 1).abs()
-    off = (estimated["offset_mm"] - table["true_offset_mm"]).abs()
+    errors = signed_errors(estimated)
+    table["direction_deg_error"] = errors["direction_deg"].abs()
+    table["speed_percent_error"] = 100 * np.expm1(errors["log_speed"]).abs()
+    off = errors["offset_mm"].abs()
     table["offset_mm_error"] = off
     table["offset_percent_error"] = _percent(off, table["true_offset_mm"].abs())
 
@@ -84,6 +96,13 @@ def score(predictions: pd.DataFrame, manifest: pd.DataFrame, sensor: Sensor) -> 
             inside = (low <= truth) & (truth <= high)
         table[f"{column}_covered"] = inside.astype(float).where(low.notna() & high.notna() & truth.notna())
     return table
+
+
+def near_deg(direction: pd.Series, axis_deg: float) -> pd.Series:
+    """Whether a direction lies within AXIS_TOLERANCE_DEG of another."""
+    return pd.Series(np.abs(wrapped_deg((direction - axis_deg).to_numpy(dtype=float))), direction.index).lt(
+        AXIS_TOLERANCE_DEG
+    )
 
 
 def summary(scored: pd.DataFrame) -> dict[str, Any]:
@@ -135,7 +154,7 @@ def by_direction(scored: pd.DataFrame) -> dict[str, dict[str, Any]]:
         direction = rows["true_direction_deg"]
         names = pd.Series("", index=rows.index)
         for quarter, (name, sector) in enumerate(zip(axes, between, strict=True)):
-            near = np.abs(turn(direction - 90 * quarter)) < AXIS_TOLERANCE_DEG
+            near = near_deg(direction, 90 * quarter)
             names[(direction // 90 == quarter) & (names == "")] = sector
             names[near] = name
         return names

@@ -63,9 +63,9 @@ def study(
 
 
 def _errors(found: np.ndarray, windows: LabelledWindows) -> dict[str, float]:
-    turn, speed, offset = signed_errors(found, windows)
+    direction, speed, offset = signed_errors(found, windows)
     errors = {
-        "direction_deg": np.abs(turn),
+        "direction_deg": np.abs(direction),
         "speed_percent": 100 * np.abs(np.expm1(speed)),
         "offset_mm": np.abs(offset),
     }

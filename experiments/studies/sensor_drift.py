@@ -5,7 +5,9 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 
+from experiments.evaluation.scoring import signed_errors
 from features.errors import InputError
 from pipeline.recordings.folder import Folder, read_folder
 from pipeline.sensor import Sensor
@@ -16,6 +18,7 @@ ZERO_SHIFT_V = 0.05
 GAIN = 1.05
 TILT_DEG = 5.0
 LOST = 0.05
+LABELLED = ("direction_deg", "speed_mm_s", "offset_mm")
 
 
 def clean(volts: np.ndarray, time_s: np.ndarray, sensor: Sensor) -> tuple[np.ndarray, np.ndarray]:
@@ -62,10 +65,12 @@ def errors(localizer: Localizer, folder: Folder, drift: Drift) -> Iterator[dict[
         localizer.reset()
         localizer.feed(volts, time_s)
         told = localizer.read()
+        table = pd.DataFrame([told._asdict() | {f"true_{label}": row[label] for label in LABELLED}])
+        error = signed_errors(table).iloc[0]
         yield {
-            "direction_deg": abs((told.direction_deg - row["direction_deg"] + 180) % 360 - 180),
-            "speed_percent": 100 * abs(told.speed_mm_s / row["speed_mm_s"] - 1),
-            "offset_mm": abs(told.offset_mm - row["offset_mm"]),
+            "direction_deg": abs(error["direction_deg"]),
+            "speed_percent": 100 * abs(np.expm1(error["log_speed"])),
+            "offset_mm": abs(error["offset_mm"]),
             "valid": float(told.valid),
             "gain": told.gain,
             "turn_deg": told.turn_deg,

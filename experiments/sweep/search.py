@@ -22,7 +22,6 @@ from joblib.externals.loky import get_reusable_executor
 from optuna.storages import JournalStorage
 from optuna.storages.journal import JournalFileBackend
 from optuna.trial import FrozenTrial, Trial, TrialState
-from tqdm import tqdm
 
 from experiments import tracking
 from experiments.sweep.space import Sweep, read_sweep
@@ -30,6 +29,7 @@ from experiments.sweep.trial import follow_parent, held_out_errors, overall
 from experiments.train import design_of
 from features.errors import InputError
 from pipeline.atlas.atlas import Atlas
+from pipeline.progress import progress_bar
 from pipeline.recordings.folder import Folder, read_folder
 
 # A user attribute of a trial: its errors by quantity; or why it has none.
@@ -118,13 +118,7 @@ def _trials(plan: Sweep, study: optuna.Study, folder: Folder, design: Atlas | No
         initializer=follow_parent,
     )
     running: dict[Future, Trial] = {}
-    bar = tqdm(
-        desc=plan.model,
-        total=plan.budget.trials,
-        initial=ended,
-        unit="trial",
-        disable=not sys.stderr.isatty(),
-    )
+    bar = progress_bar(plan.model, "trial", total=plan.budget.trials, done=ended)
     try:
         while True:
             while (

@@ -4,11 +4,10 @@ import os
 import sys
 from pathlib import Path
 
-from tqdm import tqdm
-
 from features.errors import InputError
 from pipeline.atlas.atlas import Atlas, check_atlas, read_atlas, write_atlas
 from pipeline.atlas.solve import COARSE, coarse, solve_atlas
+from pipeline.progress import progress_bar
 from pipeline.sensor import Sensor, design_hash
 
 
@@ -45,9 +44,7 @@ def atlas_of(sensor: Sensor, named: Path | None = None, workers: int = 2) -> Atl
         COARSE,
         workers=workers,
         work=kept.with_suffix(".work"),
-        progress=lambda lines, count: tqdm(
-            lines, total=count, unit="line", desc="solving", disable=not sys.stderr.isatty()
-        ),
+        progress=lambda lines, count: progress_bar("solving", "line", lines, count),
         source=sensor.name,
     )
     write_atlas(atlas, kept)

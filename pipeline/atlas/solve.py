@@ -13,6 +13,7 @@ import numpy as np
 from features.errors import InputError
 from pipeline.atlas.atlas import DEFAULT_SENSOR, Atlas, write_atlas
 from pipeline.atlas.line_store import LineStore, Task
+from pipeline.progress import progress_bar
 from pipeline.sensor import Sensor, check_design, design_hash, design_of, read_sensor
 from pipeline.skin.lines import (
     gravity,
@@ -149,7 +150,7 @@ def simulate(
         workers=jobs,
         backend=backend,
         work=out.with_name(f".{out.name}.lines"),
-        progress=_bar,
+        progress=lambda lines, count: progress_bar("solving", "line", lines, count),
         source=str(path),
     )
     write_atlas(atlas, out)
@@ -165,16 +166,6 @@ def simulate(
             f"skin height {height:.2f} mm",
             file=sys.stderr,
         )
-
-
-def _bar(results: Iterable[Any], number: int) -> Iterable[Any]:
-    """A progress bar on standard error where a person watches, else one line of what is coming."""
-    if sys.stderr.isatty():
-        from tqdm import tqdm
-
-        return tqdm(results, total=number, unit="line", desc="solving")
-    print(f"solving {number} lines", file=sys.stderr)
-    return results
 
 
 def _levels(sensor: Sensor, source: str) -> list[tuple[float, State]]:

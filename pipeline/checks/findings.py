@@ -4,7 +4,6 @@ An `error` is a recording, a label or a wire that is wrong; training on it would
 `warning` is worth a look and may be right.
 """
 
-import sys
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
@@ -12,10 +11,10 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from tqdm import tqdm
 
 from pipeline.checks.measurements import Vitals, measure
 from pipeline.checks.zone_signs import line_mismatch_mm
+from pipeline.progress import progress_bar
 from pipeline.recordings.folder import Folder
 from pipeline.sensor import Sensor
 
@@ -79,8 +78,7 @@ def examine(folder: Folder, limits: Limits | None = None) -> list[Finding]:
     """
     limits = limits or Limits()
     manifest = folder.manifest
-    # The bar shows only where a person watches: disable=None looks whether standard error is a terminal.
-    rows = tqdm(manifest.iterrows(), total=len(manifest), desc="check", disable=None, file=sys.stderr)
+    rows = progress_bar("check", "slide", manifest.iterrows(), len(manifest))
     vitals = [measure(folder.load(str(name)), row, folder.sensor) for name, row in rows]
     findings = list(_wiring(vitals, folder.sensor, limits))
     sound = not any(finding.level == "error" for finding in findings)

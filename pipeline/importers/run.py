@@ -8,7 +8,6 @@ import json
 import os
 import re
 import shutil
-import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial as bound
@@ -18,7 +17,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pyarrow.parquet as pq
-from tqdm import tqdm
 
 from features.clock import check_clock
 from features.errors import InputError
@@ -31,6 +29,7 @@ from pipeline.importers.resampling import Samples
 from pipeline.importers.resume import Journal, fingerprint, size_bytes
 from pipeline.importers.streams import Source, write_even
 from pipeline.importers.units import converter
+from pipeline.progress import progress_bar
 from pipeline.recordings.folder import Recording
 from pipeline.recordings.manifest import check_manifest, write_manifest
 from pipeline.recordings.slide_file import read_slide, read_slide_in_blocks, write_slide_in_blocks
@@ -66,10 +65,7 @@ def import_recordings(sources: Sequence[Path], mapping: Map, out: Path) -> Impor
     total = sum(size_bytes(path) for job in jobs for path in job.files.values())
     try:
         journal = Journal(partial, mapping)
-        # The bar shows only where a person watches: disable=None looks whether standard error is a terminal.
-        with tqdm(
-            total=total, unit="B", unit_scale=True, desc="import", disable=None, file=sys.stderr
-        ) as bar:
+        with progress_bar("import", "B", total=total) as bar:
 
             def progress(portion: float, job: Source) -> None:
                 bar.update(int(done + portion * sum(map(size_bytes, job.files.values()))) - bar.n)

@@ -5,8 +5,7 @@ hundredth of a second or less, and cubic convolution leads to the sample rate, w
 """
 
 import json
-import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -18,6 +17,7 @@ from scipy.signal import lfilter
 
 from features.errors import InputError
 from pipeline.atlas.atlas import DEFAULT_SENSOR, Atlas, check_atlas, read_atlas
+from pipeline.progress import progress_bar
 from pipeline.recordings.folder import Folder, Recording, write_folder
 from pipeline.sensor import Accelerometer, Board, Sensor, Skin, design_hash, read_sensor
 from pipeline.skin.lines import PER_BOARD
@@ -320,11 +320,5 @@ def synthesize(
     if paths:
         origin["paths"] = asdict(PathDistribution())
     notes = {"synthesis.json": json.dumps(origin, indent=1) + "\n"}
-    return write_folder(out, sensor, manifest, _bar(recordings, len(plans)), notes)
-
-
-def _bar(recordings: Iterable[Recording], count: int) -> Iterable[Recording]:
-    """A progress bar on standard error where a person watches."""
-    from tqdm import tqdm
-
-    return tqdm(recordings, total=count, unit="slide", desc="synthesizing", disable=None, file=sys.stderr)
+    watched = progress_bar("synthesizing", "slide", recordings, len(plans))
+    return write_folder(out, sensor, manifest, watched, notes)
