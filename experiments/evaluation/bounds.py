@@ -1,14 +1,13 @@
 """The article's bounds: read from `bounds.toml`, and held against scored predictions."""
 
-import tomllib
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 
 from experiments.evaluation.scoring import ESTIMATES, QUANTITIES, near_deg
-from features.errors import InputError
+from pipeline.toml_tables import from_table, read_toml
 
 BOUNDS = Path(__file__).parent / "bounds.toml"
 ANY = (0.0, float("inf"))
@@ -92,23 +91,20 @@ class Verdict:
         }
 
 
+@dataclass(frozen=True)
+class _Bounds:
+    """The file: a [[bound]] each."""
+
+    bound: tuple[Bound, ...]
+
+
 def read_bounds(path: Path = BOUNDS) -> tuple[Bound, ...]:
     """Reads the bounds.
 
     Raises:
         InputError: an unknown or missing key, or a value that is none.
     """
-    known = [f.name for f in fields(Bound)]
-    bounds = []
-    for n, row in enumerate(tomllib.loads(path.read_text(encoding="utf-8")).get("bound", []), 1):
-        if unknown := sorted(set(row) - set(known)):
-            raise InputError(f"{path}: [[bound]] {n}: unknown key '{unknown[0]}'; known: {', '.join(known)}")
-        values: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in row.items()}
-        try:
-            bounds.append(Bound(**values))
-        except (TypeError, ValueError) as error:
-            raise InputError(f"{path}: [[bound]] {n}: {error}") from None
-    return tuple(bounds)
+    return from_table(_Bounds, read_toml(path), str(path)).bound
 
 
 def check(bound: Bound, scored: pd.DataFrame) -> Verdict:

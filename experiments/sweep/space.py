@@ -25,9 +25,9 @@ from optuna.distributions import (
     IntDistribution,
 )
 
-from experiments.configuration import changed, read_toml
 from features.errors import InputError
 from models.registry import default_config
+from pipeline.toml_tables import changed, read_toml
 
 KEYS = {"model": str, "recordings": str, "space": dict, "atlas": str, "budget": dict, "settings": dict}
 NEEDED = ("model", "recordings", "space")
