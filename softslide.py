@@ -27,10 +27,13 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     Returns 0 on success, 2 on bad usage or input, 1 on a bound not met or a failed check, 130 on Ctrl-C.
     """
+    from commands.arguments import check_existing
+
     argv = sys.argv[1:] if argv is None else argv
     name = next((word for word in argv if not word.startswith("-")), "")
     try:
         given = parser().parse_args(argv)
+        check_existing(given)
         return given.run(given) or 0
     except InputError as error:
         return _said(name, _with_option(error), 2)

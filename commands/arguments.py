@@ -33,19 +33,27 @@ def add_commands(parser: Parser, commands: Sequence[Command]) -> None:
 
 
 class Existing(argparse.Action):
-    """One path or several that have to exist; checked before anything that takes time is imported.
-
-    Raises:
-        InputError: there is no such file or folder.
-    """
+    """Keeps one path or several, and notes them among those that have to exist."""
 
     def __call__(
         self, parser: Parser, namespace: argparse.Namespace, values: Any, option_string: str | None = None
     ) -> None:
-        for path in values if isinstance(values, list) else [values]:
-            if not path.exists():
-                raise InputError(f"{path}: no such file or folder; name one that exists")
         setattr(namespace, self.dest, values)
+        namespace.existing = [
+            *getattr(namespace, "existing", ()),
+            *(values if isinstance(values, list) else [values]),
+        ]
+
+
+def check_existing(given: argparse.Namespace) -> None:
+    """Sees that the paths that have to exist do, before anything that takes time is imported.
+
+    Raises:
+        InputError: there is no such file or folder.
+    """
+    for path in getattr(given, "existing", ()):
+        if not path.exists():
+            raise InputError(f"{path}: no such file or folder; name one that exists")
 
 
 def existing(parser: Parser, name: str, metavar: str, help: str, **options: Any) -> None:
