@@ -135,7 +135,11 @@ def synthesize(parser: Parser) -> Run:
         "names, places and electronics of the atlas's design (default: the article's electronics)",
     )
     parser.add_argument(
-        "--slides", type=int, default=0, metavar="N", help="how many slides along straight lines (default: none)"
+        "--slides",
+        type=int,
+        default=0,
+        metavar="N",
+        help="how many slides along straight lines (default: none)",
     )
     parser.add_argument(
         "--paths",
@@ -153,9 +157,7 @@ def synthesize(parser: Parser) -> Run:
     def run(given: argparse.Namespace) -> None:
         from pipeline.synthesis.synthesize import synthesize
 
-        folder = synthesize(
-            given.atlas, given.sensor, given.slides, given.seed, given.out, paths=given.paths
-        )
+        folder = synthesize(given.atlas, given.sensor, given.slides, given.seed, given.out, paths=given.paths)
         counts = folder.manifest["split"].value_counts(sort=False)
         print(f"{folder.root}: {', '.join(f'{count} {split}' for split, count in counts.items())}")
 
