@@ -4,22 +4,25 @@ BIN = .venv/bin
 # Tests and the demo never phone home.
 export MLFLOW_DISABLE_TELEMETRY = true
 
-.PHONY: demo test test-long format
+.PHONY: help demo test test-long format
 
-demo: .venv/installed
+help: ## what there is to make
+	@sed -n 's/^\([a-z-]*\):.*## /\1	/p' $(MAKEFILE_LIST)
+
+demo: .venv/installed ## the whole path on the sample that ships, in minutes
 	$(BIN)/softslide demo --out demo
 
-test: .venv/installed
+test: .venv/installed ## linters, types, import contracts, tests
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 	$(BIN)/pytest -n 2 --dist loadfile
 
-test-long: .venv/installed
+test-long: .venv/installed ## tests that take minutes each
 	$(BIN)/pytest -m long
 
-format: .venv/installed
+format: .venv/installed ## format the code
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
