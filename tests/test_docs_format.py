@@ -1,0 +1,40 @@
+"""docs/format.md says what the code does: its tables against the code's columns, fields and exit statuses."""
+
+import ast
+import inspect
+import re
+import textwrap
+from dataclasses import fields
+from pathlib import Path
+
+import softslide
+from experiments.evaluation.readout import COLUMNS
+from features.card import Card
+from pipeline.recordings.manifest import LABELS, REQUIRED
+
+TEXT = (Path(__file__).parents[1] / "docs" / "format.md").read_text(encoding="utf-8")
+
+
+def first_column(title: str) -> tuple[str, ...]:
+    """The names in the first column of the table whose heading begins with the title."""
+    _, rows = TEXT.split(f"| {title} |")
+    return tuple(re.findall(r"^\| `([^`]+)` \|", rows.partition("\n\n")[0], re.MULTILINE))
+
+
+def test_the_tables_list_the_codes_columns_and_fields_in_order() -> None:
+    assert first_column("manifest column") == (*REQUIRED, *LABELS)
+    assert first_column("prediction column") == COLUMNS
+    assert first_column("card field") == tuple(field.name for field in fields(Card))
+
+
+def test_the_exit_statuses_are_those_that_the_command_returns() -> None:
+    """Every whole number in `main` is a status that it returns; what each means, the tests of the command say."""
+    tree = ast.parse(textwrap.dedent(inspect.getsource(softslide.main)))
+    returned = [node for node in ast.walk(tree) if isinstance(node, ast.Return) and node.value is not None]
+    numbers = {
+        n.value
+        for statement in returned
+        for n in ast.walk(statement)
+        if isinstance(n, ast.Constant) and isinstance(n.value, int)
+    }
+    assert first_column("exit status") == tuple(map(str, sorted(numbers)))
