@@ -96,9 +96,12 @@ def evaluate(parser: Parser) -> Run:
 
     Runs the exported bundle over recordings with the device's own runtime.
     Writes predictions.csv (deg, mm/s, mm), metrics.json and report.html.
+    Recordings with their truth beside them (slides/NAME.truth.csv) are
+    followed over time as well: errors of place, direction and speed, by split.
     Exit status 1: a bound of the article is not met.
 
         softslide evaluate --model my-model --recordings my-recordings --out results
+        softslide evaluate --model my-model --recordings paths --split track-line track-curve --out tracks
     """
     arguments.model(parser)
     arguments.recordings(parser, "what to score on")
@@ -117,7 +120,7 @@ def evaluate(parser: Parser) -> Run:
 
         result = evaluate(given.model, given.recordings, given.split, given.out, jobs=given.jobs)
         print(f"softslide evaluate: wrote {given.out}/report.html", file=sys.stderr)
-        print("\n".join(verdict.line() for verdict in result.verdicts))
+        print("\n".join(result.lines()))
         return 0 if result.met else 1
 
     return run

@@ -2,6 +2,7 @@
 
 import json
 import math
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -20,6 +21,7 @@ from experiments.evaluation.scoring import (
     score,
     summary,
 )
+from experiments.evaluation.tracks import Track, by_split, line, tracks, with_truth
 from features.errors import InputError
 from pipeline.progress import progress_bar
 from pipeline.recordings.folder import Folder, read_folder
@@ -37,6 +39,11 @@ class Evaluation:
     def met(self) -> bool:
         """Whether no bound is missed; one that no recording tests is not missed."""
         return all(verdict.met is not False for verdict in self.verdicts)
+
+    def lines(self) -> list[str]:
+        """Each bound's verdict, then each split's tracks, in a line."""
+        told = [line(split, row) for split, row in self.metrics.get("tracks", {}).items()]
+        return [verdict.line() for verdict in self.verdicts] + told
 
 
 def evaluate(
@@ -57,13 +64,28 @@ def evaluate(
         )
         table = pd.concat(rows, ignore_index=True)
         write_predictions(scratch / "predictions.csv", table)
+        followed = _followed(bundle, folder, jobs)
         scored = score(table, folder.manifest, folder.sensor)
         verdicts = tuple(check(bound, scored) for bound in bounds)
         metrics = measure(scored, verdicts) | {"bundle": _bundle(bundle), "sensor": folder.sensor.name}
+        if followed:
+            metrics["tracks"] = by_split(followed)
         text = json.dumps(_finite(metrics), indent=1, allow_nan=False)
         (scratch / "metrics.json").write_text(text + "\n", encoding="utf-8")
-        write_report(scratch / "report.html", metrics, scored)
+        write_report(scratch / "report.html", metrics, scored, followed, folder.sensor)
     return Evaluation(metrics, verdicts)
+
+
+def _followed(bundle: Path, folder: Folder, jobs: int) -> list[Track]:
+    """Every recording that has its truth beside it, followed; says which of the chosen have none, if some have."""
+    names = with_truth(folder)
+    if names and len(names) < len(folder):
+        print(
+            f"{len(folder) - len(names)} recordings have no truth beside them; no track of these",
+            file=sys.stderr,
+        )
+    rows = tracks(bundle, folder, jobs)
+    return list(progress_bar(f"following with {bundle.name}", "recording", rows, len(names)))
 
 
 def measure(scored: pd.DataFrame, verdicts: Sequence[Verdict]) -> dict[str, Any]:

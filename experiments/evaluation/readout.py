@@ -66,7 +66,7 @@ def predict_recording(bundle: Path, folder: Folder, name: str) -> list[dict[str,
     """One recording's rows of `predictions.csv`, as dictionaries of COLUMNS; NaN where not estimated."""
     recording = folder.load(name)
     fractions, moments_s = zip(*moments(folder.manifest.loc[name].to_dict(), recording.time_s), strict=True)
-    estimates = read_at(_localizer(bundle), recording.volts, recording.time_s, moments_s)
+    estimates = read_at(open_localizer(bundle), recording.volts, recording.time_s, moments_s)
     return [
         {"recording": name, "stroke_fraction": fraction}
         | {column: getattr(estimate, column) for column in (*ESTIMATED, "valid")}
@@ -80,7 +80,7 @@ def predictions(bundle: Path, folder: Folder, jobs: int = 2) -> Iterator[pd.Data
     Raises:
         InputError: the bundle is broken or made for another sensor, or a recording is.
     """
-    check_fits(_localizer(bundle), folder)
+    check_fits(open_localizer(bundle), folder)
     work = (delayed(predict_recording)(bundle, folder, name) for name in folder.manifest.index)
     for rows in Parallel(n_jobs=jobs, return_as="generator")(work):
         yield pd.DataFrame(rows, columns=list(COLUMNS))
@@ -107,6 +107,6 @@ def check_fits(localizer: Localizer, folder: Folder) -> None:
 
 
 @lru_cache(maxsize=1)
-def _localizer(bundle: Path) -> Localizer:
+def open_localizer(bundle: Path) -> Localizer:
     """One session a process, since opening it takes longer than a short recording."""
     return Localizer.load(bundle)

@@ -1,14 +1,17 @@
 """`report.html`: one file that opens anywhere, without a network."""
 
 import base64
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
-from experiments.evaluation import figures
+from experiments.evaluation import figures, track_figures, tracks
 from experiments.evaluation.scoring import INTERVALS, QUANTITIES
+from experiments.evaluation.tracks import Track
+from pipeline.sensor import Sensor
 
 TEMPLATE = "report.html.j2"
 # Sensors whose recordings are known to come from an emulator of a bench; a report must never read otherwise.
@@ -21,8 +24,10 @@ QUANTITY_NAMES = {
 }
 
 
-def write_report(path: Path, metrics: dict[str, Any], scored: pd.DataFrame) -> None:
-    """Writes the report on `evaluate.measure`'s metrics and the scored predictions behind them."""
+def write_report(
+    path: Path, metrics: dict[str, Any], scored: pd.DataFrame, followed: Sequence[Track], sensor: Sensor
+) -> None:
+    """Writes the report on `evaluate.measure`'s metrics, the scored predictions and the tracks behind them."""
     environment = Environment(
         loader=FileSystemLoader(Path(__file__).parent),
         autoescape=True,
@@ -50,9 +55,23 @@ def write_report(path: Path, metrics: dict[str, Any], scored: pd.DataFrame) -> N
         emulated=metrics["sensor"] in EMULATED,
         stroke_figure=_inline(figures.along_the_stroke(scored)),
         recording_figure=_inline(figures.recording_by_recording(scored)),
+        tracks=metrics.get("tracks", {}),
+        tracked=tracks.QUANTITIES,
+        covered=tracks.COVERED,
+        track_figure=_inline(track_figures.along_the_contact(followed)) if followed else None,
+        track_pictures=_pictures(followed, sensor),
         card=_flat(metrics["bundle"]["card"]),
     )
     path.write_text(text, encoding="utf-8")
+
+
+def _pictures(followed: Sequence[Track], sensor: Sensor) -> list[tuple[str, str]]:
+    """For each split its name and an image source."""
+    splits = dict.fromkeys(track.split for track in followed)
+    return [
+        (split, _inline(track_figures.pictures([t for t in followed if t.split == split], sensor)))
+        for split in splits
+    ]
 
 
 def number(value: float | None, digits: int = 3) -> str:

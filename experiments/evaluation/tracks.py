@@ -1,0 +1,234 @@
+"""How well a contact is followed: a bundle's estimates, block by block, held against the truth of a recording.
+
+An estimate counts where it is *live*: valid, in state `slide`. What it says of direction, speed and offset is judged
+where the contact moves at `MOVING_MM_S` or more; the rest wherever something touches. The offset is the tangent's.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from joblib import Parallel, delayed
+
+from experiments.evaluation.readout import open_localizer
+from features.angles import wrapped_deg
+from pipeline.recordings.folder import Folder
+from pipeline.recordings.truth import truth_path
+from serve.records import record
+
+# Slower than this a contact stands, and has no direction.
+MOVING_MM_S = 0.2
+# An estimate is wrong where an error exceeds this many half widths of its 90 % interval, or one of the two below.
+WRONG_HALF_WIDTHS = 3.0
+GROSS_MM, GROSS_DEG = 5.0, 20.0
+# Estimates with an interval: stem and unit of their columns.
+BOUNDED = (
+    ("x", "mm"),
+    ("y", "mm"),
+    ("vx", "mm_s"),
+    ("vy", "mm_s"),
+    ("direction", "deg"),
+    ("speed", "mm_s"),
+    ("offset", "mm"),
+    ("depth", "mm"),
+)
+# Quantities that are summarized, and their units.
+QUANTITIES = {"position": "mm", "direction": "deg", "speed": "%", "offset": "mm", "depth": "mm"}
+COVERED = ("position", "velocity", "direction", "speed", "offset", "depth")
+_COLUMNS = [f"{stem}{end}_{unit}" for stem, unit in BOUNDED for end in ("", "_lo", "_hi")]
+
+
+@dataclass(frozen=True)
+class Track:
+    """One recording: what was so, and what was said of it, a row a moment of each."""
+
+    name: str
+    split: str
+    truth: pd.DataFrame
+    judged: pd.DataFrame
+
+
+def with_truth(folder: Folder) -> list[str]:
+    """The recordings whose truth lies beside them."""
+    return [str(n) for n, file in folder.manifest["file"].items() if truth_path(folder.root / file).is_file()]
+
+
+def tracks(bundle: Path, folder: Folder, jobs: int = 2) -> Iterator[Track]:
+    """Every recording that has its truth, in the manifest's order, `jobs` at a time.
+
+    Raises:
+        InputError: a recording or its truth is not what the contract says.
+    """
+    work = (delayed(_track)(bundle, folder, name) for name in with_truth(folder))
+    yield from Parallel(n_jobs=jobs, return_as="generator")(work)
+
+
+def _track(bundle: Path, folder: Folder, name: str) -> Track:
+    localizer, recording = open_localizer(bundle), folder.load(name)
+    assert recording.truth is not None
+    localizer.reset()
+    said = estimate_table([record(estimate) for estimate in localizer.push(recording.volts)])
+    said["time_s"] += recording.time_s[0]
+    judged = judge(said, recording.truth, folder.sensor.reference_mm)
+    return Track(name, str(folder.manifest.at[name, "split"]), recording.truth, judged)
+
+
+def estimate_table(records: Sequence[dict[str, Any]]) -> pd.DataFrame:
+    """Estimates, as `serve.records.record` writes them, in numbers: time_s, state, valid and the columns of `BOUNDED`.
+
+    NaN where nothing is estimated. A stream of velocities alone gets its direction and speed from these.
+    """
+    said = pd.DataFrame.from_records(records)
+    table = said.reindex(columns=["time_s", *_COLUMNS]).apply(pd.to_numeric, errors="coerce").astype(float)
+    if table["direction_deg"].isna().all():
+        table["direction_deg"] = np.rad2deg(np.arctan2(table["vy_mm_s"], table["vx_mm_s"])) % 360
+        table["speed_mm_s"] = np.hypot(table["vx_mm_s"], table["vy_mm_s"])
+    table["state"] = said["state"].astype(str) if "state" in said else "slide"
+    table["valid"] = said["valid"].astype(bool)
+    return table
+
+
+def judge(said: pd.DataFrame, truth: pd.DataFrame, reference_mm: tuple[float, float]) -> pd.DataFrame:
+    """One row for each estimate: what it says, `true_*` at its moment, errors, and what is wrong about it.
+
+    said: as `estimate_table` returns it. Errors are signed but the position's, in the units of `QUANTITIES`. `*_held`
+    is the share of the quantity's intervals, of one or two of them, that hold the truth: NaN where there is none.
+    """
+    true = _true_at(said["time_s"].to_numpy(), truth, reference_mm)
+    table = said.join(true.add_prefix("true_"))
+    table["touching"] = _touching(said["time_s"].to_numpy(), truth)
+    table["moving"] = table["touching"] & (true["speed_mm_s"] >= MOVING_MM_S)
+    table["live"] = said["valid"] & (said["state"] == "slide")
+    table["ended"] = said["valid"] & (said["state"] == "ended")
+
+    table["position_error"] = np.hypot(said["x_mm"] - true["x_mm"], said["y_mm"] - true["y_mm"])
+    table["direction_error"] = wrapped_deg((said["direction_deg"] - true["direction_deg"]).to_numpy())
+    table["speed_error"] = 100 * (said["speed_mm_s"] / true["speed_mm_s"].clip(lower=1e-9) - 1)
+    table["offset_error"] = said["offset_mm"] - true["offset_mm"]
+    table["depth_error"] = said["depth_mm"] - true["depth_mm"]
+
+    off, half = _from_middles(said, true)
+    held = (off.abs() <= half).astype(float).where(half.notna() & true[half.columns].notna())
+    for stem in ("direction", "speed", "offset", "depth"):
+        table[f"{stem}_held"] = held[_column(stem)]
+    table["position_held"] = (held["x_mm"] + held["y_mm"]) / 2
+    table["velocity_held"] = (held["vx_mm_s"] + held["vy_mm_s"]) / 2
+
+    errors = said[half.columns] - true[half.columns]
+    errors["direction_deg"] = table["direction_error"]
+    wide = errors.abs() > WRONG_HALF_WIDTHS * half
+    beyond = wide[["x_mm", "y_mm", "speed_mm_s"]].any(axis=1)
+    beyond |= wide[["direction_deg", "offset_mm"]].any(axis=1) & table["moving"]
+    turned = (table["direction_error"].abs() > GROSS_DEG) & table["moving"]
+    table["gross"] = (table["position_error"] > GROSS_MM) | turned
+    table["wrong"] = table["gross"] | beyond
+    return table
+
+
+def summarize(judged: Sequence[pd.DataFrame]) -> dict[str, Any]:
+    """One row of the report's table, from one table of `judge` a recording.
+
+    Shares are of the moments of contact (`valid`), of those that move (`ended`: still valid, of a slide that is over),
+    of those that stand (`still`: a speed above `MOVING_MM_S` is claimed), or of the live ones in contact (`wrong`,
+    `gross`). `phantom_s`: seconds a recording that are live without contact. `first_s`: from the touch to the first
+    live estimate; `never`: recordings without one.
+    """
+    rows = pd.concat(judged, ignore_index=True)
+    contact = rows[rows["touching"]]
+    live = contact[contact["live"]]
+    moving, still = live[live["moving"]], contact[~contact["moving"]]
+    block_s = float(np.median(np.concatenate([np.diff(each["time_s"]) for each in judged])))
+    first = np.array([_first(each) for each in judged])
+    result: dict[str, Any] = {
+        "recordings": len(judged),
+        "valid_share": _mean(contact["live"]),
+        "ended_share": _mean(contact.loc[contact["moving"], "ended"]),
+        "wrong_share": _mean(live["wrong"]),
+        "gross_share": _mean(live["gross"]),
+        "still_share": _mean(still["live"] & (still["speed_mm_s"] > MOVING_MM_S)),
+        "phantom_s": float((rows["live"] & ~rows["touching"]).sum() * block_s / len(judged)),
+        "first_s": _median_and_p95(first),
+        "never": int(np.isnan(first).sum()),
+    }
+    for quantity in QUANTITIES:
+        judged_rows = live if quantity in ("position", "depth") else moving
+        result[quantity] = _median_and_p95(judged_rows[f"{quantity}_error"].to_numpy(float))
+    for quantity in COVERED:
+        judged_rows = moving if quantity in ("direction", "speed", "offset") else live
+        result[f"{quantity}_coverage"] = _mean(judged_rows[f"{quantity}_held"])
+    return result
+
+
+def by_split(followed: Sequence[Track]) -> dict[str, dict[str, Any]]:
+    """A summary for each split, in the order of their first recordings."""
+    splits = dict.fromkeys(track.split for track in followed)
+    return {split: summarize([each.judged for each in followed if each.split == split]) for split in splits}
+
+
+def line(split: str, row: dict[str, Any]) -> str:
+    """A summary in one line."""
+    share: Callable[[str], str] = lambda name: "-" if row[name] is None else f"{100 * row[name]:.0f} %"  # noqa: E731
+    errors = ", ".join(
+        f"{quantity} {row[quantity]['median']:.2g} {unit}"
+        for quantity, unit in QUANTITIES.items()
+        if row[quantity]["median"] is not None
+    )
+    told = f"median errors: {errors}" if errors else "no estimate"
+    return (
+        f"{split}: valid {share('valid_share')} of the contact, of these wrong {share('wrong_share')}; {told}"
+    )
+
+
+def _true_at(time_s: np.ndarray, truth: pd.DataFrame, reference_mm: tuple[float, float]) -> pd.DataFrame:
+    """What was so at (n,) s, in the columns of `BOUNDED`; direction, speed and offset are the tangent's."""
+    clock = truth["time_s"].to_numpy()
+    names = ("x_mm", "y_mm", "vx_mm_s", "vy_mm_s", "depth_mm")
+    true = pd.DataFrame({name: np.interp(time_s, clock, truth[name].to_numpy(float)) for name in names})
+    angle = np.arctan2(true["vy_mm_s"], true["vx_mm_s"])
+    x, y = true["x_mm"] - reference_mm[0], true["y_mm"] - reference_mm[1]
+    true["direction_deg"] = np.rad2deg(angle) % 360
+    true["speed_mm_s"] = np.hypot(true["vx_mm_s"], true["vy_mm_s"])
+    true["offset_mm"] = -np.sin(angle) * x + np.cos(angle) * y
+    return true
+
+
+def _touching(time_s: np.ndarray, truth: pd.DataFrame) -> np.ndarray:
+    """(n,) whether something touches, by the truth's first row that is not earlier."""
+    at = np.clip(np.searchsorted(truth["time_s"].to_numpy(), time_s), 0, len(truth) - 1)
+    return truth["contact"].to_numpy()[at] > 0
+
+
+def _from_middles(said: pd.DataFrame, true: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """How far the truth is from the middle of each interval, and half its width; NaN where there is none."""
+    columns = {
+        _column(stem): (said[f"{stem}_lo_{unit}"], said[f"{stem}_hi_{unit}"]) for stem, unit in BOUNDED
+    }
+    half = pd.DataFrame({name: (high - low) / 2 for name, (low, high) in columns.items()})
+    off = pd.DataFrame({name: true[name] - (low + high) / 2 for name, (low, high) in columns.items()})
+    off["direction_deg"] = wrapped_deg(off["direction_deg"].to_numpy())
+    return off, half
+
+
+def _column(stem: str) -> str:
+    return f"{stem}_{dict(BOUNDED)[stem]}"
+
+
+def _first(judged: pd.DataFrame) -> float:
+    """Seconds from the touch to the first live estimate; NaN if there is none."""
+    touching = judged.loc[judged["touching"], "time_s"]
+    return judged.loc[judged["touching"] & judged["live"], "time_s"].min() - touching.min()
+
+
+def _mean(values: pd.Series) -> float | None:
+    known = values.dropna()
+    return float(known.mean()) if len(known) else None
+
+
+def _median_and_p95(values: np.ndarray) -> dict[str, float | None]:
+    size = np.abs(values[np.isfinite(values)])
+    if not len(size):
+        return {"median": None, "p95": None}
+    return {"median": float(np.median(size)), "p95": float(np.percentile(size, 95))}

@@ -1,0 +1,245 @@
+"""Tracks: estimates over time against the truth, by hand, against the outside's scorer, and through a real bundle."""
+
+import importlib.util
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from small_bundle import write_small_bundle
+
+import softslide
+from experiments.evaluation.tracks import estimate_table, judge, summarize
+from pipeline.recordings.folder import Folder, read_folder
+from pipeline.synthesis.synthesize import synthesize
+
+REFERENCE = (5.0, 0.0)
+SCORER = Path(__file__).parents[1].parent / "shared" / "tools" / "score_track.py"
+
+
+def a_truth() -> pd.DataFrame:
+    """Ten seconds at 100 Hz: touch at 2 s, 3 mm/s along +x at y = 4 mm until 6 s, rest, and off at 8 s."""
+    time = np.arange(1001) / 100
+    moved = np.clip(time - 2, 0, 4)
+    return pd.DataFrame(
+        {
+            "time_s": time,
+            "x_mm": -10 + 3 * moved,
+            "y_mm": 4.0,
+            "vx_mm_s": np.where((time >= 2) & (time < 6), 3.0, 0.0),
+            "vy_mm_s": 0.0,
+            "contact": ((time >= 2) & (time < 8)).astype(int),
+            "depth_mm": 0.5,
+        }
+    )
+
+
+def perfect(moment: float, **changes) -> dict:
+    """What was so, as an estimate with intervals of 90 %."""
+    x = -10 + 3 * float(np.clip(moment - 2, 0, 4))
+    moving = 2 <= moment < 6
+    speed = 3.0 if moving else 0.0
+    true = {
+        "x": (x, "mm"),
+        "y": (4.0, "mm"),
+        "direction": (0.0, "deg"),
+        "speed": (speed, "mm_s"),
+        "offset": (4.0, "mm"),
+    }
+    half = {"x": 0.5, "y": 0.5, "direction": 2.0, "speed": 0.1, "offset": 0.5}
+    told: dict = {"time_s": moment, "state": "slide", "valid": True}
+    for stem, (value, unit) in true.items():
+        value = changes.pop(stem, value)
+        told |= {f"{stem}_{unit}": value}
+        told |= {f"{stem}_lo_{unit}": value - half[stem], f"{stem}_hi_{unit}": value + half[stem]}
+    return told | changes
+
+
+def stream(said) -> list[dict]:
+    """An estimate every 20 ms."""
+    return [said(float(moment)) for moment in np.arange(1, 500) / 50]
+
+
+def summary_of(records: list[dict], truth: pd.DataFrame | None = None) -> dict:
+    return summarize([judge(estimate_table(records), a_truth() if truth is None else truth, REFERENCE)])
+
+
+def test_a_perfect_stream_is_perfect() -> None:
+    row = summary_of(stream(lambda t: perfect(t) if 2.005 < t < 7.995 else perfect(t, valid=False)))
+    assert row["valid_share"] > 0.99
+    assert (row["wrong_share"], row["gross_share"], row["phantom_s"], row["never"]) == (0, 0, 0, 0)
+    for quantity in ("position", "direction", "speed", "offset"):
+        assert row[quantity]["p95"] == pytest.approx(0, abs=1e-9)
+        assert row[f"{quantity}_coverage"] == 1
+    assert row["depth"]["median"] is None
+    assert row["depth_coverage"] is None
+    assert row["still_share"] == 0
+
+
+def test_errors_are_what_was_put_in() -> None:
+    """Each estimate off by a known amount, in one quantity at a time."""
+    aside = summary_of(stream(lambda t: perfect(t, y=4.3)))
+    assert aside["position"]["median"] == pytest.approx(0.3)
+    assert (aside["wrong_share"], aside["position_coverage"]) == (0, 1)
+    assert summary_of(stream(lambda t: perfect(t, y=4.6)))["position_coverage"] == 0.5
+    assert (
+        summary_of(stream(lambda t: perfect(t, y=5.6)))["wrong_share"] == 1
+    )  # over three half widths of 0.5 mm
+    assert summary_of(stream(lambda t: perfect(t, y=5.6)))["gross_share"] == 0
+    assert summary_of(stream(lambda t: perfect(t, y=9.6)))["gross_share"] == 1
+
+    turned = summary_of(stream(lambda t: perfect(t, direction=359.0)))
+    assert turned["direction"]["median"] == pytest.approx(1.0)  # over the seam of 0 degrees
+    assert turned["direction_coverage"] == 1
+    # A standing contact has no direction: wrong where it moves, four of six seconds.
+    assert summary_of(stream(lambda t: perfect(t, direction=90.0)))["wrong_share"] == pytest.approx(
+        4 / 6, abs=0.01
+    )
+
+    fast = summary_of(stream(lambda t: perfect(t, speed=3.15)))
+    assert fast["speed"]["median"] == pytest.approx(5.0)
+    assert (fast["speed_coverage"], fast["still_share"]) == (0, 1)
+
+
+def test_time_is_counted_as_it_passes() -> None:
+    late = summary_of(stream(lambda t: perfect(t, valid=3 < t < 9)))
+    assert late["first_s"]["median"] == pytest.approx(1.0, abs=0.03)
+    assert late["valid_share"] == pytest.approx(5 / 6, abs=0.01)
+    assert late["phantom_s"] == pytest.approx(1.0, abs=0.03)
+    mute = summary_of(stream(lambda t: perfect(t, valid=False)))
+    assert (mute["valid_share"], mute["never"], mute["wrong_share"]) == (0, 1, None)
+    over = summary_of(stream(lambda t: perfect(t, state="ended" if t > 4 else "slide")))
+    assert over["ended_share"] == pytest.approx(0.5, abs=0.01)
+    assert over["valid_share"] == pytest.approx(2 / 6, abs=0.01)
+
+
+def test_velocities_alone_say_direction_and_speed() -> None:
+    said = {"state": "slide", "valid": True, "vx_mm_s": 0.0, "vy_mm_s": -3.0}
+    half = {"vx_lo_mm_s": -1.0, "vx_hi_mm_s": 1.0, "vy_lo_mm_s": -4.0, "vy_hi_mm_s": -2.0}
+    row = summary_of([{"time_s": float(t), **said, **half} for t in np.arange(110, 290) / 50])
+    assert row["direction"]["median"] == pytest.approx(90.0)
+    assert row["speed"]["median"] == pytest.approx(0.0, abs=1e-9)
+    assert row["velocity_coverage"] == 0
+    assert row["gross_share"] == 1
+    assert row["position"]["median"] is None
+
+
+@pytest.mark.skipif(not SCORER.is_file(), reason="the outside's scorer is not beside this checkout")
+def test_figures_agree_with_the_outsides_scorer() -> None:
+    """Three noisy streams with gaps, gross errors, seams and missing intervals."""
+    spec = importlib.util.spec_from_file_location("score_track", SCORER)
+    assert spec is not None
+    assert spec.loader is not None
+    scorer = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(scorer)
+    random = np.random.default_rng(7)
+    truth, streams = a_truth(), []
+
+    def noisy(moment: float, share: float) -> dict:
+        return perfect(
+            moment,
+            y=4 + 0.4 * random.standard_normal() + 6 * (random.uniform() < 0.05),
+            direction=(2 * random.standard_normal() + 40 * (random.uniform() < 0.05)) % 360,
+            speed=3 * np.exp(0.05 * random.standard_normal()),
+            offset=4 + 0.5 * random.standard_normal(),
+            valid=random.uniform() < share,
+            state="slide" if random.uniform() < 0.9 else "ended",
+        )
+
+    for share in (0.7, 0.5, 0.3):
+        records = [noisy(float(moment), share) for moment in np.arange(1, 500) / 50]
+        for told in records[::7]:
+            told |= {"offset_lo_mm": None, "offset_hi_mm": None}
+        streams.append(records)
+    mine = summarize([judge(estimate_table(records), truth, REFERENCE) for records in streams])
+    theirs = scorer.summary([scorer.judged(records, truth, REFERENCE) for records in streams])
+    percent = {
+        "valid %": "valid_share",
+        "held %": "ended_share",
+        "false %": "wrong_share",
+        "gross %": "gross_share",
+        "still %": "still_share",
+        "c-pos": "position_coverage",
+        "c-dir": "direction_coverage",
+        "c-spd": "speed_coverage",
+        "c-off": "offset_coverage",
+    }
+    for column, name in percent.items():
+        assert theirs[column] == f"{100 * mine[name]:.0f}", column
+    pairs = {
+        "pos mm": ("position", 2),
+        "dir deg": ("direction", 1),
+        "spd %": ("speed", 1),
+        "off mm": ("offset", 2),
+    }
+    for column, (name, digits) in pairs.items():
+        assert theirs[column] == f"{mine[name]['median']:.{digits}f} / {mine[name]['p95']:.{digits}f}", column
+    assert theirs["first s"] == f"{mine['first_s']['median']:.1f} / {mine['first_s']['p95']:.1f}"
+    assert theirs["phantom s"] == f"{mine['phantom_s']:.2f}"
+    assert (theirs["n"], theirs["never"]) == (mine["recordings"], mine["never"])
+
+
+@pytest.fixture(scope="module")
+def paths(tmp_path_factory: pytest.TempPathFactory) -> Folder:
+    """Two slides, and of paths a line and a curve."""
+    root = tmp_path_factory.mktemp("paths") / "d"
+    synthesize(None, None, 10, 3, root, paths=2)
+    manifest = pd.read_csv(root / "manifest.csv")
+    manifest[manifest["split"].isin(["track-line", "track-curve", "test-diagonal"])].to_csv(
+        root / "manifest.csv", index=False
+    )
+    return read_folder(root)
+
+
+def test_evaluate_scores_tracks(paths: Folder, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    bundle = write_small_bundle(tmp_path / "bundle", replace(paths.sensor, name="trial"))
+    common = ["evaluate", "--model", str(bundle), "--recordings", str(paths.root), "--jobs", "1"]
+    softslide.main([*common, "--split", "track-line", "track-curve", "--out", str(tmp_path / "tracks")])
+    metrics = json.loads((tmp_path / "tracks/metrics.json").read_text())
+    assert list(metrics["tracks"]) == ["track-line", "track-curve"]
+    line = metrics["tracks"]["track-line"]
+    assert line["recordings"] == 1
+    # This model always says 30 degrees and 2 mm/s.
+    true = paths.manifest.loc["p00000"]
+    error = abs((30.0 - true["direction_deg"] + 180) % 360 - 180)
+    assert line["valid_share"] > 0
+    assert line["direction"]["median"] == pytest.approx(error, abs=0.01)
+    assert line["speed"]["median"] == pytest.approx(100 * abs(2.0 / true["speed_mm_s"] - 1), rel=0.01)
+    report = (tmp_path / "tracks/report.html").read_text()
+    assert report.count("best, middle and worst by place") == 2
+    assert "Contacts followed" in report
+    assert "track-curve: valid" in capsys.readouterr().out
+
+    softslide.main([*common, "--split", "test-diagonal", "--out", str(tmp_path / "lines")])
+    assert "tracks" not in json.loads((tmp_path / "lines/metrics.json").read_text())
+    assert "Contacts followed" not in (tmp_path / "lines/report.html").read_text()
+    softslide.main([*common, "--split", "test-diagonal", "track-line", "--out", str(tmp_path / "both")])
+    assert "1 of 2 recordings have no truth" in capsys.readouterr().err
+
+
+def test_a_broken_truth_is_refused(paths: Folder, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    bundle = write_small_bundle(tmp_path / "bundle", replace(paths.sensor, name="trial"))
+    file = paths.root / "slides/p00001.truth.csv"
+    good = file.read_text()
+    try:
+        file.write_text(good.replace("contact", "touching", 1))
+        out = tmp_path / "out"
+        arguments = [
+            "--model",
+            bundle,
+            "--recordings",
+            paths.root,
+            "--split",
+            "track-curve",
+            "--out",
+            out,
+            "--jobs",
+            1,
+        ]
+        assert softslide.main(["evaluate", *map(str, arguments)]) == 2
+        assert "p00001.truth.csv: column 'contact' is missing" in capsys.readouterr().err
+        assert not out.exists()
+    finally:
+        file.write_text(good)
