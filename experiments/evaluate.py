@@ -80,10 +80,8 @@ def _followed(bundle: Path, folder: Folder, jobs: int) -> list[Track]:
     """Every recording that has its truth beside it, followed; says which of the chosen have none, if some have."""
     names = with_truth(folder)
     if names and len(names) < len(folder):
-        print(
-            f"{len(folder) - len(names)} recordings have no truth beside them; no track of these",
-            file=sys.stderr,
-        )
+        left_out = f"{len(folder) - len(names)} of {len(folder)} recordings have no truth beside them"
+        print(f"softslide evaluate: {left_out}; these are not followed over time", file=sys.stderr)
     rows = tracks(bundle, folder, jobs)
     return list(progress_bar(f"following with {bundle.name}", "recording", rows, len(names)))
 
