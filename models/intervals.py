@@ -43,15 +43,3 @@ def conformal_interval(
             best = uneven, Interval(scale=scale, floor=float(floor))
     assert best is not None
     return best[1]
-
-
-def angle_error_deg(estimate_deg: np.ndarray, truth_deg: np.ndarray) -> np.ndarray:
-    """Signed difference in (-180, 180]."""
-    return -((truth_deg - estimate_deg + 180.0) % 360.0 - 180.0)
-
-
-def line_folds(direction_deg: np.ndarray, offset_mm: np.ndarray, count: int) -> np.ndarray:
-    """A fold number (n,) for each item such that slides along one line share a fold."""
-    lines = np.stack([np.round(direction_deg, 3), np.round(offset_mm, 3)], axis=1)
-    _, number = np.unique(lines, axis=0, return_inverse=True)
-    return np.ravel(number) % count

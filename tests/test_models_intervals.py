@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from models.intervals import angle_error_deg, conformal_interval, line_folds
+from models.held_out import line_folds
+from models.intervals import conformal_interval
 
 
 @pytest.mark.parametrize("tail", [np.inf, 3.0])
@@ -39,12 +40,6 @@ def test_without_deviations_the_width_is_constant():
 def test_no_errors_no_interval():
     with pytest.raises(ValueError, match="no held-out errors"):
         conformal_interval(np.array([]), np.array([]))
-
-
-def test_angles_have_no_seam():
-    np.testing.assert_allclose(
-        angle_error_deg(np.array([359.0, 1.0, 180.0]), np.array([1.0, 359.0, 0.0])), [-2, 2, 180]
-    )
 
 
 def test_slides_along_one_line_share_a_fold():

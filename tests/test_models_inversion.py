@@ -9,7 +9,7 @@ from bump_map import bump_map
 
 from models.cnn.inversion import Inversion, cramer_rao
 from models.cnn.training_windows import SynthesisConfig, WindowSource
-from models.intervals import angle_error_deg
+from models.held_out import signed_errors
 from pipeline.recordings.windows import LabelledWindows
 
 BLOCK_S = 0.02
@@ -28,16 +28,8 @@ def test_the_inversion_comes_near_the_bound_from_no_start_at_all():
     windows = drawn(60)
     windows = windows[np.abs(windows.offset_mm) < 12]
     inversion = Inversion(bump_map(), BLOCK_S)
-    column = dict(zip(inversion.outputs, inversion.predict(windows.volts, windows.elapsed_s).T, strict=True))
-    direction = np.degrees(np.arctan2(column["direction_sin"], column["direction_cos"]))
-    errors = np.stack(
-        [
-            angle_error_deg(direction, windows.direction_deg),
-            column["log_speed"] - np.log(windows.speed_mm_s),
-            column["offset_mm"] - windows.offset_mm,
-        ],
-        axis=1,
-    )
+    rows = inversion.predict(windows.volts, windows.elapsed_s)
+    errors = np.stack([*signed_errors(rows, inversion.outputs, windows).values()], axis=1)
     least = cramer_rao(bump_map(), BLOCK_S, windows)
     assert least.shape == errors.shape
     # Rms over slides, each in its own bound: one for an estimator as good as can be.

@@ -9,8 +9,8 @@ from calibration_slides import slides_of
 
 from features.stream.conditioning import BlockMean, Conditioning
 from features.stream.tracker import track
-from models.response_map.calibrate import CalibrationSlide
 from models.response_map.lag import TAU_S, retardation_s
+from models.response_map.slides import CalibrationSlide
 from pipeline.synthesis.viscoelastic_lag import standard_solid
 
 DELAYED, TAUS = 0.15, (0.05, 0.2, 0.6)

@@ -9,7 +9,7 @@ from calibration_slides import slides_of
 from hypothesis import given
 from hypothesis import strategies as st
 
-from models.response_map.calibrate import CalibrationConfig, calibrate
+from models.response_map.calibrate import MAP_VARIANCE, RIM_MM, CalibrationConfig, calibrate
 from models.response_map.map import spline_basis, spline_coefficients
 
 HALF_MM = 30.0
@@ -95,3 +95,48 @@ def test_a_good_prior_makes_up_for_recordings():
     alone, _ = calibrate(few, blank, False, CalibrationConfig())
     assert error_of(informed, truth) < 0.5 * error_of(alone, truth)
     assert error_of(informed, truth) < error_of(near, truth)
+
+
+def test_a_stretch_counts_by_the_inverse_of_its_variance():
+    """Two slides over each line that disagree: one of 1 block a stretch, one of 50. The fit is linear in the volts."""
+    truth = bump_map()
+    blank, once = truth.scaled(0.0), CalibrationConfig(iterations=1)
+    speeds = {1: 25.0, 50: 0.5}
+    slides = {
+        blocks: slides_of(truth, LINES, np.full(len(LINES), speed), np.ones(len(LINES)))
+        for blocks, speed in speeds.items()
+    }
+    assert all(slide.blocks == blocks for blocks, group in slides.items() for slide in group)
+
+    def fitted(changed):
+        both = [
+            replace(slide, volts=slide.volts + (5e-3 if blocks == changed else 0.0))
+            for blocks, group in slides.items()
+            for slide in group
+        ]
+        return calibrate(both, blank, False, once)[0].coefficients
+
+    unchanged = fitted(None)
+    short, long = (np.abs(fitted(blocks) - unchanged).sum() for blocks in (1, 50))
+    assert long / short == pytest.approx((1 + MAP_VARIANCE) / (1 / 50 + MAP_VARIANCE), rel=1e-6)
+    assert long / short > 2  # averaging counts, if less than 50 times
+
+
+def test_the_map_is_silent_on_the_rim_whatever_the_slides_show_inside():
+    """Slides that end inside the chamber while they still show 50 mV: a spline alone would carry that on outwards."""
+    truth = bump_map()
+    slides = slides_of(truth, LINES, np.full(len(LINES), 2.0), np.ones(len(LINES)))
+    short = []
+    for slide in slides:
+        inside = np.max(np.abs(slide.place(0.0, 0.0)), axis=0) < 20.0
+        part = {"travelled_mm": slide.travelled_mm[inside], "speed_mm_s": slide.speed_mm_s[inside]}
+        if inside.any():
+            short.append(replace(slide, volts=np.full((int(inside.sum()), 2), 0.05), **part))
+    found, _ = calibrate(short, truth.scaled(0.0), False, CalibrationConfig())
+    x, y = (axis.ravel() for axis in np.meshgrid(np.arange(-15.0, 16.0, 5.0), np.arange(-15.0, 16.0, 5.0)))
+    assert found.response(x, y, 0.3) == pytest.approx(0.05, rel=0.05)
+    half = truth.chamber_mm[0] / 2 + RIM_MM
+    along = np.arange(-half, half, 1.0)
+    rim = np.full(len(along), half + 0.5)
+    for x, y in ((rim, along), (-rim, along), (along, rim), (along, -rim)):
+        assert np.abs(found.response(x, y, 0.3)).max() < 0.15 * 0.05

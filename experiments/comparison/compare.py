@@ -95,7 +95,7 @@ def _bounds(study: Study) -> pd.DataFrame:
     def made() -> tuple[pd.DataFrame, dict[str, float]]:
         print(f"{study.place.name}: the Cramer-Rao bound", file=sys.stderr)
         return efficiency.bound(
-            study.device.maps.response, study.device.conditioning.block_s, study.windows
+            study.calibrated.response, study.calibrated.conditioning.block_s, study.windows
         ), {}
 
     return kept(study.place / "bound", {"map": map_settings(), **study.hashes}, made)[0]

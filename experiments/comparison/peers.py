@@ -16,7 +16,7 @@ from experiments.comparison import minirocket
 from experiments.evaluation.readout import predictions
 from experiments.evaluation.window_readout import window_card, window_predictions
 from experiments.train import design_of, train
-from features.card import Interval, Validity, read_card
+from features.card import HALF_WIDTH_SD, Interval, Validity, read_card
 from features.errors import InputError
 from features.stream.conditioning import Conditioning
 from features.window import Window
@@ -24,7 +24,7 @@ from models.classical import baselines
 from models.cnn.fit import CnnConfig
 from models.cnn.inversion import STARTS, Inversion
 from models.registry import default_config
-from models.response_map.lag import Device, calibrated_device
+from models.response_map.select import CalibratedMap, calibrated_map
 from pipeline.recordings.folder import Folder, read_folder
 from pipeline.recordings.windows import LabelledWindows, labelled_windows
 from pipeline.staging import staged
@@ -34,7 +34,7 @@ from serve.localizer import Localizer
 MODELS = ("interpolation", "trees", "mlp", "gp", "minirocket", "inversion", "cnn")
 # The inversion is believed by its own deviations, which are taken at their word: 90 % of a normal distribution.
 INVERSION_VALIDITY = Validity(misfit=20.0, direction_sd_deg=6.0, log_speed_sd=0.1)
-NORMAL = {name: Interval(1.645, 0.0) for name in ("direction_deg", "log_speed", "offset_mm")}
+NORMAL = {name: Interval(HALF_WIDTH_SD, 0.0) for name in ("direction_deg", "log_speed", "offset_mm")}
 # Windows whose time is taken: of what answers within a millisecond or so, and of the inversion.
 TIMED, TIMED_SLOW = 200, 20
 
@@ -67,11 +67,11 @@ class Study:
         return labelled_windows(self.scored)
 
     @cached_property
-    def device(self) -> Device:
+    def calibrated(self) -> CalibratedMap:
         """What lies inside the default model: the same calibration once more, without its network."""
         c = CnnConfig()
         atlas = design_of(self.taught, None)
-        return calibrated_device(self.taught, atlas, c.conditioning, c.calibration, c.spread)
+        return calibrated_map(self.taught, atlas, c.conditioning, c.calibration, c.spread)
 
     @cached_property
     def hashes(self) -> dict[str, Any]:
@@ -165,8 +165,8 @@ def _read_bundle(study: Study, bundle: Path) -> Readout:
 
 
 def _read_inversion(study: Study) -> Readout:
-    conditioning = study.device.conditioning
-    inversion = Inversion(study.device.maps.response, conditioning.block_s)
+    conditioning = study.calibrated.conditioning
+    inversion = Inversion(study.calibrated.response, conditioning.block_s)
     sensor = study.scored.sensor
     card = window_card("inversion", inversion.outputs, sensor, conditioning, INVERSION_VALIDITY, NORMAL)
     table = window_predictions(inversion.predict, card, study.scored)

@@ -11,10 +11,11 @@ from pathlib import Path
 import numpy as np
 
 from features.errors import InputError
-from models.cnn.fit import CnnConfig, signed_errors
+from models.cnn.fit import CnnConfig
 from models.cnn.inversion import Inversion
-from models.response_map.calibrate import calibration_slides
-from models.response_map.lag import calibrated_device
+from models.held_out import signed_errors
+from models.response_map.select import calibrated_map
+from models.response_map.slides import calibration_slides
 from pipeline.atlas.atlas import Atlas
 from pipeline.atlas.library import atlas_of
 from pipeline.recordings.folder import Folder, read_folder
@@ -55,19 +56,19 @@ def study(
         for draw in range(draws if 0 < count < len(names) else 1):
             chosen = np.random.default_rng(draw).choice(len(names), min(count, len(names)), replace=False)
             part = replace(taught, manifest=taught.manifest.loc[[names[n] for n in np.sort(chosen)]])
-            device = calibrated_device(part, atlas, config.conditioning, config.calibration, config.spread)
-            windows = labelled_windows(scored, device.conditioning, (1.0,))
-            inversion = Inversion(device.maps.response, device.conditioning.block_s)
-            found = inversion.predict(windows.volts, windows.elapsed_s)
-            yield {"slides": len(part), "draw": draw, **_errors(found, windows)}
+            found = calibrated_map(part, atlas, config.conditioning, config.calibration, config.spread)
+            windows = labelled_windows(scored, found.conditioning, (1.0,))
+            inversion = Inversion(found.response, found.conditioning.block_s)
+            rows = inversion.predict(windows.volts, windows.elapsed_s)
+            yield {"slides": len(part), "draw": draw, **_errors(rows, inversion.outputs, windows)}
 
 
-def _errors(found: np.ndarray, windows: LabelledWindows) -> dict[str, float]:
-    direction, speed, offset = signed_errors(found, windows)
+def _errors(rows: np.ndarray, outputs: tuple[str, ...], windows: LabelledWindows) -> dict[str, float]:
+    signed = signed_errors(rows, outputs, windows)
     errors = {
-        "direction_deg": np.abs(direction),
-        "speed_percent": 100 * np.abs(np.expm1(speed)),
-        "offset_mm": np.abs(offset),
+        "direction_deg": np.abs(signed["direction_deg"]),
+        "speed_percent": 100 * np.abs(np.expm1(signed["log_speed"])),
+        "offset_mm": np.abs(signed["offset_mm"]),
     }
     return {
         f"{name}_{what}": round(float(of(values)), 4)

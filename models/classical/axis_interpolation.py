@@ -7,6 +7,7 @@ from sklearn.base import BaseEstimator, RegressorMixin
 from sklearn.utils import Tags
 from sklearn.utils.validation import check_is_fitted, validate_data
 
+from features.angles import wrapped_deg
 from features.errors import InputError
 from features.vector.feature_vector import feature_matrix, feature_names
 from models.classical.interpolation import (
@@ -21,7 +22,6 @@ from models.classical.interpolation import (
     slide_direction,
 )
 from models.classical.sklearn_api import split_rows
-from models.intervals import angle_error_deg
 from pipeline.recordings.windows import LabelledWindows
 
 QUANTITIES = ("speed", "distance")
@@ -39,7 +39,7 @@ def fit_interpolation(windows: LabelledWindows, form: str = "reciprocal") -> Int
     Raises:
         InputError: no whole slides along an axis.
     """
-    turned = np.abs(angle_error_deg(DIRECTIONS_DEG, windows.direction_deg[:, None]))
+    turned = np.abs(wrapped_deg(windows.direction_deg[:, None] - DIRECTIONS_DEG))
     axis = (turned < _AXIS_DEG) & (np.abs(windows.offset_mm)[:, None] <= DETECTABLE_MM)
     whole = windows.stroke_fraction >= windows.stroke_fraction.max()
     rows = axis.any(axis=1) & whole

@@ -7,6 +7,7 @@ from typing import Protocol
 import numpy as np
 import onnx
 
+from features.angles import wrapped_deg
 from features.card import Interval, Validity
 from features.errors import InputError
 from features.stream.conditioning import Conditioning
@@ -18,7 +19,8 @@ from models.classical.baseline_graphs import gp_graph, mlp_graph, trees_graph
 from models.classical.baselines import float_features, taught
 from models.classical.interpolation import SPEED_FORMS
 from models.fitted_model import FittedModel
-from models.intervals import angle_error_deg, conformal_interval, line_folds
+from models.held_out import line_folds
+from models.intervals import conformal_interval
 from pipeline.recordings.folder import Folder
 from pipeline.recordings.windows import LabelledWindows, labelled_windows
 
@@ -173,7 +175,7 @@ def _errors(rows: np.ndarray, windows: LabelledWindows, outputs: tuple[str, ...]
     else:
         log_speed = column["log_speed_width"] - np.log(energy_width_s(windows.volts, windows.elapsed_s))
     return {
-        "direction_deg": angle_error_deg(direction, windows.direction_deg),
+        "direction_deg": -wrapped_deg(windows.direction_deg - direction),
         "log_speed": log_speed - np.log(windows.speed_mm_s),
         "offset_mm": column["offset_mm"] - windows.offset_mm,
     }

@@ -14,13 +14,13 @@ import onnx
 import onnxruntime as ort
 from onnxruntime.quantization import CalibrationDataReader, QuantFormat, QuantType, quantize_static
 
+from features.angles import wrapped_deg
 from features.card import Card, write_card
 from features.errors import InputError
 from models.export.bundle import graph_inputs, read_graph
 from models.export.c99.node import NoForm
 from models.export.c99.source import sources
 from models.graph.packing import pack
-from models.intervals import angle_error_deg
 from pipeline.recordings.folder import SAMPLE, read_folder
 from pipeline.recordings.windows import LabelledWindows, labelled_windows
 from pipeline.staging import staged
@@ -180,7 +180,7 @@ def _errors(card: Card, graph: bytes, path: Path, windows: LabelledWindows) -> d
     column = dict(zip(card.outputs, rows.T, strict=True))
     direction = np.degrees(np.arctan2(column["direction_sin"], column["direction_cos"]))
     errors = {
-        "direction_deg": np.abs(angle_error_deg(direction, windows.direction_deg)),
+        "direction_deg": np.abs(-wrapped_deg(windows.direction_deg - direction)),
         "offset_mm": np.abs(column["offset_mm"] - windows.offset_mm),
     }
     if "log_speed" in column:

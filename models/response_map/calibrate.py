@@ -1,8 +1,9 @@
-"""Calibration: a response map fitted to a device's labelled slides, with the atlas (if any) as its prior.
+"""Calibration: a response map fitted to a sensor's labelled slides, with a map of its design (if any) as the prior.
 
-Penalised least squares for the splines, alternated with each slide's own gain and shift along its line (the
-stage's moment of start and its place are only known so well), and a lag common to all. The penalty on second
-differences is what keeps the friction parts, which few headings tell apart, from bending to noise.
+P-splines (Eilers and Marx 1996): penalised least squares for the splines' coefficients. It alternates with each
+slide's own gain and its shift along its line (the moment of start and the place of a stage are known to about 0.1 mm),
+and with a lag common to all. The penalty on second differences keeps the friction parts, which few directions tell
+apart, from following the noise.
 """
 
 from dataclasses import dataclass, replace
@@ -11,15 +12,29 @@ import numpy as np
 from scipy import sparse
 from scipy.linalg import solveh_banded
 
-from features.stream.conditioning import BlockMean, Conditioning, without_lag
 from models.response_map.map import MARGIN_MM, PARTS, ResponseMap, knots, splines_at
-from pipeline.recordings.folder import Folder
-from pipeline.recordings.stroke import stage_motion
+from models.response_map.slides import CalibrationSlide
 from pipeline.sensor import Sensor
 
-STRETCH_MM = 0.5
-LEAST_DRIFT_V = 5e-4  # a static output is never known better than this
-RIM_MM = 1.5  # beyond the chamber's edge by this much, the skin lies on the base and answers nothing
+# Variance of the map's own residual, which no averaging lessens, in units of a block's noise variance: on bench-a the
+# residual is 0.86 mV beside a noise of 1.35 mV (residual_v in the card of a bundle), 0.4.
+MAP_VARIANCE = 0.5
+LEAST_RESIDUAL_V = (
+    5e-4  # so much of a stretch's output is never explained: one step of the article's converter
+)
+LEAST_DRIFT_V = 5e-4  # likewise the static output is never known better
+RIM_MM = 1.5  # from this far beyond the chamber's edge on, the skin lies on the base and shows nothing
+RIM_WEIGHT = 3.0  # of a rim point, one each mm; a stretch of 0.5 mm weighs at most 2
+RIDGE, LEAST_RIDGE = (
+    1e-3,
+    1e-6,
+)  # hold coefficients that no slide touches: share of the smoothing, and at least
+PENALTY_NOISE_V = 1.35e-3  # a block's noise on the recordings that the penalties were chosen on
+OUTLIER = 4.0  # times the median residual: a slide beyond it has a wrong label
+PRIOR_SLIDES = 4  # how many slides' worth the priors of gain and drift count
+CLEAR = 0.3  # share of the largest peak below which a slide's gain is mostly noise
+SHIFT_STEP_MM = 0.05  # of the central difference
+ITERATIONS = 2  # Gauss-Newton of two numbers that start within a few percent
 
 
 @dataclass(frozen=True)
@@ -50,82 +65,17 @@ class CalibrationConfig:
 
 
 @dataclass(frozen=True)
-class CalibrationSlide:
-    """One labelled slide as the fit sees it: m short stretches of its line.
+class SlideFit:
+    """A slide's own gain and shift along its line, and the residual (m, C) V beside the map."""
 
-    travelled_mm, speed_mm_s: (m,) along the line from the start; volts: (m, C) V, subtracted; blocks: how many blocks
-    a stretch holds, step_s in time.
-    """
-
-    recording: str
-    start_mm: tuple[float, float]
-    direction_rad: float
-    depth_mm: float
-    travelled_mm: np.ndarray
-    speed_mm_s: np.ndarray
-    volts: np.ndarray
-    blocks: int
-    step_s: float
-    rest_noise_v: np.ndarray
+    gain: float
+    shift_mm: float
+    residual_v: np.ndarray
 
     @property
-    def offset_key(self) -> float:
-        """Signed distance (mm) of the line from the chamber's centre; tells lines of one direction apart."""
-        return self.start_mm[1] * np.cos(self.direction_rad) - self.start_mm[0] * np.sin(self.direction_rad)
-
-    def place(self, shift_mm: float, lag_s: float) -> tuple[np.ndarray, np.ndarray]:
-        """Contact positions x, y (m,) mm that the signal answers to, given the slide's shift and the lag."""
-        s = self.travelled_mm - shift_mm - lag_s * self.speed_mm_s
-        return (
-            self.start_mm[0] + s * np.cos(self.direction_rad),
-            self.start_mm[1] + s * np.sin(self.direction_rad),
-        )
-
-
-def calibration_slides(folder: Folder, conditioning: Conditioning) -> list[CalibrationSlide]:
-    """The folder's fully labelled slides; those without start, moments or speed cannot be placed and are left out."""
-    slides = []
-    needed = [
-        "direction_deg",
-        "speed_mm_s",
-        "start_x_mm",
-        "start_y_mm",
-        "travel_mm",
-        "motion_start_s",
-        "motion_end_s",
-    ]
-    size = round(conditioning.block_s * folder.sensor.sample_rate_hz)
-    tilt = [c for c in range(len(folder.sensor.channels)) if c % 3 < 2]
-    for name, row in folder.manifest.dropna(subset=needed).iterrows():
-        recording = folder.load(str(name))
-        blocks = BlockMean(recording.volts.shape[1], size).push(recording.volts)[:, tilt]
-        time_s = recording.time_s[0] + (np.arange(len(blocks)) + 0.5) * conditioning.block_s
-        level = without_lag(blocks, conditioning)
-        rest = blocks[time_s < row.motion_start_s - conditioning.block_s]
-        if len(rest) < 5:
-            continue
-        moving = (time_s > row.motion_start_s - 0.1) & (time_s < row.motion_end_s)
-        duration_s = row.motion_end_s - row.motion_start_s
-        travelled, speed = stage_motion(
-            time_s[moving] - row.motion_start_s, row.travel_mm, row.speed_mm_s, duration_s
-        )
-        count = max(1, round(STRETCH_MM / row.speed_mm_s / conditioning.block_s))
-        whole = len(travelled) // count * count
-        slides.append(
-            CalibrationSlide(
-                recording=str(name),
-                start_mm=(float(row.start_x_mm), float(row.start_y_mm)),
-                direction_rad=float(np.deg2rad(row.direction_deg)),
-                depth_mm=float(row.depth_mm),
-                travelled_mm=travelled[:whole].reshape(-1, count).mean(axis=1),
-                speed_mm_s=speed[:whole].reshape(-1, count).mean(axis=1),
-                volts=(level[moving][:whole] - rest.mean(axis=0)).reshape(-1, count, len(tilt)).mean(axis=1),
-                blocks=count,
-                step_s=count * conditioning.block_s,
-                rest_noise_v=np.diff(rest, axis=0).std(axis=0) / np.sqrt(2),
-            )
-        )
-    return slides
+    def rms_v(self) -> float:
+        """Root mean square of the residual."""
+        return float(np.sqrt(np.mean(self.residual_v**2)))
 
 
 def calibrate(
@@ -135,45 +85,36 @@ def calibrate(
 
     prior: where the fit starts and, if `informed` (it comes from an atlas), what it stays near.
     Returns the map, and its residual: `residual_v` (rms over the slides), `residual_share` (of each slide's largest
-    output, median), `gain_sd`, `lag_s`, `slides`.
+    output, median), `gain_sd`, `lag_s`, `slides`, `outliers`.
     """
-    response = prior
-    gains, shifts = np.ones(len(slides)), np.zeros(len(slides))
     noise = np.sqrt(np.mean([s.rest_noise_v**2 for s in slides], axis=0))
-    response = replace(response, noise_v=noise)
+    response = replace(prior, noise_v=noise)
+    gains, shifts = np.ones(len(slides)), np.zeros(len(slides))
+    speeds = np.array([s.speed_mm_s.max() for s in slides])
+    rms, means = np.empty(len(slides)), np.empty((len(slides), response.channels))
     keep = np.ones(len(slides), dtype=bool)
     for _ in range(config.iterations):
+        kept = [slide for slide, k in zip(slides, keep, strict=True) if k]
         response = _fit_splines(
-            [s for s, k in zip(slides, keep, strict=True) if k],
-            gains[keep],
-            shifts[keep],
-            response,
-            prior if informed else None,
-            config,
+            kept, gains[keep], shifts[keep], response, prior if informed else None, config
         )
-        rms, means = np.empty(len(slides)), np.empty((len(slides), response.channels))
         for i, slide in enumerate(slides):
-            gains[i], shifts[i], left = fit_slide(slide, gains[i], shifts[i], response, config)
-            rms[i], means[i] = np.sqrt(np.mean(left**2)), left.mean(axis=0)
-        # A slide whose labels are wrong must not bend the map: it stands out by its residual.
-        keep = rms < 4 * np.median(rms)
+            fit = fit_slide(slide, response, config, gains[i], shifts[i])
+            gains[i], shifts[i], rms[i] = fit.gain, fit.shift_mm, fit.rms_v
+            means[i] = fit.residual_v.mean(axis=0)
+        # A slide with wrong labels must not bend the map: it stands out by its residual.
+        keep = rms < OUTLIER * np.median(rms)
         gains /= np.mean(gains[keep])
-        speeds = np.array([s.speed_mm_s.max() for s in slides])
-        slope = (
-            np.polyfit(speeds[keep], shifts[keep], 1)[0]
-            if np.ptp(speeds[keep]) > 1 and keep.sum() > 8
-            else 0.0
-        )
-        lag = float(response.lag_s + slope)
+        # A shift that grows with the speed is a lag.
+        lag = float(response.lag_s + _slope(speeds[keep], shifts[keep]))
         shifts -= (lag - response.lag_s) * speeds
         response = replace(response, lag_s=lag)
     peaks = np.array([np.abs(s.volts).max() for s in slides])
-    # A faint slide's gain is mostly noise and says nothing of how slides repeat.
-    clear = keep & (peaks > 0.3 * peaks.max())
-    gain_var = (np.sum((gains[clear] - 1) ** 2) + 4 * config.gain_sd**2) / (clear.sum() + 4)
+    clear = keep & (peaks > CLEAR * peaks.max())
     residual = float(np.sqrt(np.mean(rms[keep] ** 2)))
-    drift = np.sqrt((np.sum(means[keep] ** 2, axis=0) + 4 * LEAST_DRIFT_V**2) / (keep.sum() + 4))
-    response = replace(response, gain_sd=float(np.sqrt(gain_var)), floor_v=residual, drift_v=drift)
+    gain_sd = float(_deviation(gains[clear] - 1, config.gain_sd))
+    drift = _deviation(means[keep], LEAST_DRIFT_V)
+    response = replace(response, gain_sd=gain_sd, floor_v=residual, drift_v=drift)
     return response, {
         "slides": float(len(slides)),
         "outliers": float((~keep).sum()),
@@ -184,10 +125,14 @@ def calibrate(
     }
 
 
-def slide_residual(slide: CalibrationSlide, response: ResponseMap) -> float:
-    """Rms (V) that a map leaves over of a slide, its gain and shift fitted."""
-    left = fit_slide(slide, 1.0, 0.0, response, CalibrationConfig())[2]
-    return float(np.sqrt(np.mean(left**2)))
+def _slope(speeds: np.ndarray, shifts: np.ndarray) -> float:
+    """Slope of shift over speed, s; 0 where few slides or nearly equal speeds do not tell."""
+    return np.polyfit(speeds, shifts, 1)[0] if np.ptp(speeds) > 1 and len(speeds) > 8 else 0.0
+
+
+def _deviation(errors: np.ndarray, prior_sd: float) -> np.ndarray:
+    """Root mean square over slides (n, ...) -> (...), the prior counting as PRIOR_SLIDES further ones."""
+    return np.sqrt((np.sum(errors**2, axis=0) + PRIOR_SLIDES * prior_sd**2) / (len(errors) + PRIOR_SLIDES))
 
 
 def blank_map(sensor: Sensor, depth_mm: float) -> ResponseMap:
@@ -203,8 +148,101 @@ def blank_map(sensor: Sensor, depth_mm: float) -> ResponseMap:
     )
 
 
-def _tensor(x_mm: np.ndarray, y_mm: np.ndarray, half_mm: float) -> sparse.csr_matrix:
-    """Rows of tensor-product splines (n, K^2), 16 entries each."""
+def fit_slide(
+    slide: CalibrationSlide,
+    response: ResponseMap,
+    config: CalibrationConfig,
+    gain: float = 1.0,
+    shift_mm: float = 0.0,
+) -> SlideFit:
+    """A slide's gain and shift given the map, by Gauss-Newton with priors, from the gain and shift given."""
+    assert response.noise_v is not None
+    noise = float(np.hypot(np.median(response.noise_v) / np.sqrt(slide.blocks), LEAST_RESIDUAL_V))
+
+    def model(at: float) -> np.ndarray:
+        x, y = slide.place(at, response.lag_s)
+        return response.response(x, y, slide.direction_rad, slide.depth_mm)
+
+    for _ in range(ITERATIONS):
+        volts = model(shift_mm)
+        h = SHIFT_STEP_MM
+        slope = gain * (model(shift_mm + h) - model(shift_mm - h)) / (2 * h)
+        jacobian = np.stack([volts.ravel(), slope.ravel()], axis=1) / noise
+        jacobian = np.vstack([jacobian, np.diag([1 / config.gain_sd, 1 / config.shift_sd_mm])])
+        residuals = np.append(
+            (slide.volts - gain * volts).ravel() / noise,
+            [(1 - gain) / config.gain_sd, -shift_mm / config.shift_sd_mm],
+        )
+        step = np.linalg.lstsq(jacobian, residuals, rcond=None)[0]
+        gain, shift_mm = gain + step[0], shift_mm + step[1]
+    return SlideFit(gain, shift_mm, slide.volts - gain * model(shift_mm))
+
+
+def _fit_splines(
+    slides: list[CalibrationSlide],
+    gains: np.ndarray,
+    shifts: np.ndarray,
+    response: ResponseMap,
+    prior: ResponseMap | None,
+    config: CalibrationConfig,
+) -> ResponseMap:
+    """One penalised least-squares solution for M, Fx, Fy with the slides' gains and shifts held.
+
+    Minimizes sum w |volts - g (M + cos Fx + sin Fy + (d - d0) D)|^2 + rim + penalties over the coefficients' distance
+    from the prior's. The unknowns are in the order place, part: the normal matrix is then a band of a few hundred.
+    """
+    assert response.noise_v is not None
+    k = knots(response.half_mm)
+    size = k * k
+    right = np.zeros((size, PARTS, response.channels))
+    start = np.zeros_like(right) if prior is None else _by_place(prior.coefficients)
+    depth_slope = response.depth_slope.reshape(size, -1)
+    # Slides of one direction share their weights of M, Fx, Fy, so that their Gram matrices add up.
+    grams: dict[float, sparse.csr_matrix] = {}
+    for slide, gain, shift in zip(slides, gains, shifts, strict=True):
+        rows = _tensor_splines(*slide.place(shift, response.lag_s), response.half_mm) * gain
+        # One over the variance in units of one block's noise: of the averaged noise, and of the map's own residual.
+        weight = 1.0 / (1.0 / slide.blocks + MAP_VARIANCE)
+        parts = _part_weights(slide.direction_rad)
+        off_depth = slide.depth_mm - response.depth_mm
+        known = rows @ (off_depth * depth_slope + np.tensordot(parts, start, (0, 1)))
+        right += weight * parts[:, None] * (rows.T @ (slide.volts - known))[:, None]
+        before = grams.get(slide.direction_rad, sparse.csr_matrix((size, size)))
+        grams[slide.direction_rad] = before + weight * (rows.T @ rows)
+    outer = (np.outer(_part_weights(direction), _part_weights(direction)) for direction in grams)
+    normal = sum(sparse.kron(gram, both) for gram, both in zip(grams.values(), outer, strict=True))
+    # Penalties are per V^2; the data count in units of their noise.
+    scale = (float(np.median(response.noise_v)) / PENALTY_NOISE_V) ** 2
+    smooth = scale * np.array([config.smooth_mean, *[config.smooth_friction] * (PARTS - 1)])
+    near = scale * (config.near_prior if prior is not None else LEAST_RIDGE)
+    rim = RIM_WEIGHT * _rim_gram(response)
+    normal += sparse.kron(_roughness(k), np.diag(smooth)) + sparse.kron(rim, np.eye(PARTS))
+    normal += sparse.kron(sparse.identity(size), np.diag(RIDGE * smooth + near))
+    right -= (rim @ start.reshape(size, -1)).reshape(start.shape)
+    solution = start + _solved(normal, right.reshape(PARTS * size, -1)).reshape(start.shape)
+    return replace(response, coefficients=solution.reshape(k, k, PARTS, -1).transpose(2, 0, 1, 3))
+
+
+def _roughness(k: int) -> sparse.spmatrix:
+    """Penalty matrix (K^2, K^2): squared second differences of neighbouring coefficients along x and along y."""
+    second = sparse.diags([1.0, -2.0, 1.0], [0, 1, 2], shape=(k - 2, k))
+    bend, line = second.T @ second, sparse.identity(k)
+    return sparse.kron(bend, line) + sparse.kron(line, bend)
+
+
+def _rim_gram(response: ResponseMap) -> sparse.csr_matrix:
+    """Gram matrix (K^2, K^2) of the splines at points of the rim, one each mm, where the response is zero."""
+    grid = np.arange(-response.half_mm, response.half_mm + 0.5, 1.0)
+    x, y = (axis.ravel() for axis in np.meshgrid(grid, grid, indexing="ij"))
+    rim = (np.abs(x) > response.chamber_mm[0] / 2 + RIM_MM) | (
+        np.abs(y) > response.chamber_mm[1] / 2 + RIM_MM
+    )
+    rows = _tensor_splines(x[rim], y[rim], response.half_mm)
+    return rows.T @ rows
+
+
+def _tensor_splines(x_mm: np.ndarray, y_mm: np.ndarray, half_mm: float) -> sparse.csr_matrix:
+    """Values of the tensor-product splines at points (n,): rows (n, K^2), 16 entries each."""
     (i, across), (j, up) = (splines_at(place, half_mm) for place in (x_mm, y_mm))
     k = knots(half_mm)
     columns, values = k * i[:, :, None] + j[:, None, :], across[:, :, None] * up[:, None, :]
@@ -212,46 +250,15 @@ def _tensor(x_mm: np.ndarray, y_mm: np.ndarray, half_mm: float) -> sparse.csr_ma
     return sparse.csr_matrix((values.ravel(), columns.ravel(), begins), shape=(len(i), k * k))
 
 
-def _fit_splines(slides, gains, shifts, response, prior, config) -> ResponseMap:
-    """One penalised least-squares solution for M, Fx, Fy with the slides' gains and shifts held."""
-    k = knots(response.half_mm)
-    size = k * k
-    noise = float(np.median(response.noise_v))
-    # Unknowns in the order place, part: the normal matrix is then a band of a few hundred.
-    right = np.zeros((size, PARTS, response.channels))
-    start = np.zeros_like(right) if prior is None else _by_place(prior.coefficients)
-    slope = response.depth_slope.reshape(size, -1)
-    grams: dict[float, sparse.csr_matrix] = {}
-    for slide, gain, shift in zip(slides, gains, shifts, strict=True):
-        x, y = slide.place(shift, response.lag_s)
-        rows = _tensor(x, y, response.half_mm) * gain
-        # What the map cannot follow limits a stretch's weight, however long it was averaged.
-        weight = 1.0 / (1.0 / slide.blocks + 0.5)
-        turn = _turn(slide.direction_rad)
-        known = rows @ ((slide.depth_mm - response.depth_mm) * slope + np.tensordot(turn, start, (0, 1)))
-        right += weight * turn[:, None] * (rows.T @ (slide.volts - known))[:, None]
-        before = grams.get(slide.direction_rad, sparse.csr_matrix((size, size)))
-        grams[slide.direction_rad] = before + weight * (rows.T @ rows)
-    turns = (np.outer(_turn(direction), _turn(direction)) for direction in grams)
-    normal = sum(sparse.kron(gram, turn) for gram, turn in zip(grams.values(), turns, strict=True))
-    second = sparse.diags([1.0, -2.0, 1.0], [0, 1, 2], shape=(k - 2, k))
-    bend, line = second.T @ second, sparse.identity(k)
-    rough = sparse.kron(bend, line) + sparse.kron(line, bend)
-    rim = _rim_gram(response)
-    scale = (noise / 1.35e-3) ** 2
-    smooth = scale * np.array([config.smooth_mean, *[config.smooth_friction] * (PARTS - 1)])
-    near = scale * (config.near_prior if prior is not None else 1e-6)
-    normal += sparse.kron(rough, np.diag(smooth)) + sparse.kron(3 * rim, np.eye(PARTS))
-    normal += sparse.kron(sparse.identity(size), np.diag(1e-3 * smooth + near))
-    right -= 3 * (rim @ start.reshape(size, -1)).reshape(start.shape)
-    solution = start + _solved(normal, right.reshape(PARTS * size, -1)).reshape(start.shape)
-    return replace(response, coefficients=solution.reshape(k, k, PARTS, -1).transpose(2, 0, 1, 3))
-
-
 def _by_place(coefficients: np.ndarray) -> np.ndarray:
     """(3, K, K, C) -> (K^2, 3, C)."""
     parts, k, _, channels = coefficients.shape
     return coefficients.transpose(1, 2, 0, 3).reshape(k * k, parts, channels)
+
+
+def _part_weights(direction_rad: float) -> np.ndarray:
+    """Weights (3,) of M, Fx, Fy for a motion's direction."""
+    return np.array([1.0, np.cos(direction_rad), np.sin(direction_rad)])
 
 
 def _solved(normal: sparse.spmatrix, right: np.ndarray) -> np.ndarray:
@@ -261,41 +268,3 @@ def _solved(normal: sparse.spmatrix, right: np.ndarray) -> np.ndarray:
     stored = np.zeros((band + 1, upper.shape[0]))
     stored[band + upper.row - upper.col, upper.col] = upper.data
     return solveh_banded(stored, right, overwrite_ab=True, check_finite=False)
-
-
-def _turn(direction_rad: float) -> np.ndarray:
-    """Weights (3,) of M, Fx, Fy for a motion's direction."""
-    return np.array([1.0, np.cos(direction_rad), np.sin(direction_rad)])
-
-
-def _rim_gram(response: ResponseMap) -> sparse.csr_matrix:
-    """Gram matrix (K^2, K^2) of the splines over points of the rim, where the response is known to be zero."""
-    grid = np.arange(-response.half_mm, response.half_mm + 0.5, 1.0)
-    x, y = (axis.ravel() for axis in np.meshgrid(grid, grid, indexing="ij"))
-    rim = (np.abs(x) > response.chamber_mm[0] / 2 + RIM_MM) | (
-        np.abs(y) > response.chamber_mm[1] / 2 + RIM_MM
-    )
-    rows = _tensor(x[rim], y[rim], response.half_mm)
-    return rows.T @ rows
-
-
-def fit_slide(slide, gain, shift, response, config) -> tuple[float, float, np.ndarray]:
-    """A slide's gain and shift (mm) given the map, by Gauss-Newton with priors; and what is left (m, C) V."""
-    noise = float(np.hypot(np.median(response.noise_v) / np.sqrt(slide.blocks), 5e-4))
-
-    def model(at: float) -> np.ndarray:
-        x, y = slide.place(at, response.lag_s)
-        return response.response(x, y, slide.direction_rad, slide.depth_mm)
-
-    for _ in range(2):
-        volts = model(shift)
-        slope = gain * (model(shift + 0.05) - model(shift - 0.05)) / 0.1
-        rows = np.stack([volts.ravel(), slope.ravel()], axis=1) / noise
-        rows = np.vstack([rows, np.diag([1 / config.gain_sd, 1 / config.shift_sd_mm])])
-        gaps = np.append(
-            (slide.volts - gain * volts).ravel() / noise,
-            [(1 - gain) / config.gain_sd, -shift / config.shift_sd_mm],
-        )
-        step = np.linalg.lstsq(rows, gaps, rcond=None)[0]
-        gain, shift = gain + step[0], shift + step[1]
-    return gain, shift, slide.volts - gain * model(shift)

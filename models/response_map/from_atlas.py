@@ -1,7 +1,8 @@
-"""The atlas as a prior: a response map of the design, moved to where a few recordings say the device is.
+"""The atlas as a prior: the design's response map, its parameters fitted to a few recordings of the sensor.
 
-What a device differs by from its design: the skin's height, each board's place and turn, gain, friction. Those few
-numbers are fitted with priors of their own, so that four recordings already mend them and none leave the design.
+A sensor differs from its design by the skin's height, each board's place, rotation and gain, and friction. These few
+numbers are fitted with priors of their own: four recordings already correct them, and without any they stay the
+design's.
 """
 
 from dataclasses import dataclass, replace
@@ -9,29 +10,35 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import least_squares
 
-from models.response_map.calibrate import CalibrationSlide
 from models.response_map.map import MARGIN_MM, PARTS, ResponseMap, spline_coefficients
+from models.response_map.slides import CalibrationSlide
 from pipeline.atlas.atlas import Atlas
 from pipeline.sensor import Sensor
 
-GRID_MM = 1.0
-DEPTH_STEP_MM = 0.1
-SAMPLE_MM = 2.0
-MOST_SLIDES = 24
-LEFT_G = 0.01  # what a design leaves over of a device that nothing is known of
-COMMON = 4  # numbers that all boards share: height, friction, lag, width
+GRID_MM = 1.0  # of the points that splines are fitted to; they are 2.5 mm apart
+DEPTH_STEP_MM = 0.1  # of the central difference over depth
+SAMPLE_MM = 2.0  # between the stretches used; neighbours say the same
+MOST_SLIDES = 24  # a few parameters need no more; the fit's time grows with them
+# Independent pieces of evidence in a slide: the residuals of neighbouring stretches are alike.
+PIECES = 8.0
+# Residual of a design's map on a sensor that nothing is known of: with 10 mg instead of 5 the distance error on
+# bench-a's calibration lines fell from 0.46 to 0.35 mm (experiments/LOG.md).
+DESIGN_RESIDUAL_G = 0.01
+# Noise of a block, drift and gain before any recording: of the article's sensor (0.8 V/g), as calibrations find them.
+DESIGN_NOISE_V, DESIGN_DRIFT_V, DESIGN_GAIN_SD = 1.4e-3, 7e-4, 0.1
+COMMON = 4  # parameters that all boards share: height, friction, lag, width
 
 
 @dataclass(frozen=True)
-class DeviceSpread:
-    """How a device differs from its design: standard deviations, and two centres that are not the design's.
+class SensorSpread:
+    """How a sensor differs from its design: standard deviations, and two means that are not the design's.
 
-    gain: of a board's logarithm of the gain; turn_rad, place_mm: of a board's turn and place; friction: relative.
-    height_mm: the skin's height, mean and deviation. width: the logarithm of how far the skin's answer reaches
-    around a board, over what the solved design says, mean and deviation. misfit: what the moved design leaves over, as
-    a share of the largest output.
+    gain: of a board's log gain; turn_rad, place_mm: of a board's rotation and place; friction: relative; lag_s: of the
+    skin's lag. height_mm: the skin's height, mean and deviation. width: the logarithm of the response's reach around a
+    board over that of the solved design, mean and deviation. misfit: the residual of the fitted design, as a share of
+    the largest output.
 
-    The means come from the calibration lines of two emulated benches with different chambers, which agree: answers
+    The means come from the calibration lines of two emulated benches with different chambers, which agree: responses
     reach 11 and 14 % further than solved, at heights of 7.2 and 8.1 mm (experiments/LOG.md).
     """
 
@@ -74,19 +81,19 @@ def design_map(atlas: Atlas, sensor: Sensor, height_mm: float, depth_mm: float) 
         sensor.chamber_mm,
         sensor.reference_mm,
         depth_mm=depth_mm,
-        noise_v=np.full(channels, 1.4e-3),
-        drift_v=np.full(channels, 7e-4),
-        floor_v=LEFT_G * float(np.mean([a.sensitivity_v_per_g for a in sensor.accelerometers])),
-        gain_sd=0.1,
+        noise_v=np.full(channels, DESIGN_NOISE_V),
+        drift_v=np.full(channels, DESIGN_DRIFT_V),
+        floor_v=DESIGN_RESIDUAL_G * float(np.mean([a.sensitivity_v_per_g for a in sensor.accelerometers])),
+        gain_sd=DESIGN_GAIN_SD,
     )
 
 
-def device_map(
-    atlas: Atlas, sensor: Sensor, slides: list[CalibrationSlide], depth_mm: float, spread: DeviceSpread
+def prior_map(
+    atlas: Atlas, sensor: Sensor, slides: list[CalibrationSlide], depth_mm: float, spread: SensorSpread
 ) -> tuple[ResponseMap, dict[str, float]]:
-    """The design's map moved to the device; and by what it was moved.
+    """The design's map with its parameters fitted to the slides, by least squares with priors; and the parameters.
 
-    Without slides it is a device in the middle of the spread.
+    Without slides the parameters are the means of the spread.
     """
     depth_mm = float(np.clip(depth_mm, atlas.depth_mm[0], atlas.depth_mm[-1]))
     heights = atlas.height_mm
@@ -97,7 +104,6 @@ def device_map(
     centre[3] = spread.width[0]
     start = centre
     if slides:
-        # A few numbers need no more slides than this; the fit's time grows with them.
         slides = slides[:: max(1, len(slides) // MOST_SLIDES)]
         sd = np.array(
             [spread.height_mm[1], spread.friction, spread.lag_s, spread.width[1]]
@@ -106,14 +112,13 @@ def device_map(
         sd[0] = sd[0] if len(heights) > 1 else 1e-6
         peak = max(float(np.abs(s.volts).max()) for s in slides)
 
-        def gaps(p: np.ndarray) -> np.ndarray:
+        def residuals(p: np.ndarray) -> np.ndarray:
             design = _mixed(levels, heights, middle, p)
-            left = [np.ravel((_shown(design, sensor, p, s) - s.volts)[:: _every(s)]) for s in slides]
-            # Neighbouring stretches err alike: each slide counts as a few independent pieces of evidence.
-            scale = spread.misfit * peak * np.sqrt(sum(len(v) for v in left) / (8.0 * len(slides)))
-            return np.concatenate([*[v / scale for v in left], (p - centre) / sd])
+            errors = [np.ravel((_predicted(design, sensor, p, s) - s.volts)[:: _every(s)]) for s in slides]
+            scale = spread.misfit * peak * np.sqrt(sum(len(v) for v in errors) / (PIECES * len(slides)))
+            return np.concatenate([*[v / scale for v in errors], (p - centre) / sd])
 
-        start = least_squares(gaps, start, x_scale=sd, method="trf", max_nfev=12).x
+        start = least_squares(residuals, start, x_scale=sd, method="trf", max_nfev=12).x
     moved = _warped(_mixed(levels, heights, middle, start), sensor, start)
     report = {
         "height_mm": _height(heights, middle, start),
@@ -142,7 +147,7 @@ def _height(heights: np.ndarray, middle: float, p: np.ndarray) -> float:
 
 
 def _mixed(levels: list[ResponseMap], heights: np.ndarray, middle: float, p: np.ndarray) -> ResponseMap:
-    """The design at the device's height (quadratic through three levels, linear through two), friction and lag."""
+    """The design at the height, friction and lag of parameters p: Lagrange's polynomial through the levels."""
     height_mm = _height(heights, middle, p)
     weights = np.ones(len(heights))
     for i, h in enumerate(heights):
@@ -155,14 +160,14 @@ def _mixed(levels: list[ResponseMap], heights: np.ndarray, middle: float, p: np.
     return replace(levels[0], coefficients=friction * coefficients, depth_slope=slope, lag_s=float(p[2]))
 
 
-def _shown(design: ResponseMap, sensor: Sensor, p: np.ndarray, slide: CalibrationSlide) -> np.ndarray:
-    """What the moved design shows along a slide (m, C) V."""
+def _predicted(design: ResponseMap, sensor: Sensor, p: np.ndarray, slide: CalibrationSlide) -> np.ndarray:
+    """Output (m, C) V along a slide, predicted by the design with parameters p."""
     contact = slide.place(0.0, design.lag_s)
     boards = []
     for k in range(design.channels // 2):
         gain, turn = p[COMMON + 4 * k : COMMON + 2 + 4 * k]
         volts = _board(design, k).response(
-            *_placed(*contact, sensor, k, p), slide.direction_rad, slide.depth_mm
+            *_design_place(*contact, sensor, k, p), slide.direction_rad, slide.depth_mm
         )
         boards.append(np.exp(gain) * _rotated(volts, turn))
     return np.hstack(boards)
@@ -182,27 +187,27 @@ def _rotated(volts: np.ndarray, turn_rad: float) -> np.ndarray:
     return volts @ np.array([[cos, -sin], [sin, cos]])
 
 
-def _placed(
+def _design_place(
     x_mm: np.ndarray, y_mm: np.ndarray, sensor: Sensor, board: int, p: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Where on the design's skin a contact would show in the design's board as it does in the device's."""
+    """Where a contact on the design would show in the design's board as it does in this sensor's."""
     home, (dx, dy) = sensor.accelerometers[board], p[COMMON + 2 + 4 * board : COMMON + 4 + 4 * board]
     narrow = np.exp(-p[3])
     return home.x_mm + narrow * (x_mm - home.x_mm - dx), home.y_mm + narrow * (y_mm - home.y_mm - dy)
 
 
 def _warped(design: ResponseMap, sensor: Sensor, p: np.ndarray) -> ResponseMap:
-    """The moved design as a map of its own."""
+    """The design with parameters p as a map: splines fitted to its responses on a grid."""
     grid = np.arange(-design.half_mm, design.half_mm + GRID_MM / 2, GRID_MM)
     x, y = (axis.ravel() for axis in np.meshgrid(grid, grid, indexing="ij"))
     boards = []
     for k in range(design.channels // 2):
         gain, turn = p[COMMON + 4 * k : COMMON + 2 + 4 * k]
-        placed, one = _placed(x, y, sensor, k, p), _board(design, k)
+        place, one = _design_place(x, y, sensor, k, p), _board(design, k)
         surfaces = []
         for surface in (*one.coefficients, one.depth_slope):
             still = replace(one, coefficients=np.stack([surface, 0 * surface, 0 * surface]))
-            values = np.exp(gain) * _rotated(still.response(*placed, 0.0), turn)
+            values = np.exp(gain) * _rotated(still.response(*place, 0.0), turn)
             surfaces.append(
                 spline_coefficients(values.reshape(len(grid), len(grid), 2), grid, design.half_mm)
             )

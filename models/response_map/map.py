@@ -1,18 +1,19 @@
-"""The response map: what the accelerometers show for a contact at x, y, moving in a direction, at a depth.
+"""The response map: the accelerometers' output for a contact at x, y, moving in a direction, at a depth.
 
 V(x, y, a, d) = g [M(x, y) + cos(a) Fx(x, y) + sin(a) Fy(x, y) + (d - d0) D(x, y)], g = 1 + slide-to-slide error
 
-M is the skin's answer without friction, Fx and Fy what friction adds along each axis (first order in the friction
-coefficient), D the change with contact depth; each a tensor product of uniform cubic B-splines. The signal follows
-the contact with a lag. Only V_x and V_y are mapped: gravity has a fixed length, so V_z adds nothing to them.
+M is the response without friction, Fx and Fy what friction adds along each axis (first order in the friction
+coefficient), D the change with contact depth; each a tensor product of uniform cubic B-splines (de Boor 1978). The
+signal follows the contact with a lag. Only V_x and V_y are mapped: gravity has a fixed length, so V_z adds nothing to
+them.
 """
 
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-SPACING_MM = 2.5
-MARGIN_MM = 5.0
+SPACING_MM = 2.5  # of the splines; recorded lines are 5 mm apart
+MARGIN_MM = 5.0  # the map reaches this far over the chamber's rim, two splines on which it falls to zero
 PARTS = 3  # mean, along x, along y
 
 
@@ -22,13 +23,13 @@ class ResponseMap:
 
     coefficients: (3, K, K, C) V, spline coefficients of M, Fx, Fy; C tilt channels a0_vx, a0_vy, a1_vx, ...
     depth_slope: (K, K, C) V/mm, spline coefficients of D; zero where no atlas told it.
-    chamber_mm: sizes of the chamber along x and y; over its rim the skin lies on the base and answers nothing.
+    chamber_mm: sizes of the chamber along x and y; over its rim the skin lies on the base and shows nothing.
     reference_mm: the point that offsets are measured from.
     depth_mm: d0, the depth of the recordings that M was fitted to.
     lag_s: the skin's lag behind the contact.
     noise_v: (C,) V, standard deviation of one block's mean at rest.
     drift_v: (C,) V, standard deviation of the static output between a slide's start and end.
-    floor_v: V, standard deviation of what the map leaves over.
+    floor_v: V, standard deviation of the map's residual.
     gain_sd: standard deviation of the slide-to-slide gain.
     """
 

@@ -1,7 +1,8 @@
-"""From a design and a device's slides to its response map: from the atlas, from recordings, or from both.
+"""From a sensor's slides and its design to its response map, the residual lag undone.
 
-Of the ways that are open, the one that predicts held-out lines best is taken: a coarse or foreign atlas must not
-spoil what many recordings tell, and few recordings need the atlas, and need to keep close to it.
+Candidate fits (near the atlas's prior with three stiffnesses, or from recordings alone) are compared by
+cross-validation over lines: a coarse or foreign atlas must not spoil what many recordings tell, and few recordings
+need the atlas and a fit that keeps close to it.
 """
 
 from collections.abc import Callable
@@ -10,114 +11,159 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from features.errors import InputError
-from models.intervals import line_folds
-from models.response_map.calibrate import (
-    CalibrationConfig,
-    CalibrationSlide,
-    blank_map,
-    calibrate,
-    slide_residual,
-)
-from models.response_map.from_atlas import DeviceSpread, device_map
+from features.stream.conditioning import Conditioning
+from models.held_out import line_folds
+from models.response_map.calibrate import CalibrationConfig, blank_map, calibrate, fit_slide
+from models.response_map.from_atlas import SensorSpread, prior_map
+from models.response_map.lag import with_lag
 from models.response_map.map import ResponseMap
+from models.response_map.slides import CalibrationSlide, calibration_slides
 from pipeline.atlas.atlas import Atlas
+from pipeline.recordings.folder import Folder
 from pipeline.sensor import Sensor
 
 FOLDS = 4
 LEAST_ALONE = 24  # slides; fewer leave the map without an atlas full of holes
-# Times the penalties on what moves the map away from its prior; first: where in doubt.
+# Times the penalties on what moves the map away from its prior: 30 is best with 12 slides, 5 with 24, 1 with a hundred
+# (experiments/LOG.md). The first is taken in doubt.
 STIFFNESS = (30.0, 5.0, 1.0)
+FITS = 4  # the lag is found in the first, what it leaves in the others; it converges in two on the benches
+USUAL_DEPTH_MM = 0.5  # contact depth of the article's recordings, where no slide says
 
-Fit = Callable[[list[CalibrationSlide], ResponseMap | None], tuple[ResponseMap, dict[str, float]]]
+Maps = list[tuple[ResponseMap, np.ndarray]]
 
 
 @dataclass(frozen=True)
-class DeviceMaps:
-    """The device's map; and, for honest errors, maps fitted without some lines, each with those lines' recordings."""
+class CalibratedMap:
+    """A sensor's response map and what it was found from.
+
+    response: fitted to all slides. held_out: for honest errors, maps fitted without some lines, each with the names of
+    those lines' recordings. conditioning: of the signal that it is a map of, the lag undone. slides: how many there
+    were. summary: figures of the fit; `from_atlas` is 1 where the candidate chosen starts from an atlas.
+    """
 
     response: ResponseMap
-    held_out: list[tuple[ResponseMap, np.ndarray]]
+    held_out: Maps
+    conditioning: Conditioning
+    slides: int
     summary: dict[str, float]
 
 
-def device_maps(
-    slides: list[CalibrationSlide],
-    sensor: Sensor,
+def calibrated_map(
+    folder: Folder,
     atlas: Atlas | None,
-    config: CalibrationConfig,
-    spread: DeviceSpread,
-) -> DeviceMaps:
-    """Fits the map by every way that is open and keeps the best; `summary["from_atlas"]` says which (1 or 0).
+    conditioning: Conditioning,
+    calibration: CalibrationConfig,
+    spread: SensorSpread,
+) -> CalibratedMap:
+    """Calibrates on the folder's slides: the map, the lag it shows, then the map of the signal without this lag.
+
+    A lag that `conditioning` already names is taken as it is.
 
     Raises:
         InputError: neither an atlas nor enough slides.
     """
-    depth = float(np.median([s.depth_mm for s in slides])) if slides else 0.5
-    if atlas is None and len(slides) < LEAST_ALONE:
+    lag_known = conditioning.delayed > 0
+    for _ in range(FITS):
+        read = conditioning
+        slides = calibration_slides(folder, read)
+        candidates = _candidates(len(slides), atlas is not None, calibration, folder.sensor)
+        whole, folds = _parts(slides, atlas, folder.sensor, spread)
+        response, held_out, summary = _cross_validated(candidates, whole, folds)
+        conditioning = read if lag_known else with_lag(read, slides, response, held_out)
+        if conditioning == read:
+            break
+    lag = {"delayed": read.delayed, "tau_s": read.tau_s}
+    return CalibratedMap(response, held_out, read, len(slides), summary | lag)
+
+
+@dataclass(frozen=True)
+class _Part:
+    """slides: to fit to. prior: a map of the design moved to them (None without an atlas), with what moved it.
+    unseen: the slides that were left out."""
+
+    slides: list[CalibrationSlide]
+    prior: ResponseMap | None
+    moved: dict[str, float]
+    depth_mm: float
+    unseen: list[CalibrationSlide]
+
+
+_Fit = Callable[[_Part], tuple[ResponseMap, dict[str, float]]]
+
+
+def _candidates(slides: int, has_atlas: bool, config: CalibrationConfig, sensor: Sensor) -> dict[str, _Fit]:
+    """The fits that are possible, by name: near an atlas's prior, a stiffness each, and from recordings alone.
+
+    Raises:
+        InputError: neither an atlas nor enough slides.
+    """
+    if not has_atlas and slides < LEAST_ALONE:
         raise InputError(
-            f"{sensor.name}: {len(slides)} labelled slides and no atlas; record at least {LEAST_ALONE}, "
+            f"{sensor.name}: {slides} labelled slides and no atlas; record at least {LEAST_ALONE}, "
             "or name an atlas that 'softslide simulate' made"
         )
-    parts, unseen = _parts(slides)
-    moved = [(None, {}) if atlas is None else device_map(atlas, sensor, p, depth, spread) for p in parts]
-    priors = [prior for prior, _ in moved]
-    ways = _ways(len(slides), blank_map(sensor, depth), atlas is not None, config)
-    held_out = {
-        name: [
-            (fit(part, prior)[0], lines)
-            for part, prior, lines in zip(parts[1:], priors[1:], unseen, strict=True)
-        ]
-        for name, fit in ways.items()
-    }
-    left = {name: _residual_share(slides, maps) for name, maps in held_out.items()}
-    best = min(ways, key=lambda name: left[name])
-    response, summary = ways[best](slides, priors[0])
-    shares = {f"heldout_residual_{name}": share for name, share in left.items() if unseen}
-    return DeviceMaps(
-        response, held_out[best], moved[0][1] | summary | shares | {"from_atlas": float(best != "alone")}
-    )
 
-
-def _parts(slides: list[CalibrationSlide]) -> tuple[list[list[CalibrationSlide]], list[np.ndarray]]:
-    """All the slides, then all but a fold of lines each, and the recordings of these folds."""
-    if len(slides) < 2 * FOLDS:
-        return [slides], []
-    names = np.array([s.recording for s in slides])
-    fold = line_folds(
-        np.array([s.direction_rad for s in slides]), np.array([s.offset_key for s in slides]), FOLDS
-    )
-    numbers = np.unique(fold)
-    parts = [[s for s, f in zip(slides, fold, strict=True) if f != number] for number in numbers]
-    return [slides, *parts], [names[fold == number] for number in numbers]
-
-
-def _ways(slides: int, blank: ResponseMap, has_atlas: bool, config: CalibrationConfig) -> dict[str, Fit]:
-    """The fits that are open: near an atlas's prior, each with its stiffness, and from recordings alone."""
-
-    def near(stiffness: float) -> Fit:
+    def near(stiffness: float) -> _Fit:
         stiff = config.stiffened(stiffness)
 
-        def fit(part: list[CalibrationSlide], prior: ResponseMap | None):
-            assert prior is not None
-            return calibrate(part, prior, True, stiff) if part else (prior, {})
+        def fit(part: _Part) -> tuple[ResponseMap, dict[str, float]]:
+            assert part.prior is not None
+            return calibrate(part.slides, part.prior, True, stiff) if part.slides else (part.prior, {})
 
         return fit
 
-    def alone(part: list[CalibrationSlide], prior: ResponseMap | None):
+    def alone(part: _Part) -> tuple[ResponseMap, dict[str, float]]:
+        blank = blank_map(sensor, part.depth_mm)
         # Recordings of one depth say nothing of others: that part is the design's in any case.
-        start = blank if prior is None else replace(blank, depth_slope=prior.depth_slope)
-        return calibrate(part, start, False, config)
+        start = blank if part.prior is None else replace(blank, depth_slope=part.prior.depth_slope)
+        return calibrate(part.slides, start, False, config)
 
-    ways: dict[str, Fit] = {f"atlas_{s:g}": near(s) for s in STIFFNESS} if has_atlas else {}
-    return ways | ({"alone": alone} if slides >= LEAST_ALONE else {})
+    candidates: dict[str, _Fit] = {f"atlas_{s:g}": near(s) for s in STIFFNESS} if has_atlas else {}
+    return candidates | ({"alone": alone} if slides >= LEAST_ALONE else {})
 
 
-def _residual_share(slides: list[CalibrationSlide], maps: list[tuple[ResponseMap, np.ndarray]]) -> float:
-    """Median over slides of what their held-out map leaves over, as a share of the slide's largest output."""
+def _parts(
+    slides: list[CalibrationSlide], atlas: Atlas | None, sensor: Sensor, spread: SensorSpread
+) -> tuple[_Part, list[_Part]]:
+    """All the slides; and all but a fold of lines each, where there are enough slides for folds."""
+    depth_mm = float(np.median([s.depth_mm for s in slides])) if slides else USUAL_DEPTH_MM
+
+    def part(seen: list[CalibrationSlide], unseen: list[CalibrationSlide]) -> _Part:
+        prior, moved = (None, {}) if atlas is None else prior_map(atlas, sensor, seen, depth_mm, spread)
+        return _Part(seen, prior, moved, depth_mm, unseen)
+
+    whole = part(slides, [])
+    if len(slides) < 2 * FOLDS:
+        return whole, []
+    direction = np.array([s.direction_rad for s in slides])
+    fold = line_folds(direction, np.array([s.line_offset_mm for s in slides]), FOLDS)
+    split = (
+        tuple([s for s, f in zip(slides, fold, strict=True) if (f == number) == out] for out in (False, True))
+        for number in np.unique(fold)
+    )
+    return whole, [part(seen, unseen) for seen, unseen in split]
+
+
+def _cross_validated(
+    candidates: dict[str, _Fit], whole: _Part, folds: list[_Part]
+) -> tuple[ResponseMap, Maps, dict[str, float]]:
+    """The candidate with the least held-out residual: fitted to all slides, to each fold's, and its figures."""
+    maps = {name: [fit(fold)[0] for fold in folds] for name, fit in candidates.items()}
+    residual = {name: _residual_share(fitted, folds) for name, fitted in maps.items()}
+    best = min(candidates, key=lambda name: residual[name])
+    response, summary = candidates[best](whole)
+    shares = {f"heldout_residual_{name}": share for name, share in residual.items() if folds}
+    names = [np.array([slide.recording for slide in fold.unseen]) for fold in folds]
+    figures = whole.moved | summary | shares | {"from_atlas": float(best != "alone")}
+    return response, list(zip(maps[best], names, strict=True)), figures
+
+
+def _residual_share(maps: list[ResponseMap], folds: list[_Part]) -> float:
+    """Median over held-out slides of the rms residual as a share of the slide's largest output; 0 without folds."""
     shares = [
-        slide_residual(slide, response) / np.abs(slide.volts).max()
-        for response, unseen in maps
-        for slide in slides
-        if slide.recording in unseen
+        fit_slide(slide, response, CalibrationConfig()).rms_v / np.abs(slide.volts).max()
+        for response, fold in zip(maps, folds, strict=True)
+        for slide in fold.unseen
     ]
     return float(np.median(shares)) if shares else 0.0

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from models.response_map.calibrate import CalibrationSlide
+from models.response_map.slides import CalibrationSlide
 
 
 def slides_of(response, lines, speeds, gains, noise_v=0.0, seed=0, lag_s=0.0) -> list[CalibrationSlide]:

@@ -1,0 +1,105 @@
+"""Labelled slides as the calibration reads them: short stretches of a known line, with their mean output."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from features.angles import tilt_channels
+from features.stream.conditioning import BlockMean, Conditioning, without_lag
+from pipeline.recordings.folder import Folder
+from pipeline.recordings.stroke import stage_motion
+
+STRETCH_MM = 0.5  # a fifth of the splines' spacing: along a stretch the response is straight
+LEAST_REST_BLOCKS = 5  # fewer tell neither the static output nor its noise
+LEAD_S = 0.1  # the contact is looked at from this long before the stage starts
+# Without these labels a slide cannot be placed on the skin.
+LABELS = (
+    "direction_deg",
+    "speed_mm_s",
+    "start_x_mm",
+    "start_y_mm",
+    "travel_mm",
+    "motion_start_s",
+    "motion_end_s",
+)
+
+
+@dataclass(frozen=True)
+class CalibrationSlide:
+    """One labelled slide, cut into m stretches of its line.
+
+    start_mm: where it starts. travelled_mm: (m,) along the line from the start. speed_mm_s: (m,).
+    volts: (m, C) V, subtracted, C tilt channels a0_vx, a0_vy, a1_vx, ...
+    blocks: how many blocks a stretch averages; step_s: the same as a time.
+    rest_noise_v: (C,) V, standard deviation of one block's mean at rest.
+    """
+
+    recording: str
+    start_mm: tuple[float, float]
+    direction_rad: float
+    depth_mm: float
+    travelled_mm: np.ndarray
+    speed_mm_s: np.ndarray
+    volts: np.ndarray
+    blocks: int
+    step_s: float
+    rest_noise_v: np.ndarray
+
+    @property
+    def line_offset_mm(self) -> float:
+        """Signed distance of the line from the chamber's centre; tells lines of one direction apart."""
+        return self.start_mm[1] * np.cos(self.direction_rad) - self.start_mm[0] * np.sin(self.direction_rad)
+
+    def place(self, shift_mm: float, lag_s: float) -> tuple[np.ndarray, np.ndarray]:
+        """Contact positions x, y (m,) mm that the output shows, given the slide's shift and the skin's lag."""
+        s = self.travelled_mm - shift_mm - lag_s * self.speed_mm_s
+        return (
+            self.start_mm[0] + s * np.cos(self.direction_rad),
+            self.start_mm[1] + s * np.sin(self.direction_rad),
+        )
+
+
+def calibration_slides(folder: Folder, conditioning: Conditioning) -> list[CalibrationSlide]:
+    """The folder's fully labelled slides; those that lack a label of LABELS or a rest before them are left out."""
+    rows = folder.manifest.dropna(subset=list(LABELS)).iterrows()
+    slides = (_slide(folder, str(name), row, conditioning) for name, row in rows)
+    return [slide for slide in slides if slide is not None]
+
+
+def _slide(folder: Folder, name: str, row: Any, conditioning: Conditioning) -> CalibrationSlide | None:
+    """One recording, labelled by `row` of the manifest; None if its rest is too short."""
+    recording, sensor = folder.load(name), folder.sensor
+    tilt = tilt_channels(len(sensor.channels))
+    size = round(conditioning.block_s * sensor.sample_rate_hz)
+    blocks = BlockMean(recording.volts.shape[1], size).push(recording.volts)[:, tilt]
+    time_s = recording.time_s[0] + (np.arange(len(blocks)) + 0.5) * conditioning.block_s
+    rest = blocks[time_s < row.motion_start_s - conditioning.block_s]
+    if len(rest) < LEAST_REST_BLOCKS:
+        return None
+    moving = (time_s > row.motion_start_s - LEAD_S) & (time_s < row.motion_end_s)
+    duration_s = row.motion_end_s - row.motion_start_s
+    travelled, speed = stage_motion(
+        time_s[moving] - row.motion_start_s, row.travel_mm, row.speed_mm_s, duration_s
+    )
+    volts = without_lag(blocks, conditioning)[moving] - rest.mean(axis=0)
+    count = max(1, round(STRETCH_MM / row.speed_mm_s / conditioning.block_s))
+    return CalibrationSlide(
+        recording=name,
+        start_mm=(float(row.start_x_mm), float(row.start_y_mm)),
+        direction_rad=float(np.deg2rad(row.direction_deg)),
+        depth_mm=float(row.depth_mm),
+        travelled_mm=_means(travelled, count),
+        speed_mm_s=_means(speed, count),
+        volts=_means(volts, count),
+        blocks=count,
+        step_s=count * conditioning.block_s,
+        # Differences of neighbours: a slow drift of the zero is no noise.
+        rest_noise_v=np.diff(rest, axis=0).std(axis=0) / np.sqrt(2),
+    )
+
+
+def _means(values: np.ndarray, count: int) -> np.ndarray:
+    """Means over each `count` of the first axis; what does not fill a last one is dropped."""
+    whole = len(values) // count * count
+    return values[:whole].reshape(-1, count, *values.shape[1:]).mean(axis=1)
