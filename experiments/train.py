@@ -18,7 +18,7 @@ from experiments.evaluation.scoring import score, summary
 from features.errors import InputError
 from models.export.bundle import read_graph, write_bundle
 from models.fitted_model import FittedModel
-from models.registry import default_config, fit_model
+from models.registry import default_config, fit_model, uses_design
 from pipeline.atlas.atlas import Atlas
 from pipeline.atlas.library import atlas_of
 from pipeline.progress import progress_bar
@@ -67,7 +67,7 @@ def train(
     settings = configured(change(default_config(model)), config)
     start = None if init is None else _graph_of(init)
     check_replaceable(out, BUNDLE_FILES)
-    design = design_of(folder, atlas) if model == "cnn" or atlas is not None else None
+    design = design_of(folder, atlas) if uses_design(model) or atlas is not None else None
     provenance = {
         "configuration": {
             "model": model,

@@ -1,7 +1,8 @@
-"""What every fit returns, whatever the model: a graph, its original, its intervals, and where it may be believed."""
+"""What every model is to the rooms above: an entry with its configuration and its fit, and what the fit returns."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import onnx
@@ -32,3 +33,18 @@ class FittedModel:
     conditioning: Conditioning
     summary: dict[str, float] = field(default_factory=dict)
     windows: LabelledWindows | None = None
+
+
+@dataclass(frozen=True)
+class Model:
+    """A model's entry in the registry.
+
+    config: its default configuration, a frozen dataclass with a field `conditioning`, the signal path's constants.
+    fit: (folder, configuration) -> FittedModel; with from_design (folder, configuration, atlas, init, progress), as
+    `models.registry.fit_model` describes them.
+    from_design: whether it can use the sensor's design and start from an earlier bundle.
+    """
+
+    config: Callable[[], Any]
+    fit: Callable[..., FittedModel]
+    from_design: bool = False

@@ -1,16 +1,31 @@
-"""One entry for every model: its configuration with its defaults, and its fit to a folder of recordings."""
+"""The models by name: a line each. A model's file ends in its entry, `MODEL` (CONTRIBUTING.md)."""
 
 from collections.abc import Callable
+from dataclasses import replace
+from importlib import import_module
 from typing import Any
 
 import onnx
 
 from features.errors import InputError
-from models.fitted_model import FittedModel
+from models.fitted_model import FittedModel, Model
 from pipeline.atlas.atlas import Atlas
 from pipeline.recordings.folder import Folder
 
-MODELS = ("interpolation", "trees", "mlp", "gp", "cnn")
+# Imported when they are asked for: a name costs neither torch nor scikit-learn.
+MODELS = {
+    "interpolation": "models.classical.interpolation",
+    "trees": "models.classical.trees",
+    "mlp": "models.classical.mlp",
+    "gp": "models.classical.gaussian_process",
+    "cnn": "models.cnn.fit",
+}
+DEFAULT = "cnn"
+
+
+def names() -> tuple[str, ...]:
+    """The models' names, the default one last."""
+    return tuple(MODELS)
 
 
 def default_config(name: str) -> Any:
@@ -19,15 +34,16 @@ def default_config(name: str) -> Any:
     Raises:
         InputError: no such model.
     """
-    if name == "cnn":
-        from models.cnn.fit import CnnConfig
+    return _model(name).config()
 
-        return CnnConfig()
-    if name in MODELS:
-        from models.classical.fit import CONFIGS
 
-        return CONFIGS[name]()
-    raise InputError(f"no model '{name}'; name one of {', '.join(MODELS)}")
+def uses_design(name: str) -> bool:
+    """Whether the model can use an atlas of the sensor's design, and an earlier bundle to start from.
+
+    Raises:
+        InputError: no such model.
+    """
+    return _model(name).from_design
 
 
 def fit_model(
@@ -40,27 +56,25 @@ def fit_model(
 ) -> FittedModel:
     """Fits the model to the folder's labelled recordings.
 
-    atlas: the sensor's design, which only the default model can use. init: an exported graph of the same model
-    to go on from. progress: told the step and the loss, now and then.
+    atlas: the sensor's design, and init: the graph of a bundle of the same model to start from, for models that use
+    them (`uses_design`). progress: told the step and the loss, now and then.
 
     Raises:
         InputError: no such model, nothing to fit it to, or `init` is of another kind.
     """
-    if name == "cnn":
-        from models.cnn.fit import fit_cnn
+    model = _model(name)
+    if model.from_design:
+        fitted = model.fit(folder, config, atlas, init, progress)
+    elif atlas is None and init is None:
+        fitted = model.fit(folder, config)
+    else:
+        raise InputError(
+            f"{name} learns from recordings alone; leave the atlas and the bundle to start from out, or use {DEFAULT}"
+        )
+    return replace(fitted, name=name)
 
-        try:
-            return fit_cnn(folder, config, atlas, init, progress)
-        except InputError:
-            raise
-        except ValueError as error:
-            raise InputError(str(error), "init") from None
-    if name in MODELS:
-        from models.classical.fit import fit_classical
 
-        if atlas is not None or init is not None:
-            raise InputError(
-                f"{name} learns from recordings alone; leave the atlas and the bundle to start from out, or use cnn"
-            )
-        return fit_classical(name, folder, config)
-    raise InputError(f"no model '{name}'; name one of {', '.join(MODELS)}")
+def _model(name: str) -> Model:
+    if name not in MODELS:
+        raise InputError(f"no model '{name}'; name one of {', '.join(MODELS)}")
+    return import_module(MODELS[name]).MODEL

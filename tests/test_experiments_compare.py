@@ -22,7 +22,7 @@ from experiments.evaluation.readout import predictions
 from experiments.evaluation.window_readout import window_card, window_predictions
 from features.card import Interval, Validity
 from features.stream.conditioning import Conditioning
-from models.classical import baselines
+from models.classical import regression
 from pipeline.recordings.folder import Folder
 from pipeline.recordings.windows import labelled_windows
 
@@ -320,7 +320,7 @@ def test_minirocket_s_features_hold_no_time(lab: Folder) -> None:
     assert np.allclose(twice, waves, atol=1e-4)
     assert np.allclose(louder - scales, [math.log(2.0), 0.0], atol=1e-3)
     # Speed times the energy's width is what it learns: a length, the same for a slide at any speed.
-    target = baselines.targets(windows)[:, 2]
+    target = regression.targets(windows)[:, 2]
     assert np.ptp(target[windows.stroke_fraction == 1.0]) < 1.5
 
 

@@ -16,10 +16,12 @@ from streams import a_sensor
 
 import softslide
 from features.card import Card
-from models.classical import fit as classical
 from models.classical import interpolation
-from models.classical.baselines import float_features
-from models.classical.fit import GpConfig, InterpolationConfig, MlpConfig, TreesConfig
+from models.classical.gaussian_process import GpConfig, fit_gp
+from models.classical.interpolation import InterpolationConfig, fit_interpolation
+from models.classical.mlp import MlpConfig, fit_mlp
+from models.classical.regression import float_features
+from models.classical.trees import TreesConfig, fit_trees
 from models.cnn.gauss_newton import Refinement
 from models.cnn.network import OUTPUTS, NetworkConfig, SlideNetwork
 from models.cnn.training import TrainingConfig, train_proposal
@@ -43,15 +45,15 @@ def a_model(name: str) -> Case:
         return a_network()
     offsets = np.array([-12.0, -9.0, -6.0, -3.0, 3.0, 6.0, 9.0, 12.0])
     slides = labelled_slides(interpolation.DIRECTIONS_DEG, offsets)
-    config = {
-        "interpolation": InterpolationConfig(),
-        "trees": TreesConfig(trees=20),
-        "mlp": MlpConfig(members=2, hidden=(16,), iterations=60),
-        "gp": GpConfig(search_rows=60),
-    }[name]
+    model = {
+        "interpolation": lambda: fit_interpolation(slides, InterpolationConfig()),
+        "trees": lambda: fit_trees(slides, TreesConfig(trees=20)),
+        "mlp": lambda: fit_mlp(slides, MlpConfig(members=2, hidden=(16,), iterations=60)),
+        "gp": lambda: fit_gp(slides, GpConfig(search_rows=60)),
+    }[name]()
     features = float_features(slides)
     noise = np.random.default_rng(0).normal(0, 0.1, features.shape).astype(np.float32)
-    graph = classical._graph(classical._fit(slides, config), features.shape[1])
+    graph = model.graph(features.shape[1])
     return Case(graph, {"features": np.concatenate([features, features + noise])})
 
 

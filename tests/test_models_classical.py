@@ -9,12 +9,13 @@ import pytest
 from slide_windows import labelled_slides
 
 from features.vector.energy import energy_width_s
-from models.classical import baselines, interpolation
-from models.classical import fit as classical
+from models.classical import interpolation, regression
 from models.classical.augmentation import with_lines_between
-from models.classical.axis_interpolation import fit_interpolation
-from models.classical.baselines import float_features
-from models.classical.fit import GpConfig, InterpolationConfig, MlpConfig, TreesConfig
+from models.classical.gaussian_process import GpConfig, fit_gp
+from models.classical.interpolation import InterpolationConfig, fit_interpolation
+from models.classical.mlp import MlpConfig, fit_mlp
+from models.classical.regression import float_features
+from models.classical.trees import TreesConfig, fit_trees
 from pipeline.recordings.folder import SAMPLE, read_folder
 from pipeline.recordings.windows import labelled_windows
 
@@ -28,19 +29,24 @@ CONFIGS = {
     "mlp": MlpConfig(members=2, hidden=(16,), iterations=60),
     "gp": GpConfig(search_rows=60),
 }
+FITS = {InterpolationConfig: fit_interpolation, TreesConfig: fit_trees, MlpConfig: fit_mlp, GpConfig: fit_gp}
 BENCH = Path(__file__).parents[1].parent / "shared" / "recordings" / "bench-a"
+
+
+def fitted(windows, config):
+    return FITS[type(config)](windows, config)
 
 
 @pytest.fixture(scope="module", params=CONFIGS)
 def case(request):
     config = CONFIGS[request.param]
     features = float_features(SLIDES)
-    return config, classical._fit(SLIDES, config), features
+    return config, fitted(SLIDES, config), features
 
 
 def test_seeded_to_the_last_byte(case):
     config, model, features = case
-    assert classical._fit(SLIDES, config).predict(features).tobytes() == model.predict(features).tobytes()
+    assert fitted(SLIDES, config).predict(features).tobytes() == model.predict(features).tobytes()
 
 
 def test_pure(case):
@@ -59,7 +65,7 @@ def test_independent_of_batch_size(case):
 
 def test_the_graph_says_the_same(case):
     _, model, features = case
-    graph = classical._graph(model, features.shape[1])
+    graph = model.graph(features.shape[1])
     session = ort.InferenceSession(graph.SerializeToString(), providers=["CPUExecutionProvider"])
     # Noise too, so that every branch is taken.
     noise = np.random.default_rng(0).normal(0, 0.1, features.shape).astype(np.float32)
@@ -82,9 +88,9 @@ def test_labels_cannot_be_seen_when_predicting(case):
 
 @pytest.mark.parametrize("name", ["interpolation", "trees", "gp"])
 def test_lines_between_the_known_ones_are_found(name):
-    rows = classical._fit(SLIDES, CONFIGS[name]).predict(float_features(UNSEEN))
-    config_outputs = interpolation.OUTPUTS if name == "interpolation" else baselines.OUTPUTS
-    column = dict(zip(config_outputs, rows.T, strict=True))
+    model = fitted(SLIDES, CONFIGS[name])
+    rows = model.predict(float_features(UNSEEN))
+    column = dict(zip(model.outputs, rows.T, strict=True))
     log_speed = column.get("log_speed")
     if log_speed is None:
         log_speed = column["log_speed_width"] - np.log(energy_width_s(UNSEEN.volts, UNSEEN.elapsed_s))
@@ -119,9 +125,9 @@ def test_interpolation_returns_the_polynomials_it_was_given():
     abscissa = np.broadcast_to(t[:, None, None], (30, 4, 2))
     seen = np.ones((30, 4, 2), bool)
     published = 0.008 * t**2 - 0.4331 * t + 7.4336
-    fitted = interpolation.fit_polynomials(abscissa, seen, published, 2, np.ones(30))
-    np.testing.assert_allclose(fitted.coefficients[0, 1], [7.4336, -0.4331, 0.008], rtol=1e-9)
-    value = interpolation.evaluate_polynomials(fitted, abscissa, seen)
+    found = interpolation.fit_polynomials(abscissa, seen, published, 2, np.ones(30))
+    np.testing.assert_allclose(found.coefficients[0, 1], [7.4336, -0.4331, 0.008], rtol=1e-9)
+    value = interpolation.evaluate_polynomials(found, abscissa, seen)
     np.testing.assert_allclose(value, np.broadcast_to(published[:, None], (30, 4)), rtol=1e-9)
 
 
@@ -137,7 +143,7 @@ def test_an_extreme_that_has_not_passed_is_not_used():
 
 
 def test_lines_between_lie_between():
-    features, target = float_features(SLIDES), baselines.targets(SLIDES)
+    features, target = float_features(SLIDES), regression.targets(SLIDES)
     rows, goals = with_lines_between(SLIDES, features, target)
     added = goals[len(target) :]
     assert rows.dtype == features.dtype
@@ -171,9 +177,9 @@ def test_position_along_the_line_follows_the_motion():
 @pytest.mark.skipif(not BENCH.is_dir(), reason="the bench recordings are not here")
 def test_trees_on_the_bench_reach_half_a_percent_and_a_fifth_of_a_millimetre():
     folder = read_folder(BENCH)
-    model = baselines.fit_trees(labelled_windows(folder.select("calibration")))
+    model = fit_trees(labelled_windows(folder.select("calibration")), TreesConfig())
     test = replace(folder, manifest=folder.manifest[folder.manifest["split"].isin(["test", "test-fast"])])
     windows = labelled_windows(test, fractions=(1.0,))
-    error = model.predict(float_features(windows)) - baselines.targets(windows)
+    error = model.predict(float_features(windows)) - regression.targets(windows)
     assert np.abs(np.expm1(error[:, 2])).mean() < 0.005
     assert np.abs(error[:, 3]).mean() < 0.2

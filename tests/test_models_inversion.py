@@ -7,7 +7,8 @@ import pytest
 import torch
 from bump_map import bump_map
 
-from models.cnn.inversion import Inversion, cramer_rao
+from models.cnn.cramer_rao import cramer_rao
+from models.cnn.inversion import Inversion
 from models.cnn.training_windows import SynthesisConfig, WindowSource
 from models.held_out import signed_errors
 from pipeline.recordings.windows import LabelledWindows

@@ -6,6 +6,7 @@ import pytest
 import torch
 from bump_map import bump_map
 
+from features.errors import InputError
 from features.window import WINDOW_BINS
 from models.cnn.fit import initial_proposal
 from models.cnn.gauss_newton import Refinement, RefinementConfig
@@ -77,7 +78,7 @@ def test_export_agrees_and_can_be_gone_on_from(trained, windows):
     again = initial_proposal(graph, 2, config)
     for a, b in zip(trained.state_dict().values(), again.state_dict().values(), strict=True):
         assert torch.equal(a, b)
-    with pytest.raises(ValueError, match="another shape"):
+    with pytest.raises(InputError, match="another shape"):
         initial_proposal(graph, 4, config)
     assert sum(p.numel() for p in trained.parameters()) < 60_000
 

@@ -1,5 +1,7 @@
 """scikit-learn's own estimator checks, none expected to fail, and how the estimators stand in its pipelines."""
 
+import doctest
+
 import numpy as np
 import pytest
 from sklearn.base import clone
@@ -10,9 +12,9 @@ from sklearn.utils.estimator_checks import parametrize_with_checks
 from slide_windows import labelled_slides
 
 from features.vector.feature_vector import feature_names
-from models.classical.axis_interpolation import AxisInterpolation
+from models.classical import sklearn_api
 from models.classical.interpolation import DIRECTIONS_DEG
-from models.classical.sklearn_api import WindowFeatures, flat_windows, split_rows
+from models.classical.sklearn_api import AxisInterpolation, WindowFeatures, flat_windows, split_rows
 
 # The checks' tables have 1 to 30 columns: `pad` reads them as windows of which most channels are not wired.
 ESTIMATORS = [
@@ -78,3 +80,8 @@ def test_undefined_is_the_mean_or_nan():
 def test_unknown_choices_are_refused(wrong):
     with pytest.raises(ValueError, match=next(iter(wrong))):
         AxisInterpolation(**wrong).fit(ROWS, SLIDES.speed_mm_s)
+
+
+def test_the_example_of_the_docstring_runs():
+    tried = doctest.testmod(sklearn_api)
+    assert (tried.failed, tried.attempted > 5) == (0, True)

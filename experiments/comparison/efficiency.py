@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from experiments.evaluation.scoring import signed_errors
-from models.cnn.inversion import cramer_rao
+from models.cnn.cramer_rao import cramer_rao
 from models.response_map.map import ResponseMap
 from pipeline.recordings.windows import LabelledWindows
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from features.errors import InputError
 from features.vector.energy import energy_clock, tilt_outputs
-from models.classical.baselines import OUTPUTS, targets
+from models.classical.regression import OUTPUTS, targets
 from pipeline.atlas.library import cache_folder
 from pipeline.recordings.windows import LabelledWindows
 

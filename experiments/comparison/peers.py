@@ -20,9 +20,10 @@ from features.card import HALF_WIDTH_SD, Interval, Validity, read_card
 from features.errors import InputError
 from features.stream.conditioning import Conditioning
 from features.window import Window
-from models.classical import baselines
+from models.classical import regression
 from models.cnn.fit import CnnConfig
 from models.cnn.inversion import STARTS, Inversion
+from models.held_out import offset_reach_mm
 from models.registry import default_config
 from models.response_map.select import CalibratedMap, calibrated_map
 from pipeline.recordings.folder import Folder, read_folder
@@ -174,9 +175,9 @@ def _read_inversion(study: Study) -> Readout:
 
 
 def _read_minirocket(study: Study) -> Readout:
-    taught = baselines.taught(labelled_windows(study.taught))
-    validity = Validity(offset_mm=float(np.abs(taught.offset_mm).max()) + 1.5)
-    card = window_card("minirocket", baselines.OUTPUTS, study.scored.sensor, Conditioning(), validity)
+    taught = regression.late_windows(labelled_windows(study.taught))
+    validity = Validity(offset_mm=offset_reach_mm(taught))
+    card = window_card("minirocket", regression.OUTPUTS, study.scored.sensor, Conditioning(), validity)
     window_s = np.empty(0)
 
     def predict(volts: np.ndarray, elapsed_s: np.ndarray) -> np.ndarray:

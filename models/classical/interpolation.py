@@ -9,14 +9,20 @@ chi quadratic, f cubic, one set for each of X forward, Y forward, X backward, Y 
 the contact zones (2.3). What it does not cover, diagonals among it, is NaN.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import ClassVar
 
 import numpy as np
 import onnx
 from onnx import TensorProto
 
-from features.vector.feature_vector import feature_names
+from features.angles import wrapped_deg
+from features.errors import InputError
+from features.stream.conditioning import Conditioning
+from features.vector.feature_vector import feature_matrix, feature_names
+from models.classical.fit import feature_model
 from models.graph.builder import GraphBuilder
+from pipeline.recordings.windows import LabelledWindows
 
 # Directions in this order everywhere: X forward, Y forward, X backward, Y backward, deg.
 DIRECTIONS_DEG = np.array([0.0, 90.0, 180.0, 270.0])
@@ -30,7 +36,11 @@ _MARGIN_MM = 1.5
 # An extreme in the last twentieth of the window may still be rising.
 PASSED = 0.95
 
-_LEAST_RESIDUAL = 1e-12
+# A slide this close to an axis counts as along it, deg.
+_AXIS_DEG = 1.0
+# Share of the stroke up to which a slide surely moves: a slide that is over stands still while its label moves on.
+_UNDER_WAY = 0.75
+_LEAST_RESIDUAL = 1e-12  # squared, of a polynomial that passes through all its points
 _TINY = 1e-300
 
 _COLUMN = {name: k for k, name in enumerate(feature_names(1))}
@@ -52,6 +62,7 @@ _FIRST, _LAST, _ACROSS_FIRST, _ACROSS_LAST = (
     for outputs, when in ((_ALONG, "first"), (_ALONG, "last"), (_ACROSS, "first"), (_ACROSS, "last"))
 )
 _ELAPSED = _COLUMN["elapsed_s"]
+_CENTRE_S = _COLUMN["energy_centre_s"]
 # Forward, the output along the motion goes from - to + (zones 1 -> 2, 3 -> 4 on X-slides, 1 -> 3, 2 -> 4 on
 # Y-slides); backward the other way.
 _SENSE = np.array([-1.0, -1.0, 1.0, 1.0])
@@ -142,6 +153,18 @@ def side(features: np.ndarray) -> np.ndarray:
 
 
 @dataclass(frozen=True)
+class InterpolationConfig:
+    """form: of the speed's polynomial, "reciprocal" (v = a / t + b) or "quadratic", the published one."""
+
+    conditioning: Conditioning = field(default_factory=Conditioning)
+    form: str = "reciprocal"
+
+    def __post_init__(self) -> None:
+        if self.form not in SPEED_FORMS:
+            raise ValueError(f"form is '{self.form}'; choose one of {', '.join(SPEED_FORMS)}")
+
+
+@dataclass(frozen=True)
 class Interpolation:
     """Fitted polynomials. speed: in mm/s, of the given form; distance: in mm, cubic.
 
@@ -152,6 +175,7 @@ class Interpolation:
     speed: Polynomials
     distance: Polynomials
     start_mm: np.ndarray
+    outputs: ClassVar[tuple[str, ...]] = OUTPUTS
 
     def predict(self, features: np.ndarray) -> np.ndarray:
         """Rows (n, 5) in OUTPUTS order of features (n, F); NaN where the method is not defined."""
@@ -176,32 +200,33 @@ class Interpolation:
         defined = direction.any(axis=1) & np.isfinite(row).all(axis=1)
         return np.where(defined[:, None], row, np.nan)
 
-    def onnx(self) -> onnx.ModelProto:
+    def graph(self, features: int) -> onnx.ModelProto:
         """The same arithmetic as a graph: `features` (B, F) float32 -> `estimate` (B, 5) float32."""
+        assert features == len(_COLUMN)
         g = GraphBuilder()
-        features = g.cast("features", TensorProto.DOUBLE)
-        moment = g.columns(features, _MOMENTS)
+        given = g.cast("features", TensorProto.DOUBLE)
+        moment = g.columns(given, _MOMENTS)
         passed = g.op(
             "And",
             g.op("Greater", moment, g.constant(1.0 / 64)),
             g.op("Less", moment, g.constant(PASSED)),
         )
-        time = g.columns(features, _MOMENTS_S)
+        time = g.columns(given, _MOMENTS_S)
         if self.form == "reciprocal":
             time = g.op("Reciprocal", g.op("Where", passed, time, g.constant(1.0)))
         speed = _polynomial_nodes(g, self.speed, time, passed)
-        distance = _polynomial_nodes(g, self.distance, g.columns(features, _VALUES), passed)
+        distance = _polynomial_nodes(g, self.distance, g.columns(given, _VALUES), passed)
         near = g.op("LessOrEqual", distance, g.constant(DETECTABLE_MM + _MARGIN_MM))
         distance = g.op("Where", near, distance, g.constant(np.nan))
-        elapsed = g.columns(features, np.array([_ELAPSED]))
+        elapsed = g.columns(given, np.array([_ELAPSED]))
         along = g.op("Add", g.op("Mul", speed, elapsed), g.constant(self.start_mm))
-        lean = g.total(g.columns(features, _ACROSS_VALUES), -1)
+        lean = g.total(g.columns(given, _ACROSS_VALUES), -1)
         signed = g.op("Where", g.op("Less", lean, g.constant(0.0)), g.constant(_SIDE), g.constant(-_SIDE))
         offset = g.op("Mul", g.op("Max", distance, g.constant(0.0)), signed)
         # Where() in the place of Log's own NaN: runtimes need not agree on the logarithm of a negative speed.
         positive = g.op("Greater", speed, g.constant(0.0))
         log_speed = g.op("Log", g.op("Where", positive, speed, g.constant(np.nan)))
-        direction = self._direction_nodes(g, features)
+        direction = self._direction_nodes(g, given)
         zero = g.op("Mul", elapsed, g.constant(np.zeros(4)))
         angle = np.deg2rad(DIRECTIONS_DEG)
         cos, sin = (g.op("Add", zero, g.constant(part)) for part in (np.cos(angle), np.sin(angle)))
@@ -214,7 +239,7 @@ class Interpolation:
         # Either all of a row is defined or none: a NaN anywhere, or no direction (0 / 0), spreads over it.
         unknown = g.op("Mul", g.total(estimate, 1, keep=True), g.constant(0.0))
         defined = g.op("Add", g.op("Div", found, found), unknown)
-        return g.model(g.op("Mul", estimate, defined), len(_COLUMN), len(OUTPUTS))
+        return g.model(g.op("Mul", estimate, defined), features, len(OUTPUTS))
 
     @staticmethod
     def _direction_nodes(g: GraphBuilder, features: str) -> str:
@@ -237,3 +262,52 @@ def _polynomial_nodes(g: GraphBuilder, polynomials: Polynomials, abscissa: str, 
     precision = g.constant(polynomials.precision)
     total = g.total(g.op("Where", passed, g.op("Mul", value, precision), zero), -1)
     return g.op("Div", total, g.total(g.op("Where", passed, precision, zero), -1))
+
+
+def fit_interpolation(
+    windows: LabelledWindows, config: InterpolationConfig = InterpolationConfig()
+) -> Interpolation:
+    """Fits to the whole axis slides in the detectable area, one set of polynomials a direction.
+
+    The reciprocal form minimizes relative errors of the speed; the published one is a plain polynomial fit.
+
+    Raises:
+        InputError: no whole slides along an axis, or more than one accelerometer.
+    """
+    if (boards := windows.volts.shape[1] // 3) > 1:
+        raise InputError(f"the interpolation reads one accelerometer, the recordings have {boards}; use cnn")
+    form = config.form
+    turned = np.abs(wrapped_deg(windows.direction_deg[:, None] - DIRECTIONS_DEG))
+    axis = (turned < _AXIS_DEG) & (np.abs(windows.offset_mm)[:, None] <= DETECTABLE_MM)
+    whole = windows.stroke_fraction >= windows.stroke_fraction.max()
+    rows = axis.any(axis=1) & whole
+    if not rows.any():
+        raise InputError("the interpolation needs slides along x or y, over the whole stroke; record some")
+    features = feature_matrix(windows.volts, windows.elapsed_s).astype(np.float32).astype(np.float64)
+    speed = windows.speed_mm_s
+    polynomials = {}
+    for quantity, target, weight in (
+        ("speed", speed, 1.0 / speed if form == "reciprocal" else np.ones(len(speed))),
+        ("distance", np.abs(windows.offset_mm), np.ones(len(speed))),
+    ):
+        abscissa, passed = abscissas(features[rows], quantity, form)
+        usable = passed & axis[rows][:, :, None]
+        polynomials[quantity] = fit_polynomials(
+            abscissa, usable, target[rows], degree(quantity, form), weight[rows]
+        )
+    start_mm = np.array([_start_mm(windows[axis[:, k]], features[axis[:, k]]) for k in range(4)])
+    return Interpolation(form, polynomials["speed"], polynomials["distance"], start_mm)
+
+
+def _start_mm(windows: LabelledWindows, features: np.ndarray) -> float:
+    """Where along its line a slide triggers, mm from the foot of the perpendicular; NaN if no slide says."""
+    start = windows.along_mm - windows.speed_mm_s * windows.elapsed_s
+    # A slide that is over stands still while its label moves on.
+    under_way = (windows.stroke_fraction < _UNDER_WAY) & np.isfinite(start)
+    if under_way.any():
+        return float(np.median(start[under_way]))
+    # Without a record of the motion: the energy is centred near the foot, where the contact is nearest.
+    return float(np.median(-windows.speed_mm_s * features[:, _CENTRE_S])) if len(windows) else np.nan
+
+
+MODEL = feature_model(InterpolationConfig, fit_interpolation)

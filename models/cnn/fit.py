@@ -8,12 +8,13 @@ import onnx
 import torch
 
 from features.card import HALF_WIDTH_SD, Interval, Validity
+from features.errors import InputError
 from features.stream.conditioning import Conditioning
 from models.cnn.gauss_newton import Refinement
 from models.cnn.network import OUTPUTS, NetworkConfig, Proposal, SlideNetwork
 from models.cnn.training import TrainingConfig, train_proposal
 from models.cnn.training_windows import SynthesisConfig, WindowSource
-from models.fitted_model import FittedModel
+from models.fitted_model import FittedModel, Model
 from models.graph.from_torch import export_graph
 from models.held_out import WHOLE, offset_reach_mm, signed_errors
 from models.intervals import conformal_interval
@@ -70,8 +71,7 @@ def fit_cnn(
     init: an exported graph to start from (a warm start). progress: told the step and the loss, every 50 steps.
 
     Raises:
-        InputError: neither enough slides nor an atlas.
-        ValueError: `init` holds another network.
+        InputError: neither enough slides nor an atlas, or `init` holds another network.
     """
     # At this size threads wait for each other more than they work.
     torch.set_num_threads(1)
@@ -113,7 +113,7 @@ def initial_proposal(graph: onnx.ModelProto, channels: int, config: NetworkConfi
     """The proposal network inside an exported graph.
 
     Raises:
-        ValueError: the graph holds another network, or one for another number of channels.
+        InputError: the graph holds another network, or one for another number of channels.
     """
     found = {i.name: onnx.numpy_helper.to_array(i) for i in graph.graph.initializer}
     proposal = Proposal(channels, config)
@@ -121,8 +121,9 @@ def initial_proposal(graph: onnx.ModelProto, channels: int, config: NetworkConfi
     for name, value in state.items():
         stored = found.get(f"proposal.{name}")
         if stored is None or stored.shape != tuple(value.shape):
-            raise ValueError(
-                f"proposal.{name} is missing or of another shape; name a cnn bundle of a like sensor"
+            raise InputError(
+                f"proposal.{name} is missing or of another shape; "
+                "name a cnn bundle of a like sensor", "init"
             )
         state[name] = torch.tensor(stored)
     proposal.load_state_dict(state)
@@ -197,3 +198,6 @@ def _errors(rows: np.ndarray, windows: LabelledWindows) -> dict[str, float]:
         "speed_percent": float(100 * np.abs(np.expm1(error["log_speed"])).mean()),
         "offset_mm": float(error["offset_mm"].mean()),
     }
+
+
+MODEL = Model(CnnConfig, fit_cnn, from_design=True)

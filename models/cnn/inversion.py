@@ -1,7 +1,7 @@
-"""The reference estimator: the response map inverted by least squares from many starts, with no network to help.
+"""The reference estimator: the response map inverted by least squares from many starts (multi-start), no network.
 
 Slow (tens of milliseconds a window), but it owes nothing to training: what the network reaches is measured against
-it, and both against the Cramer-Rao bound of the map.
+it, and both against the Cramer-Rao bound of the map (cramer_rao.py).
 """
 
 import math
@@ -14,9 +14,10 @@ from features.vector.energy import energy_clock, tilt_outputs
 from models.cnn.gauss_newton import Refinement, RefinementConfig
 from models.cnn.network import OUTPUTS, SlideNetwork
 from models.response_map.map import ResponseMap
-from pipeline.recordings.windows import LabelledWindows
 
+# Priors so wide that only a start at infinity is held back; every start converges in 15 steps or loses.
 STARTS = RefinementConfig(steps=15, trust=1.0, least_prior=(3.0, 1.5, 20.0, 25.0))
+# A fan of 96 starts. LENGTHS_MM: speed times energy width, of which the article's skin shows 6 to 9 mm.
 HEADINGS, OFFSETS_MM, LENGTHS_MM = 12, (-15.0, -5.0, 5.0, 15.0), (6.0, 9.0)
 MISFIT = OUTPUTS.index("misfit")
 
@@ -67,35 +68,3 @@ def _fan(elapsed_s: float, centre: float, width: float) -> Tensor:
                     [math.cos(a), math.sin(a), math.log(speed), offset, speed * elapsed_s * (1 - centre)]
                 )
     return torch.tensor(rows)
-
-
-def cramer_rao(response: ResponseMap, block_s: float, windows: LabelledWindows) -> np.ndarray:
-    """Least standard deviations (n, 3) that any unbiased estimate can have: direction deg, log speed, offset mm.
-
-    The inverse Fisher information of the map at the true line, with gain and zero unknown within their spread, and the
-    depth known. The place along the line is fitted: a window whose slide is over ends before its label does.
-    """
-    angle = np.radians(windows.direction_deg)
-    truth = np.stack(
-        [np.cos(angle), np.sin(angle), np.log(windows.speed_mm_s), windows.offset_mm, windows.along_mm],
-        axis=1,
-    )
-    line, boards = torch.tensor(truth, dtype=torch.float32), windows.volts.shape[1] // 3
-
-    def refined(steps: int, least_prior: tuple[float, float, float, float]) -> tuple[Tensor, ...]:
-        config = RefinementConfig(steps=steps, trust=1.0, least_prior=least_prior, depth_sd_mm=1e-6)
-        with torch.no_grad():
-            columns = Refinement(response, block_s, config)(
-                torch.tensor(windows.volts, dtype=torch.float32).unflatten(1, (boards, 3)),
-                torch.tensor(windows.elapsed_s, dtype=torch.float32),
-                torch.ones(len(truth), boards),
-                line,
-                torch.full((len(truth), 4), -20.0),
-            )
-        return tuple(column.flatten(1) for column in columns)
-
-    _, state, _, _ = refined(8, (1e-4, 1e-4, 1e-3, 10.0))
-    line = torch.cat([line[:, :4], state[:, 3:4].float()], 1)
-    _, _, variance, _ = refined(1, (1e3, 1e3, 1e3, 1e3))
-    sd = variance.sqrt().numpy()
-    return np.stack([np.degrees(sd[:, 0]), sd[:, 1], sd[:, 2]], axis=1)

@@ -18,8 +18,19 @@ from models.cnn.gauss_newton import PEAK_SHARE
 from models.response_map.map import ResponseMap
 from pipeline.recordings.windows import LabelledWindows
 
-KNOTS = 2 * WINDOW_BINS
-TABLE_MM = 0.5
+SAMPLES = 2 * WINDOW_BINS  # of a slide before its window is cut: two a bin
+TABLE_MM = 0.5  # spacing of the look-up table, a fifth of the map's splines
+LEAST_CHORD_MM = 10.0  # of a line through the chamber; a shorter one only grazes the rim
+BEYOND_MM = 6.0  # a slide begins and ends up to so far beyond the chamber
+MIDWAY_SHARE = 0.6  # of the chord: the latest place on the dome where a slide begins
+LEAST_SEEN = 0.06  # share of a slide at which the first windows end
+LONGEST_PAUSE = 0.3  # share of the slide's own time
+WAVE_MM = (15.0, 50.0)  # lengths of the map residual's waves: those of its splines and of the chamber
+ZERO_SHARE = 0.3  # share of the slide at which the drift is counted from: the mean over starts of any length
+TRIGGER_SAMPLES = 3  # that the trigger averages
+LEAST_SAMPLES = 8  # after the trigger, for a window's bins to differ
+LEAST_BLOCKS = 6  # and blocks; the runtime estimates from 8 on (features/stream/conditioning.py)
+LEAST_BLOCK_SHARE = 0.2  # of a block in a sample: fast slides repeat blocks, whose noise is then alike
 
 
 @dataclass(frozen=True)
@@ -92,78 +103,110 @@ class WindowSource:
         self._drift = torch.tensor(response.drift_v, dtype=torch.float32)
 
     def draw(self, count: int, generator: torch.Generator) -> WindowBatch:
-        """About `count` windows (slides that never pass the trigger are left out)."""
-        c, response = self.config, self.response
+        """About `count` windows (slides that never pass the trigger are left out).
 
-        def uniform(low: float = 0.0, high: float = 1.0) -> Tensor:
-            return low + (high - low) * torch.rand(count, generator=generator)
+        Every number is drawn whether it is used or not: the same generator gives the same windows.
+        """
+        random = _Random(count, generator)
+        lines = self._lines(random)
+        motion = self._motion(lines, random)
+        volts, depth = self._volts(lines, motion, random)
+        integral = F.pad(volts.cumsum(1), (0, 0, 1, 0))
+        start, passed = self._trigger(integral, random)
+        seconds = motion.seconds * (1 - start / SAMPLES)
+        whole = lines.crosses & passed & (seconds > LEAST_BLOCKS * self.block_s)
+        weight = self._weights(random)
+        start = start.clamp(max=SAMPLES - LEAST_SAMPLES)
+        windows = _bins(integral, start) * weight.repeat_interleave(2, 1)[:, :, None]
+        elapsed = motion.seconds * (1 - start / SAMPLES)
+        along, depth_mm = motion.first + motion.length, self.response.depth_mm + depth
+        targets = torch.stack([lines.cos, lines.sin, lines.speed.log(), lines.offset, along, depth_mm], 1)
+        return WindowBatch(windows[whole], elapsed[whole], weight[whole], targets[whole])
 
-        def normal(*shape: int) -> Tensor:
-            return torch.randn(*shape, generator=generator)
-
-        def chance(share: float) -> Tensor:
-            return uniform() < share
-
-        heading = uniform(0, 2 * math.pi)
+    def _lines(self, random: "_Random") -> "_Lines":
+        """Lines at any angle, at an offset that crosses the chamber or not, with a speed."""
+        response = self.response
+        heading = random.uniform(0, 2 * math.pi)
         cos, sin = heading.cos(), heading.sin()
-        half = max(response.chamber_mm) / 2
-        reach = half + max(abs(r) for r in response.reference_mm)
-        offset = uniform(-reach, reach)
-        speed = torch.exp(uniform(math.log(c.speed_mm_s[0]), math.log(c.speed_mm_s[1])))
+        reach = max(response.chamber_mm) / 2 + max(abs(r) for r in response.reference_mm)
+        offset = random.uniform(-reach, reach)
+        low, high = self.config.speed_mm_s
+        speed = torch.exp(random.uniform(math.log(low), math.log(high)))
         foot_x = response.reference_mm[0] - offset * sin
         foot_y = response.reference_mm[1] + offset * cos
-        enter, leave = (
-            _crossing(foot_x, cos, response.chamber_mm[0] / 2),
-            _crossing(foot_y, sin, response.chamber_mm[1] / 2),
-        )
-        first, last = torch.maximum(enter[0], leave[0]), torch.minimum(enter[1], leave[1])
-        sound = last - first > 10.0
-        first = torch.where(
-            chance(c.midway), first + uniform(0.0, 0.6) * (last - first), first - uniform(0.0, 6.0)
-        )
-        last = last + uniform(0.0, 6.0)
-        seen = torch.where(chance(c.complete), torch.ones(count), uniform(0.06, 1.0))
+        in_x = _crossing(foot_x, cos, response.chamber_mm[0] / 2)
+        in_y = _crossing(foot_y, sin, response.chamber_mm[1] / 2)
+        enter, leave = torch.maximum(in_x[0], in_y[0]), torch.minimum(in_x[1], in_y[1])
+        return _Lines(cos, sin, offset, speed, foot_x, foot_y, enter, leave)
+
+    def _motion(self, lines: "_Lines", random: "_Random") -> "_Motion":
+        """Where along its line each slide begins, how far it is seen, and whether it rests at its end."""
+        c, chord = self.config, lines.leave - lines.enter
+        midway = random.chance(c.midway)
+        on_the_dome = lines.enter + random.uniform(0.0, MIDWAY_SHARE) * chord
+        first = torch.where(midway, on_the_dome, lines.enter - random.uniform(0.0, BEYOND_MM))
+        last = lines.leave + random.uniform(0.0, BEYOND_MM)
+        complete = random.chance(c.complete)
+        seen = torch.where(complete, torch.ones(random.count), random.uniform(LEAST_SEEN, 1.0))
         length = (last - first) * seen
-        pause = torch.where(chance(c.paused), length * uniform(0.0, 0.3), torch.zeros(count))
-        seconds = (length + pause) / speed
-        share = (torch.arange(KNOTS) + 0.5) / KNOTS
-        way = torch.minimum(share * (length + pause)[:, None], length[:, None])
-        s = first[:, None] + way - (speed * response.lag_s)[:, None]
-        depth = c.depth_mm * normal(count).clamp(-2.0, 3.0)
+        paused = random.chance(c.paused)
+        pause = torch.where(paused, length * random.uniform(0.0, LONGEST_PAUSE), torch.zeros(random.count))
+        return _Motion(first, length, pause, (length + pause) / lines.speed)
+
+    def _volts(self, lines: "_Lines", motion: "_Motion", random: "_Random") -> tuple[Tensor, Tensor]:
+        """Output (B, SAMPLES, C) V as a device would record it, and the depth (B,) mm about the map's."""
+        c, response = self.config, self.response
+        share = (torch.arange(SAMPLES) + 0.5) / SAMPLES
+        path_mm = (motion.length + motion.pause)[:, None]
+        travelled = torch.minimum(share * path_mm, motion.length[:, None])
+        s = motion.first[:, None] + travelled - (lines.speed * response.lag_s)[:, None]
+        depth = c.depth_mm * random.normal(random.count).clamp(-2.0, 3.0)
         clean = self._response(
-            foot_x[:, None] + s * cos[:, None], foot_y[:, None] + s * sin[:, None], cos, sin, depth
+            lines.foot_x[:, None] + s * lines.cos[:, None],
+            lines.foot_y[:, None] + s * lines.sin[:, None],
+            lines.cos,
+            lines.sin,
+            depth,
         )
-        channels = clean.shape[2]
-        gain = 1 + response.gain_sd * normal(count, 1, 1) + c.channel_gain * normal(count, 1, channels)
-        blocks = (seconds / self.block_s / KNOTS).clamp(min=0.2)
-        zero = self._drift * normal(count, 1, channels)
-        zero = zero + self._drift * normal(count, 1, channels) * (share[:, None] - 0.3)
-        # What the map leaves over: a smooth wave along the line, different in each channel.
-        wave = 2 * math.pi * (length + pause)[:, None] / uniform(15.0, 50.0)[:, None] * share
-        phase = 2 * math.pi * torch.rand(count, 1, channels, generator=generator)
+        each = (random.count, 1, clean.shape[2])
+        gain = (
+            1 + response.gain_sd * random.normal(random.count, 1, 1) + c.channel_gain * random.normal(*each)
+        )
+        blocks = (motion.seconds / self.block_s / SAMPLES).clamp(min=LEAST_BLOCK_SHARE)
+        # The static output is off by its drift at the start, and moves on by as much again.
+        zero = self._drift * random.normal(*each)
+        zero = zero + self._drift * random.normal(*each) * (share[:, None] - ZERO_SHARE)
+        zero = zero + self._map_residual(clean, path_mm, share, random)
+        noise = self._noise * blocks.rsqrt()[:, None, None]
+        return gain * clean + zero + noise * random.normal(random.count, SAMPLES, clean.shape[2]), depth
+
+    def _map_residual(self, clean: Tensor, path_mm: Tensor, share: Tensor, random: "_Random") -> Tensor:
+        """The map's residual (B, SAMPLES, C) V: a smooth wave along the line, different in each channel."""
+        each = (random.count, 1, clean.shape[2])
+        wave = 2 * math.pi * path_mm / random.uniform(*WAVE_MM)[:, None] * share
+        phase = 2 * math.pi * random.even(*each)
         peak = clean.abs().amax((1, 2))[:, None, None]
-        left = (response.floor_v + PEAK_SHARE * peak) * normal(count, 1, channels)
-        zero = zero + left * torch.sin(wave[:, :, None] + phase)
-        volts = (
-            gain * clean + zero + self._noise * blocks.rsqrt()[:, None, None] * normal(count, KNOTS, channels)
-        )
-        integral = F.pad(volts.cumsum(1), (0, 0, 1, 0))
-        width = 3
-        level = (integral[:, width:] - integral[:, :-width]).abs().amax(2) / width
-        threshold = torch.exp(uniform(math.log(c.trigger_v[0]), math.log(c.trigger_v[1])))
-        passed = level > threshold[:, None]
+        size = (self.response.floor_v + PEAK_SHARE * peak) * random.normal(*each)
+        return size * torch.sin(wave[:, :, None] + phase)
+
+    def _trigger(self, integral: Tensor, random: "_Random") -> tuple[Tensor, Tensor]:
+        """The sample (B,) at which each slide passes its trigger, and whether it does with enough samples left."""
+        level = (integral[:, TRIGGER_SAMPLES:] - integral[:, :-TRIGGER_SAMPLES]).abs().amax(
+            2
+        ) / TRIGGER_SAMPLES
+        low, high = self.config.trigger_v
+        passed = level > torch.exp(random.uniform(math.log(low), math.log(high)))[:, None]
         start = passed.float().argmax(1)
-        sound &= passed.any(1) & (start < KNOTS - 8) & (seconds * (1 - start / KNOTS) > 6 * self.block_s)
-        start = start.clamp(max=KNOTS - 8).float()
-        windows = _bins(integral, start)
-        weight = torch.ones(count, channels // 2)
-        if channels > 2:
-            lost = torch.randint(channels // 2, (count,), generator=generator)
-            weight[torch.arange(count), lost] = 1.0 - chance(c.dead).float()
-        elapsed = seconds * (1 - start / KNOTS)
-        targets = torch.stack([cos, sin, speed.log(), offset, first + length, response.depth_mm + depth], 1)
-        windows = windows * weight.repeat_interleave(2, 1)[:, :, None]
-        return WindowBatch(windows[sound], elapsed[sound], weight[sound], targets[sound])
+        return start.float(), passed.any(1) & (start < SAMPLES - LEAST_SAMPLES)
+
+    def _weights(self, random: "_Random") -> Tensor:
+        """(B, A): 1, and 0 for an accelerometer that is dead."""
+        boards = self.response.channels // 2
+        weight = torch.ones(random.count, boards)
+        if boards > 1:
+            lost = torch.randint(boards, (random.count,), generator=random.generator)
+            weight[torch.arange(random.count), lost] = 1.0 - random.chance(self.config.dead).float()
+        return weight
 
     def _response(self, x: Tensor, y: Tensor, cos: Tensor, sin: Tensor, depth: Tensor) -> Tensor:
         """Bilinear look-up in the table: (B, n) positions -> (B, n, C) V; zero beyond the table."""
@@ -177,8 +220,63 @@ class WindowSource:
         high = self._table[at + 1] * (1 - fu) + self._table[at + self._size + 1] * fu
         parts = (low * (1 - fv) + high * fv) * inside[..., None]
         mean, along_x, along_y, deep = parts.chunk(4, dim=2)
-        turn = (cos[:, None, None], sin[:, None, None])
-        return mean + turn[0] * along_x + turn[1] * along_y + depth[:, None, None] * deep
+        axis = (cos[:, None, None], sin[:, None, None])
+        return mean + axis[0] * along_x + axis[1] * along_y + depth[:, None, None] * deep
+
+
+@dataclass(frozen=True)
+class _Random:
+    """Draws of `count` windows at once."""
+
+    count: int
+    generator: torch.Generator
+
+    def even(self, *shape: int) -> Tensor:
+        """In [0, 1)."""
+        return torch.rand(*shape, generator=self.generator)
+
+    def uniform(self, low: float, high: float) -> Tensor:
+        """(B,) in [low, high)."""
+        return low + (high - low) * self.even(self.count)
+
+    def normal(self, *shape: int) -> Tensor:
+        """With mean 0 and deviation 1."""
+        return torch.randn(*shape, generator=self.generator)
+
+    def chance(self, share: float) -> Tensor:
+        """(B,) bool, true with the probability `share`."""
+        return self.uniform(0.0, 1.0) < share
+
+
+@dataclass(frozen=True)
+class _Lines:
+    """(B,) each: direction, offset mm, speed mm/s, the foot of the perpendicular, and where along the line, mm from
+    the foot, it enters and leaves the chamber."""
+
+    cos: Tensor
+    sin: Tensor
+    offset: Tensor
+    speed: Tensor
+    foot_x: Tensor
+    foot_y: Tensor
+    enter: Tensor
+    leave: Tensor
+
+    @property
+    def crosses(self) -> Tensor:
+        """Whether it crosses the chamber by more than LEAST_CHORD_MM."""
+        return self.leave - self.enter > LEAST_CHORD_MM
+
+
+@dataclass(frozen=True)
+class _Motion:
+    """(B,) each: where the slide begins along its line, mm; its length and the rest at its end, as a length, mm; and
+    how long both take, s."""
+
+    first: Tensor
+    length: Tensor
+    pause: Tensor
+    seconds: Tensor
 
 
 def _crossing(foot: Tensor, slope: Tensor, half_mm: float) -> tuple[Tensor, Tensor]:
@@ -189,10 +287,10 @@ def _crossing(foot: Tensor, slope: Tensor, half_mm: float) -> tuple[Tensor, Tens
 
 
 def _bins(integral: Tensor, start: Tensor) -> Tensor:
-    """Means over 64 equal bins from knot `start` (B,) to the end, from (B, KNOTS + 1, C) integrals -> (B, C, 64)."""
-    step = (KNOTS - start) / WINDOW_BINS
+    """Means over 64 equal bins from sample `start` (B,) on, from (B, SAMPLES + 1, C) integrals -> (B, C, 64)."""
+    step = (SAMPLES - start) / WINDOW_BINS
     edges = start[:, None] + step[:, None] * torch.arange(WINDOW_BINS + 1)
-    lower = edges.long().clamp(max=KNOTS - 1)
+    lower = edges.long().clamp(max=SAMPLES - 1)
     share = (edges - lower)[:, :, None]
     index = lower[:, :, None].expand(-1, -1, integral.shape[2])
     at_edges = integral.gather(1, index) * (1 - share) + integral.gather(1, index + 1) * share

@@ -215,10 +215,10 @@ def _fit_splines(
     scale = (float(np.median(response.noise_v)) / PENALTY_NOISE_V) ** 2
     smooth = scale * np.array([config.smooth_mean, *[config.smooth_friction] * (PARTS - 1)])
     near = scale * (config.near_prior if prior is not None else LEAST_RIDGE)
-    rim = RIM_WEIGHT * _rim_gram(response)
-    normal += sparse.kron(_roughness(k), np.diag(smooth)) + sparse.kron(rim, np.eye(PARTS))
+    rim = _rim_gram(response)
+    normal += sparse.kron(_roughness(k), np.diag(smooth)) + sparse.kron(RIM_WEIGHT * rim, np.eye(PARTS))
     normal += sparse.kron(sparse.identity(size), np.diag(RIDGE * smooth + near))
-    right -= (rim @ start.reshape(size, -1)).reshape(start.shape)
+    right -= RIM_WEIGHT * (rim @ start.reshape(size, -1)).reshape(start.shape)
     solution = start + _solved(normal, right.reshape(PARTS * size, -1)).reshape(start.shape)
     return replace(response, coefficients=solution.reshape(k, k, PARTS, -1).transpose(2, 0, 1, 3))
 

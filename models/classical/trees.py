@@ -1,0 +1,102 @@
+"""Extremely randomized trees (Geurts, Ernst and Wehenkel 2006) on the feature vector."""
+
+from dataclasses import dataclass, field
+from typing import ClassVar
+
+import numpy as np
+import onnx
+from onnx import TensorProto
+from skl2onnx import convert_sklearn
+from skl2onnx.common.data_types import FloatTensorType
+from sklearn.ensemble import ExtraTreesRegressor
+
+from features.stream.conditioning import Conditioning
+from models.classical.augmentation import with_lines_between
+from models.classical.fit import feature_model
+from models.classical.regression import (
+    OUTPUTS,
+    Scale,
+    float_features,
+    late_windows,
+    read_columns,
+    targets,
+)
+from models.graph.builder import OPSET, OPSET_ML, GraphBuilder
+from pipeline.recordings.windows import LabelledWindows
+
+# Each forest's targets, and those of them that are taken from it. Direction and speed fare better alone: what splits
+# the one does not split the other (one forest for all doubles the speed's error, experiments/LOG.md). The offset fares
+# better beside the direction: its sign is tied to it.
+FORESTS = (((0, 1), (0, 1)), ((2,), (2,)), ((0, 1, 3), (3,)))
+
+
+@dataclass(frozen=True)
+class TreesConfig:
+    """trees: in each of the three forests. least_leaf: windows that a leaf averages at least; fewer make the graph
+    larger (200 trees with leaves of 6: 26 MB)."""
+
+    conditioning: Conditioning = field(default_factory=Conditioning)
+    trees: int = 150
+    least_leaf: int = 6
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class Trees:
+    """One forest for each of FORESTS over the columns that they read, in the targets' standard units."""
+
+    columns: np.ndarray
+    forests: tuple[ExtraTreesRegressor, ...]
+    target: Scale
+    outputs: ClassVar[tuple[str, ...]] = OUTPUTS
+
+    def predict(self, features: np.ndarray) -> np.ndarray:
+        """Rows (n, 4) of features (n, F)."""
+        read = np.asarray(features, np.float32)[:, self.columns]
+        standard = np.empty((len(read), len(OUTPUTS)))
+        for (grown, taken), forest in zip(FORESTS, self.forests, strict=True):
+            rows = forest.predict(read).reshape(len(read), -1)
+            standard[:, taken] = rows[:, [grown.index(k) for k in taken]]
+        return self.target.natural(standard)
+
+    def graph(self, features: int) -> onnx.ModelProto:
+        """One ensemble node a forest, their columns put back in order. skl2onnx is exact for forests."""
+        g = GraphBuilder()
+        read = g.columns("features", self.columns)
+        parts = []
+        for (grown, taken), forest in zip(FORESTS, self.forests, strict=True):
+            (node,) = _ensemble(forest, len(self.columns)).graph.node
+            out = g.name()
+            node.input[0], node.output[0], node.name = read, out, out
+            g.nodes.append(node)
+            parts.append(g.columns(out, np.array([grown.index(k) for k in taken])))
+        order = np.argsort(np.concatenate([taken for _, taken in FORESTS]))
+        standard = g.columns(g.op("Concat", *parts, axis=1), order)
+        rows = self.target.natural_nodes(g, g.cast(standard, TensorProto.DOUBLE))
+        return g.model(rows, features, len(OUTPUTS))
+
+
+def fit_trees(windows: LabelledWindows, config: TreesConfig) -> Trees:
+    """Fits to the late windows and to rows between their lines."""
+    late = late_windows(windows)
+    columns = read_columns(late.volts.shape[1] // 3)
+    read, goals = with_lines_between(late, float_features(late)[:, columns], targets(late))
+    scale = Scale.of(goals)
+    standard = scale.standard(goals)
+    forests = tuple(
+        ExtraTreesRegressor(config.trees, min_samples_leaf=config.least_leaf, random_state=config.seed).fit(
+            read, standard[:, grown] if len(grown) > 1 else standard[:, grown[0]]
+        )
+        for grown, _ in FORESTS
+    )
+    return Trees(columns, forests, scale)
+
+
+def _ensemble(forest: ExtraTreesRegressor, columns: int) -> onnx.ModelProto:
+    kind = FloatTensorType([None, columns])
+    return convert_sklearn(
+        forest, initial_types=[("x", kind)], target_opset={"": OPSET, "ai.onnx.ml": OPSET_ML}
+    )
+
+
+MODEL = feature_model(TreesConfig, fit_trees)

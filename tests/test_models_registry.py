@@ -1,0 +1,94 @@
+"""The registry: names without heavy imports, and a model added as CONTRIBUTING.md says, in one file and one line."""
+
+import re
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+from features.errors import InputError
+from models import registry
+from models.export.bundle import write_bundle
+from pipeline.recordings.folder import SAMPLE, read_folder
+from pipeline.recordings.windows import labelled_windows
+from serve.predict import predict
+
+ROOT = Path(__file__).parents[1]
+LINE = re.compile(r'^    "(\w+)": "([\w.]+)",$', re.MULTILINE)
+
+
+def code_blocks() -> list[str]:
+    return re.findall(r"```python\n(.*?)```", (ROOT / "CONTRIBUTING.md").read_text(), re.DOTALL)
+
+
+@pytest.fixture
+def ridge(monkeypatch):
+    """The model shown in CONTRIBUTING.md, registered by the line shown there."""
+    source, line = code_blocks()
+    found = LINE.search(line)
+    assert found is not None
+    name, path = found.groups()
+    module = ModuleType(path)
+    monkeypatch.setitem(sys.modules, path, module)
+    exec(compile(source, path, "exec"), module.__dict__)
+    monkeypatch.setitem(registry.MODELS, name, path)
+    return name
+
+
+def test_the_model_of_the_guide_is_fitted_exported_and_predicts(ridge, tmp_path):
+    folder = read_folder(SAMPLE).select("calibration").labelled()
+    fitted = registry.fit_model(ridge, folder, registry.default_config(ridge))
+    windows = labelled_windows(folder, fitted.conditioning)
+    write_bundle(fitted, folder.sensor, windows, {}, tmp_path / "bundle")
+    # Held-out lines are some mm from their neighbours: it has learnt to interpolate between them.
+    assert fitted.summary["heldout_offset_mm"] < 2.0
+    rows = folder.manifest.iloc[::20]
+    lines = list(predict(tmp_path / "bundle", [folder.root / row.file for row in rows.itertuples()]))
+    assert [line["recording"] for line in lines] == list(rows.index)
+    errors = [line["offset_mm"] - row.offset_mm for line, row in zip(lines, rows.itertuples(), strict=True)]
+    assert np.abs(errors).mean() < 1.5
+
+
+def test_the_guide_s_model_is_short():
+    """Some ten lines: without imports, blank lines and decorators."""
+    body = code_blocks()[0].split("import Regressor, regression_table")[1]
+    lines = [line for line in body.splitlines() if line.strip() and not line.startswith("@")]
+    assert len(lines) <= 14
+
+
+def test_the_registry_lines_of_the_guide_are_of_the_registry_s_form():
+    source = Path(registry.__file__).read_text()
+    assert dict(LINE.findall(source)) == registry.MODELS
+
+
+def test_names_cost_no_heavy_import():
+    program = (
+        "import sys; from models import registry; print(*registry.names()); "
+        "print({'torch', 'sklearn'} & set(sys.modules))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    assert done.stdout.splitlines() == ["interpolation trees mlp gp cnn", "set()"]
+
+
+@pytest.mark.parametrize("name", registry.names())
+def test_every_model_has_a_configuration_with_conditioning(name):
+    config = registry.default_config(name)
+    assert replace(config, conditioning=config.conditioning) == config
+
+
+def test_an_unknown_name_is_refused_with_the_known_ones():
+    with pytest.raises(InputError, match="name one of interpolation, trees, mlp, gp, cnn"):
+        registry.default_config("oracle")
+
+
+@pytest.mark.parametrize("name", [n for n in registry.names() if not registry.uses_design(n)])
+def test_a_model_on_features_refuses_a_bundle_to_start_from(name):
+    folder = read_folder(SAMPLE).select("calibration")
+    with pytest.raises(InputError, match="recordings alone"):
+        registry.fit_model(name, folder, registry.default_config(name), init=object())
