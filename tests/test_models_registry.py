@@ -26,7 +26,7 @@ def code_blocks() -> list[str]:
 
 
 @pytest.fixture
-def ridge(monkeypatch):
+def added(monkeypatch):
     """The model shown in CONTRIBUTING.md, registered by the line shown there."""
     source, line = code_blocks()
     found = LINE.search(line)
@@ -39,25 +39,27 @@ def ridge(monkeypatch):
     return name
 
 
-def test_the_model_of_the_guide_is_fitted_exported_and_predicts(ridge, tmp_path):
+def test_the_model_of_the_guide_is_fitted_exported_and_predicts(added, tmp_path):
     folder = read_folder(SAMPLE).select("calibration").labelled()
-    fitted = registry.fit_model(ridge, folder, registry.default_config(ridge))
+    fitted = registry.fit_model(added, folder, registry.default_config(added))
     windows = labelled_windows(folder, fitted.conditioning)
     write_bundle(fitted, folder.sensor, windows, {}, tmp_path / "bundle")
-    # Held-out lines are some mm from their neighbours: it has learnt to interpolate between them.
-    assert fitted.summary["heldout_offset_mm"] < 2.0
+    # On lines it has not seen it does far better than chance: 90 degrees, and the lines' own offsets.
+    spread = folder.manifest["offset_mm"].abs().mean()
+    assert fitted.summary["heldout_direction_deg"] < 20.0
+    assert fitted.summary["heldout_offset_mm"] < 0.6 * spread
     rows = folder.manifest.iloc[::20]
     lines = list(predict(tmp_path / "bundle", [folder.root / row.file for row in rows.itertuples()]))
     assert [line["recording"] for line in lines] == list(rows.index)
     errors = [line["offset_mm"] - row.offset_mm for line, row in zip(lines, rows.itertuples(), strict=True)]
-    assert np.abs(errors).mean() < 1.5
+    assert np.abs(errors).mean() < 0.5 * spread
 
 
 def test_the_guide_s_model_is_short():
-    """Some ten lines: without imports, blank lines and decorators."""
+    """Without imports, blank lines and decorators."""
     body = code_blocks()[0].split("import Regressor, regression_table")[1]
     lines = [line for line in body.splitlines() if line.strip() and not line.startswith("@")]
-    assert len(lines) <= 14
+    assert len(lines) <= 20
 
 
 def test_the_registry_lines_of_the_guide_are_of_the_registry_s_form():
