@@ -122,8 +122,7 @@ def initial_proposal(graph: onnx.ModelProto, channels: int, config: NetworkConfi
         stored = found.get(f"proposal.{name}")
         if stored is None or stored.shape != tuple(value.shape):
             raise InputError(
-                f"proposal.{name} is missing or of another shape; "
-                "name a cnn bundle of a like sensor", "init"
+                f"proposal.{name} is missing or of another shape; name a cnn bundle of a like sensor", "init"
             )
         state[name] = torch.tensor(stored)
     proposal.load_state_dict(state)
