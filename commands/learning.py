@@ -38,14 +38,16 @@ def train(parser: Parser) -> Run:
         softslide train --recordings my-recordings --out my-model
         softslide train --recordings my-recordings --model trees --out my-trees
     """
+    from models import registry
+
     arguments.recordings(parser, "what to learn from")
     arguments.atlas(parser, "the design's response atlas, from 'simulate'")
     arguments.existing(parser, "--init", "BUNDLE", "a bundle of the same model to start from (warm start)")
     parser.add_argument(
         "--model",
-        default="cnn",
+        default=registry.DEFAULT,
         metavar="NAME",
-        help="interpolation, trees, mlp, gp or cnn (default: %(default)s)",
+        help=f"{', '.join(registry.names()[:-1])} or {registry.names()[-1]} (default: %(default)s)",
     )
     arguments.existing(parser, "--config", "FILE", "TOML with changes to the model's defaults")
     arguments.out(parser, "where the bundle goes", metavar="BUNDLE")

@@ -3,16 +3,18 @@
 from collections.abc import Callable
 from dataclasses import replace
 from importlib import import_module
-from typing import Any
-
-import onnx
+from typing import TYPE_CHECKING, Any
 
 from features.errors import InputError
-from models.fitted_model import FittedModel, Model
-from pipeline.atlas.atlas import Atlas
-from pipeline.recordings.folder import Folder
 
-# Imported when they are asked for: a name costs neither torch nor scikit-learn.
+if TYPE_CHECKING:
+    import onnx
+
+    from models.fitted_model import FittedModel, Model
+    from pipeline.atlas.atlas import Atlas
+    from pipeline.recordings.folder import Folder
+
+# Imported when they are asked for: the names cost nothing, so that `train --help` needs the base install alone.
 MODELS = {
     "interpolation": "models.classical.interpolation",
     "trees": "models.classical.trees",
@@ -48,12 +50,12 @@ def uses_design(name: str) -> bool:
 
 def fit_model(
     name: str,
-    folder: Folder,
+    folder: "Folder",
     config: Any,
-    atlas: Atlas | None = None,
-    init: onnx.ModelProto | None = None,
+    atlas: "Atlas | None" = None,
+    init: "onnx.ModelProto | None" = None,
     progress: Callable[[int, float], None] = lambda step, loss: None,
-) -> FittedModel:
+) -> "FittedModel":
     """Fits the model to the folder's labelled recordings.
 
     atlas: the sensor's design, and init: the graph of a bundle of the same model to start from, for models that use
@@ -74,7 +76,7 @@ def fit_model(
     return replace(fitted, name=name)
 
 
-def _model(name: str) -> Model:
+def _model(name: str) -> "Model":
     if name not in MODELS:
         raise InputError(f"no model '{name}'; name one of {', '.join(MODELS)}")
     return import_module(MODELS[name]).MODEL
