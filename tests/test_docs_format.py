@@ -7,9 +7,13 @@ import textwrap
 from dataclasses import fields
 from pathlib import Path
 
+import pandas as pd
+
 import softslide
+from experiments.evaluation import tracks
 from experiments.evaluation.readout import COLUMNS
 from features.card import Card
+from pipeline.recordings import truth
 from pipeline.recordings.manifest import LABELS, REQUIRED
 
 TEXT = (Path(__file__).parents[1] / "docs" / "format.md").read_text(encoding="utf-8")
@@ -24,7 +28,18 @@ def first_column(title: str) -> tuple[str, ...]:
 def test_the_tables_list_the_codes_columns_and_fields_in_order() -> None:
     assert first_column("manifest column") == (*REQUIRED, *LABELS)
     assert first_column("prediction column") == COLUMNS
+    assert first_column("truth column") == truth.COLUMNS
     assert first_column("card field") == tuple(field.name for field in fields(Card))
+
+
+def test_the_track_metrics_are_those_that_a_summary_holds() -> None:
+    _, rows = TEXT.split("| track metric |")
+    cells = re.findall(r"^\| (`[^|]+) \|", rows.partition("\n\n")[0], re.MULTILINE)
+    listed = [name for cell in cells for name in re.findall(r"`([^`]+)`", cell)]
+    stream = [{"time_s": k / 50, "state": "slide", "valid": False} for k in range(5)]
+    still = pd.DataFrame([[k / 100, 0, 0, 0, 0, 1, 0] for k in range(20)], columns=list(truth.COLUMNS))
+    summary = tracks.summarize([tracks.judge(tracks.estimate_table(stream), still, (0.0, 0.0))])
+    assert sorted(listed) == sorted(summary)
 
 
 def test_the_exit_statuses_are_those_that_the_command_returns() -> None:
