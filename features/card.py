@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from features.errors import InputError
-from features.stream.conditioning import Conditioning
+from features.stream.conditioning import ROUNDING, Conditioning
 
 FORMAT = "softslide-model"
 VERSION = 1
@@ -97,9 +97,14 @@ class Card:
             raise ValueError(f"{len(self.channels)} channels; each accelerometer has three")
 
     @property
+    def block_samples(self) -> float:
+        """Length of a block in samples: not always a whole number."""
+        return self.conditioning.block_samples(self.sample_rate_hz)
+
+    @property
     def samples_per_block(self) -> int:
-        """Samples in one block."""
-        return round(self.conditioning.block_s * self.sample_rate_hz)
+        """Whole samples in one block at least: a chunk of this many completes one block at most."""
+        return int(self.block_samples + ROUNDING)
 
 
 def write_card(card: Card, path: Path) -> None:

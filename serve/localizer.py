@@ -41,8 +41,8 @@ class Localizer:
         self._session = session
         channels, accelerometers = len(card.channels), card.sensor["accelerometers"]
         zero = np.repeat([float(a["zero_g_v"]) for a in accelerometers], 3)
-        self._blocks = Blocks(channels, card.samples_per_block)
-        self._clock = SampleClock(card.sample_rate_hz, (BRIDGED_BLOCKS + 2) * card.samples_per_block)
+        self._blocks = Blocks(channels, card.block_samples)
+        self._clock = SampleClock(card.sample_rate_hz, round((BRIDGED_BLOCKS + 2) * card.block_samples))
         read = np.full(channels, card.input == "features")
         read[tilt_channels(channels)] = True
         # Without acceleration an output is half its supply, and no output is outside the supply.
@@ -82,8 +82,8 @@ class Localizer:
 
     def feed(self, volts: np.ndarray, time_s: np.ndarray | None = None) -> None:
         """Takes samples as `push` does, without computing estimates."""
-        for samples in self._whole_blocks(volts, time_s):
-            self._advance(samples)
+        for block in self._whole_blocks(volts, time_s):
+            self._advance(*block)
 
     def push(self, volts: np.ndarray, time_s: np.ndarray | None = None) -> list[Estimate]:
         """Takes samples (n, C) V in the card's channel order; one estimate for each block that they complete.
@@ -96,8 +96,8 @@ class Localizer:
             InputError: not real numbers, another shape, or a time that is not finite; no sample was taken.
         """
         estimates = []
-        for samples in self._whole_blocks(volts, time_s):
-            self._advance(samples)
+        for block in self._whole_blocks(volts, time_s):
+            self._advance(*block)
             estimates.append(self.read())
         return estimates
 
@@ -165,15 +165,17 @@ class Localizer:
             **self._last_drift._asdict(),
         )
 
-    def _whole_blocks(self, volts: np.ndarray, time_s: np.ndarray | None) -> Iterator[np.ndarray]:
+    def _whole_blocks(
+        self, volts: np.ndarray, time_s: np.ndarray | None
+    ) -> Iterator[tuple[np.ndarray, tuple[float, float]]]:
         volts, time_s = self._checked(volts, time_s)
         for piece in self._clock.place(volts, time_s):
             yield from self._blocks.push(piece)
 
-    def _advance(self, samples: np.ndarray) -> None:
+    def _advance(self, samples: np.ndarray, shares: tuple[float, float]) -> None:
         tracker = self._tracker
         sliding, usable = tracker.state is SlideState.SLIDE, tracker.usable
-        judged = self._watch.push(samples)
+        judged = self._watch.push(samples, shares)
         tracker.push(judged.mean, judged.healthy)
         self._count += 1
         self._healthy = judged.healthy

@@ -4,9 +4,9 @@ import tracemalloc
 
 import numpy as np
 import pytest
-from streams import pass_over, still, stream
+from streams import RATE_HZ, pass_over, still, stream
 
-from features.stream.conditioning import BlockMean, Conditioning
+from features.stream.conditioning import Conditioning, block_means
 from features.stream.faults import BRIDGED_BLOCKS, FROZEN_BLOCKS, SignalWatch
 from features.stream.static_output import StaticOutput
 from features.stream.tracker import SlideState, SlideTracker, track
@@ -16,7 +16,7 @@ CONDITIONING = Conditioning()
 
 def blocks(*parts: np.ndarray, accelerometers: int = 1, seed: int = 0) -> np.ndarray:
     volts = stream(*parts, accelerometers=accelerometers, seed=seed)
-    return BlockMean(volts.shape[1], 20).push(volts)
+    return block_means(volts, Conditioning(), RATE_HZ)
 
 
 def run(tracker: SlideTracker, means: np.ndarray, healthy: np.ndarray | None = None) -> list[SlideState]:

@@ -7,7 +7,7 @@ import pytest
 from bump_map import bump_map
 from calibration_slides import slides_of
 
-from features.stream.conditioning import BlockMean, Conditioning
+from features.stream.conditioning import Conditioning, block_means
 from features.stream.tracker import track
 from models.response_map.lag import TAU_S, retardation_s
 from models.response_map.slides import CalibrationSlide
@@ -18,7 +18,7 @@ DELAYED, TAUS = 0.15, (0.05, 0.2, 0.6)
 
 def window_of(signal: np.ndarray, conditioning: Conditioning, end: int) -> tuple[np.ndarray, np.ndarray]:
     """A signal (n, 3) V at 1 kHz: its window's bins (3, 64) V when `end` samples were seen, and the bins' edges."""
-    blocks = BlockMean(3, 20).push(signal)
+    blocks = block_means(signal, Conditioning(), 1000.0)
     (window,) = track(blocks, conditioning, np.array([end // 20]))
     assert window is not None
     return window.volts, end - 1000 * window.elapsed_s * np.linspace(1, 0, 65)

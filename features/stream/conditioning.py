@@ -1,10 +1,20 @@
-"""Samples to block means, and the constants of the signal path."""
+"""Samples to block means, and the constants of the signal path.
+
+A block is a time: `Conditioning.block_s`. Where the rate makes it no whole number of samples, the sample that an edge
+of a block falls on counts in both blocks, in each by its share. So a mean is over exactly `block_s`, which cancels
+mains, and blocks do not drift against time.
+"""
 
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, fields
 
 import numpy as np
+
+# Samples; what an edge of a block is less than this away from a sample's is rounding, at any rate and for years.
+ROUNDING = 1e-4
+# Shares of a block's first and last sample, where it holds whole samples alone.
+WHOLE = (1.0, 1.0)
 
 
 @dataclass(frozen=True)
@@ -66,6 +76,10 @@ class Conditioning:
         if self.release_v > self.trigger_v:
             raise ValueError("release_v exceeds trigger_v; a slide would end as it begins")
 
+    def block_samples(self, rate_hz: float) -> float:
+        """Length of a block in samples at `rate_hz` Hz: not always a whole number."""
+        return self.block_s * rate_hz
+
     @property
     def lag_s(self) -> float:
         """How late the response to a steady change is, s."""
@@ -83,42 +97,71 @@ class Conditioning:
 
 
 class Blocks:
-    """Cuts a stream into blocks of S samples; the blocks do not depend on the chunks that it comes in."""
+    """Cuts a stream into blocks; they do not depend on the chunks that it comes in.
 
-    def __init__(self, channels: int, samples_per_block: int) -> None:
-        self._samples = np.empty((samples_per_block, channels))
-        self._count = 0
+    length: of a block in samples (`Conditioning.block_samples`), 1 or more.
+    """
+
+    def __init__(self, channels: int, length: float) -> None:
+        self._length = length
+        self._samples = np.empty((math.ceil(length) + 1, channels))
+        self.reset()
 
     def reset(self) -> None:
-        """Forgets the samples of an unfinished block."""
+        """Forgets the stream."""
         self._count = 0
+        self._begin(0)
 
-    def push(self, volts: np.ndarray) -> Iterator[np.ndarray]:
-        """volts (n, C) V -> the blocks (S, C) V float64 that these samples complete, each overwritten by the next."""
-        size = len(self._samples)
+    def _begin(self, number: int) -> None:
+        """The block of that number is next: how many samples it touches, and the shares of the first and the last."""
+        begin, end = number * self._length, (number + 1) * self._length
+        first, behind = math.floor(begin + ROUNDING), math.ceil(end - ROUNDING)
+        self._number, self._size = number, behind - first
+        self._shares = min(first + 1 - begin, 1.0), min(end - behind + 1, 1.0)
+
+    def push(self, volts: np.ndarray) -> Iterator[tuple[np.ndarray, tuple[float, float]]]:
+        """volts (n, C) V -> the blocks that these samples complete, as `block_mean` takes them.
+
+        Each is samples (S, C) V float64, overwritten by the next, and the shares of the first and the last of them.
+        """
         taken = 0
-        while len(volts) - taken >= size - self._count:
-            part = size - self._count
-            self._samples[self._count :] = volts[taken : taken + part]
+        while len(volts) - taken >= self._size - self._count:
+            part = self._size - self._count
+            self._samples[self._count : self._size] = volts[taken : taken + part]
             taken += part
-            self._count = 0
-            yield self._samples
+            samples, shares = self._samples[: self._size], self._shares
+            yield samples, shares
+            # A sample that the edge cuts begins the next block.
+            self._count = int(shares[1] < 1.0 - ROUNDING)
+            self._samples[: self._count] = samples[-1]
+            self._begin(self._number + 1)
         rest = len(volts) - taken
         self._samples[self._count : self._count + rest] = volts[taken:]
         self._count += rest
 
 
-class BlockMean:
-    """Anti-alias filter and decimator: the mean of each block."""
+def block_mean(samples: np.ndarray, shares: tuple[float, float] = WHOLE) -> np.ndarray:
+    """Mean (C,) V of a block's samples (S, C) V, of which the first and the last count by their share."""
+    total = np.add.reduce(samples)
+    if shares == WHOLE:
+        return total / len(samples)
+    missing = 1.0 - shares[0], 1.0 - shares[1]
+    return (total - missing[0] * samples[0] - missing[1] * samples[-1]) / (len(samples) - sum(missing))
 
-    def __init__(self, channels: int, samples_per_block: int) -> None:
-        self._blocks = Blocks(channels, samples_per_block)
-        self._channels = channels
 
-    def push(self, volts: np.ndarray) -> np.ndarray:
-        """volts (n, C) V -> (m, C) V, the means of the m blocks that these samples complete."""
-        means = [samples.mean(axis=0) for samples in self._blocks.push(volts)]
-        return np.array(means).reshape(len(means), self._channels)
+def block_means(volts: np.ndarray, conditioning: Conditioning, rate_hz: float) -> np.ndarray:
+    """Anti-alias filter and decimator: volts (n, C) V at `rate_hz` Hz -> means (m, C) V of the m whole blocks.
+
+    Block k is the time from k `block_s` to (k + 1) `block_s` after the first sample.
+    """
+    blocks = Blocks(volts.shape[1], conditioning.block_samples(rate_hz))
+    means = [block_mean(*block) for block in blocks.push(volts)]
+    return np.array(means).reshape(len(means), volts.shape[1])
+
+
+def blocks_in(samples: np.ndarray, length: float) -> np.ndarray:
+    """Number of blocks of `length` samples that each of so many samples (k,) complete."""
+    return np.floor((samples + ROUNDING) / length).astype(int)
 
 
 def without_lag(blocks: np.ndarray, conditioning: Conditioning) -> np.ndarray:

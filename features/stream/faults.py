@@ -11,6 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from features.stream.conditioning import WHOLE, block_mean
+
 # Blocks, 0.1 s, for which an old mean may be used before the accelerometer is faulty.
 BRIDGED_BLOCKS = 5
 # Blocks, 0.5 s, that a channel may repeat the same bits while others change. Noise of 5 mV and a converter of 0.5 mV
@@ -47,20 +49,20 @@ class SignalWatch:
         self._healthy, self._unbridged = np.ones(channels // 3, bool), np.zeros(channels // 3, bool)
         self._clear = True
 
-    def push(self, samples: np.ndarray) -> Judged:
-        """samples: (S, C) V, one block."""
+    def push(self, samples: np.ndarray, shares: tuple[float, float] = WHOLE) -> Judged:
+        """samples: (S, C) V, one block; shares: of its first and last sample, the part within the block."""
         last = self._mean
         if (
             np.minimum.reduce(samples, axis=None) >= self._highest_low
             and np.maximum.reduce(samples, axis=None) <= self._lowest_high
         ):
-            self._mean = np.add.reduce(samples) / len(samples)
+            self._mean = block_mean(samples, shares)
             # The usual block, in as few calls of numpy as possible.
             if self._clear and not any(map(eq, self._mean.tolist(), last.tolist())):
                 return Judged(self._mean, self._healthy, self._unbridged)
             missed = np.zeros(len(last), dtype=bool)
         else:
-            self._mean, missed = self._mean_of_good(samples)
+            self._mean, missed = self._mean_of_good(samples, shares)
         still = (samples == samples[0]).all(axis=0) & (self._mean == last)
         # When every channel repeats itself, the stream is quiet (or simulated) and no accelerometer is to blame.
         self._still = np.where(still, self._still + (not still[self._read].all()), 0)
@@ -69,13 +71,17 @@ class SignalWatch:
         bad = (self._missed > BRIDGED_BLOCKS) | (self._still >= FROZEN_BLOCKS)
         return Judged(self._mean, ~self._any(bad), self._any(missed))
 
-    def _mean_of_good(self, samples: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _mean_of_good(
+        self, samples: np.ndarray, shares: tuple[float, float]
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Means (C,) V of the samples that are not lost, or the last means; and where the last ones were used (C,)."""
         # NaN compares false, and infinities are beyond any bound.
         good = (samples >= self._low) & (samples <= self._high)
-        count = good.sum(axis=0)
-        missed = 2 * count < len(samples)
-        mean = np.where(good, samples, 0.0).sum(axis=0) / np.maximum(count, 1)
+        missed = 2 * good.sum(axis=0) < len(samples)
+        weight = good.astype(float)
+        weight[0] *= shares[0]
+        weight[-1] *= shares[1]
+        mean = (np.where(good, samples, 0.0) * weight).sum(axis=0) / np.where(missed, 1.0, weight.sum(axis=0))
         return np.where(missed, self._mean, mean), missed
 
     def _any(self, channels: np.ndarray) -> np.ndarray:

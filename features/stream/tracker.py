@@ -251,7 +251,7 @@ class SlideTracker:
 def track(blocks: np.ndarray, conditioning: Conditioning, read_at: np.ndarray) -> list[Window | None]:
     """The window as it stood after each of the block counts in `read_at` (ascending), the batch form.
 
-    blocks: (m, C) V, means from `BlockMean`; read_at: (k,) numbers of blocks seen.
+    blocks: (m, C) V, means from `block_means`; read_at: (k,) numbers of blocks seen.
     """
     tracker = SlideTracker(conditioning, blocks.shape[1])
     windows: list[Window | None] = []

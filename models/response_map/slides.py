@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from features.angles import tilt_channels
-from features.stream.conditioning import BlockMean, Conditioning, without_lag
+from features.stream.conditioning import Conditioning, block_means, without_lag
 from pipeline.recordings.folder import Folder
 from pipeline.recordings.stroke import stage_motion
 
@@ -71,8 +71,7 @@ def _slide(folder: Folder, name: str, row: Any, conditioning: Conditioning) -> C
     """One recording, labelled by `row` of the manifest; None if its rest is too short."""
     recording, sensor = folder.load(name), folder.sensor
     tilt = tilt_channels(len(sensor.channels))
-    size = round(conditioning.block_s * sensor.sample_rate_hz)
-    blocks = BlockMean(recording.volts.shape[1], size).push(recording.volts)[:, tilt]
+    blocks = block_means(recording.volts, conditioning, sensor.sample_rate_hz)[:, tilt]
     time_s = recording.time_s[0] + (np.arange(len(blocks)) + 0.5) * conditioning.block_s
     rest = blocks[time_s < row.motion_start_s - conditioning.block_s]
     if len(rest) < LEAST_REST_BLOCKS:

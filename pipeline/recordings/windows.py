@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from features.errors import InputError
-from features.stream.conditioning import BlockMean, Conditioning
+from features.stream.conditioning import Conditioning, block_means, blocks_in
 from features.stream.tracker import track
 from pipeline.recordings.folder import Folder
 from pipeline.recordings.manifest import LABELS
@@ -82,13 +82,13 @@ def _windows_of(
     row = folder.manifest.loc[[name], list(LABELS)].to_numpy(float)[0]
     labels = dict(zip(LABELS, row.tolist(), strict=True))
     rate = folder.sensor.sample_rate_hz
-    samples = max(1, round(conditioning.block_s * rate))
-    blocks = BlockMean(recording.volts.shape[1], samples).push(recording.volts)
+    blocks = block_means(recording.volts, conditioning, rate)
     start_s, end_s = labels["motion_start_s"], labels["motion_end_s"]
     known = bool(np.isfinite(start_s) and np.isfinite(end_s))
     stroke = np.sort(np.asarray(fractions, float)) if known else np.ones(1)
     read_s = start_s + stroke * (end_s - start_s) if known else recording.time_s[-1:]
-    read_at = np.round((read_s - recording.time_s[0]) * rate).astype(int) // samples
+    seen = np.round((read_s - recording.time_s[0]) * rate)
+    read_at = blocks_in(seen, conditioning.block_samples(rate))
     windows = track(blocks, conditioning, np.minimum(read_at, len(blocks)))
     first = _along_at_start(labels, folder.sensor.reference_mm)
     return [
