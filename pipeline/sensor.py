@@ -14,6 +14,8 @@ from typing import Any
 from features.errors import InputError
 from pipeline.toml_tables import from_table, read_toml
 
+# Noise density of an accelerometer by its data sheet, g / sqrt(Hz). MMA7361L: Freescale, rev. 0, 350 ug / sqrt(Hz).
+NOISE_G_RTHZ = {"MMA7361L": 350e-6}
 # Skin left between a board and the clamped rim, and between two boards: less would be a sliver of an element.
 _RIM_MM = 0.5
 _BOARD_GAP_MM = 0.5
@@ -104,7 +106,7 @@ class MeshSize:
 
 @dataclass(frozen=True)
 class Sensor:
-    """The contract's `sensor.toml`. Lengths in mm, pressure in MPa, rate in Hz, ADC step in V."""
+    """A sensor: `sensor.toml`. Lengths in mm, pressure in MPa, rate in Hz, ADC step in V."""
 
     name: str
     sample_rate_hz: float

@@ -7,10 +7,9 @@ import pytest
 from scipy.signal import freqz, welch
 
 from pipeline.atlas.atlas import DEFAULT_SENSOR
-from pipeline.sensor import Accelerometer, read_sensor
+from pipeline.sensor import NOISE_G_RTHZ, Accelerometer, read_sensor
 from pipeline.synthesis.electronics import (
     BANDWIDTH_HZ,
-    NOISE_G_RTHZ,
     SUPPLY_V,
     ElectronicsSpread,
     digitized,
@@ -22,7 +21,7 @@ from pipeline.synthesis.electronics import (
 
 SENSOR = read_sensor(DEFAULT_SENSOR)
 IDEAL = replace(ideal_electronics(SENSOR), adc_step_v=0.0)
-NOISY = replace(IDEAL, noise_g_rthz=np.full((1, 3), NOISE_G_RTHZ), bandwidth_hz=BANDWIDTH_HZ)
+NOISY = replace(IDEAL, noise_g_rthz=np.full((1, 3), NOISE_G_RTHZ["MMA7361L"]), bandwidth_hz=BANDWIDTH_HZ)
 
 
 def random(seed: int = 0) -> np.random.Generator:
@@ -64,7 +63,7 @@ def test_noise_is_stationary_from_the_first_sample():
         NOISY,
         volts_per_g=np.repeat(IDEAL.volts_per_g, boards, 0),
         zero_v=np.zeros((boards, 3)),
-        noise_g_rthz=np.full((boards, 3), NOISE_G_RTHZ),
+        noise_g_rthz=np.full((boards, 3), NOISE_G_RTHZ["MMA7361L"]),
         mains_v=np.zeros((3 * boards, 4)),
         bandwidth_hz=(400.0, 50.0, 300.0),
     )

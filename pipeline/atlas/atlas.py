@@ -1,4 +1,4 @@
-"""The response atlas: what each board reads and the indenter feels, against its place, heading, depth and
+"""The response atlas: what each board reads and the indenter feels, over its place, heading, depth and
 pressure.
 
 At every grid point a mean over headings and two friction parts are kept,
@@ -68,9 +68,8 @@ class Atlas:
         """The subtracted gravity vector in each board's frame, contact minus static.
 
         Args:
-            x_mm, y_mm: (n,) the indenter's centre. heading_deg: (n,) or one, as the contract's
-                `direction_deg`;
-                None for an indentation without sliding, which is the mean over headings.
+            x_mm, y_mm: (n,) the indenter's centre. heading_deg: (n,) or one, as `direction_deg` of a
+                manifest; None for an indentation without sliding, which is the mean over headings.
             depth_mm: (n,) or one. pressure_level: (n,) or one, effective MPa.
 
         Returns:

@@ -1,4 +1,4 @@
-"""The atlas of a sensor, wherever it comes from: named, shipped, kept from an earlier time, or solved now."""
+"""The atlas of a sensor, named, shipped, cached, or solved now."""
 
 import os
 import sys
@@ -14,11 +14,11 @@ from pipeline.sensor import Sensor, design_hash
 def atlas_of(sensor: Sensor, named: Path | None = None, workers: int = 2) -> Atlas:
     """The sensor's atlas; says on standard error where it is from.
 
-    A design that is not the shipped one is solved coarsely (minutes on two cores) and kept in the user's cache
+    A design that is not the shipped one is solved coarsely (minutes on two cores) and cached in the user's cache
     folder, `SOFTSLIDE_CACHE` if that is set.
 
     Raises:
-        InputError: the atlas named is none or of another design, or the design cannot be solved.
+        InputError: the file named is no atlas or one of another design, or the design cannot be solved.
     """
     if named is not None:
         atlas = read_atlas(named)
@@ -27,32 +27,32 @@ def atlas_of(sensor: Sensor, named: Path | None = None, workers: int = 2) -> Atl
     if _is_shipped(sensor):
         print("atlas: the one that ships, of the article's sensor", file=sys.stderr)
         return read_atlas()
-    kept = cache_folder() / f"coarse-{design_hash(sensor)}.npz"
-    if kept.exists():
+    cached = cache_folder() / f"coarse-{design_hash(sensor)}.npz"
+    if cached.exists():
         try:
-            atlas = read_atlas(kept)
-            print(f"atlas: {kept}, solved earlier", file=sys.stderr)
+            atlas = read_atlas(cached)
+            print(f"atlas: {cached}, solved earlier", file=sys.stderr)
             return atlas
         except InputError:
-            kept.unlink()
+            cached.unlink()
     print(
-        f"atlas: none of {sensor.name} yet; solving a coarse one (minutes), to be kept in {kept}",
+        f"atlas: none of {sensor.name} yet; solving a coarse one (minutes), to be cached in {cached}",
         file=sys.stderr,
     )
     atlas = solve_atlas(
         coarse(sensor),
         COARSE,
         workers=workers,
-        work=kept.with_suffix(".work"),
+        work=cached.with_suffix(".work"),
         progress=lambda lines, count: progress_bar("solving", "line", lines, count),
         source=sensor.name,
     )
-    write_atlas(atlas, kept)
+    write_atlas(atlas, cached)
     return atlas
 
 
 def cache_folder() -> Path:
-    """Where solved atlases are kept."""
+    """The folder of cached atlases."""
     if named := os.environ.get("SOFTSLIDE_CACHE"):
         return Path(named)
     return Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "softslide"

@@ -1,6 +1,11 @@
-"""From static voltages alone: how high the skin stands, and where and how hard something rests on it.
+"""Skin height (mm), and place (mm), depth (mm) and force (N) of a resting contact, from static readings (g).
 
-The article gives a formula for the height (section 5.1) and leaves the indentation open.
+    height = height_by_atlas(static_g, atlas)
+    press = find_indentation(subtracted_g, atlas, atlas.pressure_at(height))
+
+Readings are volts over `sensitivity_v_per_g`: `static_g` of the untouched skin, less `zero_g_v`; `subtracted_g` of the
+touched skin, less the untouched one's. The article gives a formula for the height (section 5.1,
+`height_by_formula`) and none for the place of a press.
 """
 
 import math
@@ -33,7 +38,7 @@ def height_by_formula(static_g: float, board_mm: float, half_width_mm: float) ->
 
 
 def height_by_atlas(static_g: np.ndarray, atlas: Atlas) -> float:
-    """The height (mm) whose solved static posture fits readings (boards, 2) along x and y best, in g.
+    """The height (mm) whose solved static readings fit readings (boards, 2) along x and y best, in g.
 
     Raises:
         InputError: the readings lie outside the heights that the atlas was solved for.
@@ -57,7 +62,10 @@ def height_by_atlas(static_g: np.ndarray, atlas: Atlas) -> float:
 
 @dataclass(frozen=True)
 class Indentation:
-    """Where a static contact is, how deep below the flat skin's face, how hard; and how badly it fits."""
+    """A resting contact: its place, depth below the flat skin's face and normal force.
+
+    misfit_g: norm of the residual.
+    """
 
     x_mm: float
     y_mm: float
@@ -67,11 +75,11 @@ class Indentation:
 
 
 def find_indentation(subtracted_g: np.ndarray, atlas: Atlas, pressure_level: float) -> Indentation:
-    """The contact whose posture is nearest to subtracted readings (boards, 3) in g.
+    """The contact whose readings are nearest to subtracted readings (boards, 3) in g.
 
-    pressure_level: effective, MPa. The best of the atlas's grid points for each of some depths, then least
-    squares from each. The boards'
-    tilts alone are two numbers a board against three unknowns, so one accelerometer leans on its small z.
+    pressure_level: effective, MPa (`Atlas.pressure_at`). At each of up to five depths the best grid point starts a
+    bounded least-squares fit of x, y and depth; the fit with the least residual is returned. One accelerometer's two
+    tilts cannot determine three unknowns, so with one board the depth rests on its weak z reading.
 
     Raises:
         InputError: the readings have another shape than the atlas's boards.

@@ -1,7 +1,7 @@
 """The health report of a folder of recordings: each finding with its recording, its figure and the limit.
 
-An `error` is a recording, a label or a wire that is wrong; training on it would teach what is not so. A
-`warning` is worth a look and may be right.
+An `error` is a recording, a label or a wire that is wrong; a model trained on it would learn what is
+false. A `warning` is unusual and may be right.
 """
 
 from collections import Counter
@@ -12,14 +12,11 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from pipeline.checks.measurements import Vitals, measure
+from pipeline.checks.measurements import Measurements, measure
 from pipeline.checks.zone_signs import line_mismatch_mm
 from pipeline.progress import progress_bar
 from pipeline.recordings.folder import Folder
-from pipeline.sensor import Sensor
-
-# Noise of the accelerometer's data sheet, V / sqrt(Hz) for each V/g: MMA7361L 350 ug / sqrt(Hz).
-DATA_SHEET_G_RTHZ = {"MMA7361L": 350e-6}
+from pipeline.sensor import NOISE_G_RTHZ, Accelerometer, Sensor
 
 
 @dataclass(frozen=True)
@@ -44,7 +41,7 @@ class Limits:
     ramp_s: float = 1.0  # or, if more, as a time
     copied: float = 0.3  # portion of the samples that two recordings share
     same_noise: float = 0.5  # correlation of two recordings' noise
-    same_output: float = 0.95  # correlation of two outputs' noise: a shaken device moves all of them
+    same_output: float = 0.95  # correlation of two outputs' noise; high, as shaking moves all of them
     echo: float = 0.3  # autocorrelation of the noise
     tone: float = 100.0  # power of a line over the noise floor
     equal_noise: float = 0.02  # spread of the noise between outputs, over what chance would leave
@@ -71,27 +68,27 @@ class Finding:
 
 
 def examine(folder: Folder, limits: Limits | None = None) -> list[Finding]:
-    """Loads every slide, once, and judges it, then all of them together; errors first.
+    """Measures every slide once, then compares the slides with each other; errors first.
 
     Raises:
-        InputError: a slide that the contract refuses.
+        InputError: a slide that `Folder.load` refuses.
     """
     limits = limits or Limits()
     manifest = folder.manifest
     rows = progress_bar("check", "slide", manifest.iterrows(), len(manifest))
-    vitals = [measure(folder.load(str(name)), row, folder.sensor) for name, row in rows]
-    findings = list(_wiring(vitals, folder.sensor, limits))
+    measured = [measure(folder.load(str(name)), row, folder.sensor) for name, row in rows]
+    findings = list(_wiring(measured, folder.sensor, limits))
     sound = not any(finding.level == "error" for finding in findings)
-    for one, (_, labels) in zip(vitals, manifest.iterrows(), strict=True):
+    for one, (_, labels) in zip(measured, manifest.iterrows(), strict=True):
         findings += _signal(one, folder.sensor, limits)
         findings += _labels(one, labels, folder.sensor, limits)
         if sound:
-            # With a wire wrong every slide would disagree with its labels, and say nothing new.
+            # A wrong wire makes every slide disagree with its labels; it is reported once, above.
             findings += _label_against_signal(one, folder.sensor, limits)
-    copies = list(_duplicates(vitals, limits))
+    copies = list(_duplicates(measured, limits))
     findings += copies
     copied = {finding.recording for finding in copies}
-    findings += _made_up([one for one in vitals if one.name not in copied], folder.sensor, limits)
+    findings += _made_up([one for one in measured if one.name not in copied], folder.sensor, limits)
     findings += _leakage(manifest, limits)
     return sorted(findings, key=lambda finding: finding.level)
 
@@ -108,67 +105,57 @@ def as_json(folder: Folder, findings: Sequence[Finding]) -> dict[str, Any]:
     }
 
 
-def _signal(one: Vitals, sensor: Sensor, limits: Limits) -> Iterator[Finding]:
-    """One recording's own signal: clock, clipping, dead outputs, noise, mains, drift, rest, gravity."""
+def _signal(one: Measurements, sensor: Sensor, limits: Limits) -> Iterator[Finding]:
+    """One recording's own signal: clock, rest, gravity, and each output's."""
 
-    def find(level: str, kind: str, channel: str, figure: float, limit: float, text: str) -> Finding:
-        return Finding(level, kind, one.name, channel, float(figure), float(limit), text)
+    def warning(kind: str, channel: str, figure: float, limit: float, text: str) -> Finding:
+        return Finding("warning", kind, one.name, channel, float(figure), float(limit), text)
 
     if one.longest_step > limits.longest_step:
-        yield find(
-            "warning", "clock", "", one.longest_step, limits.longest_step, "the longest step, in samples"
-        )
+        yield warning("clock", "", one.longest_step, limits.longest_step, "the longest step, in samples")
     if (off := abs(one.rate_hz / sensor.sample_rate_hz - 1)) > limits.rate:
-        yield find("warning", "clock", "", off, limits.rate, "the rate is off sample_rate_hz by this portion")
+        yield warning("clock", "", off, limits.rate, "the rate is off sample_rate_hz by this portion")
     if one.rest_s < limits.rest_s:
-        yield find("warning", "no rest", "", one.rest_s, limits.rest_s, "s of rest before the slide")
+        yield warning("no rest", "", one.rest_s, limits.rest_s, "s of rest before the slide")
     for k, part in enumerate(sensor.accelerometers):
-        rest_g = float(
-            np.linalg.norm(one.rest_v[3 * k : 3 * k + 3] - part.zero_g_v) / part.sensitivity_v_per_g
-        )
-        if (off := abs(rest_g - 1)) > limits.gravity_g:
-            yield find(
-                "warning", "gravity", part.name, off, limits.gravity_g, "g off the 1 g that is due at rest"
-            )
-        sheet = DATA_SHEET_G_RTHZ.get(part.model)
-        for i, axis in enumerate("xyz"):
-            n, channel = 3 * k + i, f"{part.name}_v{axis}"
-            if one.span_v[n] <= sensor.adc_step_v:
-                yield find(
-                    "error", "dead", channel, one.span_v[n], sensor.adc_step_v, "V between highest and lowest"
-                )
-                continue
-            if one.rail_run[n] > limits.rail_run:
-                yield find(
-                    "error", "clipped", channel, one.rail_run[n], limits.rail_run, "equal samples at a rail"
-                )
-            noise = one.noise_v_rthz[n] / part.sensitivity_v_per_g
-            if sheet and noise > limits.noise_high * sheet:
-                limit = limits.noise_high * sheet
-                yield find(
-                    "warning", "noise", channel, noise, limit, f"g/sqrt(Hz), more than the {part.model} has"
-                )
-            if sheet and noise < limits.noise_low * sheet:
-                limit = limits.noise_low * sheet
-                yield find(
-                    "warning", "noise", channel, noise, limit, f"g/sqrt(Hz), less than any {part.model} has"
-                )
-            if (mains := one.mains_v[n] / part.sensitivity_v_per_g) > limits.mains_g:
-                yield find("warning", "mains", channel, mains, limits.mains_g, f"g at {one.mains_hz:g} Hz")
-            if (drift := abs(one.drift_v[n]) / part.sensitivity_v_per_g) > limits.drift_g:
-                yield find(
-                    "warning", "drift", channel, drift, limits.drift_g, "g between rest before and after"
-                )
-            if one.tone_ratio[n] > limits.tone:
-                text = (
-                    f"times the noise floor at {one.tone_hz[n]:g} Hz: a pure tone, a machine's or a program's"
-                )
-                yield find("warning", "tone", channel, one.tone_ratio[n], limits.tone, text)
-            if one.echo[n] > limits.echo:
-                yield find("error", "made up", channel, one.echo[n], limits.echo, "the noise repeats itself")
+        rest_g = (one.rest_v[3 * k : 3 * k + 3] - part.zero_g_v) / part.sensitivity_v_per_g
+        if (off := abs(float(np.linalg.norm(rest_g)) - 1)) > limits.gravity_g:
+            yield warning("gravity", part.name, off, limits.gravity_g, "g off the 1 g that is due at rest")
+        for n in range(3 * k, 3 * k + 3):
+            yield from _output(one, n, part, sensor, limits)
 
 
-def _labels(one: Vitals, labels: pd.Series, sensor: Sensor, limits: Limits) -> Iterator[Finding]:
+def _output(
+    one: Measurements, n: int, part: Accelerometer, sensor: Sensor, limits: Limits
+) -> Iterator[Finding]:
+    """One output's signal: dead, clipped, noise, mains, drift, tones, repeats. n: its channel."""
+    channel, v_per_g = sensor.channels[n], part.sensitivity_v_per_g
+
+    def find(level: str, kind: str, figure: float, limit: float, text: str) -> Finding:
+        return Finding(level, kind, one.name, channel, float(figure), float(limit), text)
+
+    if one.span_v[n] <= sensor.adc_step_v:
+        yield find("error", "dead", one.span_v[n], sensor.adc_step_v, "V between highest and lowest")
+        return
+    if one.rail_run[n] > limits.rail_run:
+        yield find("error", "clipped", one.rail_run[n], limits.rail_run, "equal samples at a rail")
+    noise, sheet = one.noise_v_rthz[n] / v_per_g, NOISE_G_RTHZ.get(part.model)
+    if sheet and noise > (limit := limits.noise_high * sheet):
+        yield find("warning", "noise", noise, limit, f"g/sqrt(Hz), more than the {part.model} has")
+    if sheet and noise < (limit := limits.noise_low * sheet):
+        yield find("warning", "noise", noise, limit, f"g/sqrt(Hz), less than any {part.model} has")
+    if (mains := one.mains_v[n] / v_per_g) > limits.mains_g:
+        yield find("warning", "mains", mains, limits.mains_g, f"g at {one.mains_hz:g} Hz")
+    if (drift := abs(one.drift_v[n]) / v_per_g) > limits.drift_g:
+        yield find("warning", "drift", drift, limits.drift_g, "g between rest before and after")
+    if one.tone_ratio[n] > limits.tone:
+        text = f"times the noise floor at {one.tone_hz[n]:g} Hz: a pure tone, a machine's or a program's"
+        yield find("warning", "tone", one.tone_ratio[n], limits.tone, text)
+    if one.echo[n] > limits.echo:
+        yield find("error", "made up", one.echo[n], limits.echo, "the noise repeats itself")
+
+
+def _labels(one: Measurements, labels: pd.Series, sensor: Sensor, limits: Limits) -> Iterator[Finding]:
     """Labels that contradict each other."""
     if (off := abs(line_mismatch_mm(labels, sensor))) > limits.line_mm:
         text = "mm between the start and the line of direction and offset"
@@ -182,8 +169,8 @@ def _labels(one: Vitals, labels: pd.Series, sensor: Sensor, limits: Limits) -> I
         yield Finding("error", "labels", one.name, "", float(off), float(limit), text)
 
 
-def _label_against_signal(one: Vitals, sensor: Sensor, limits: Limits) -> Iterator[Finding]:
-    """A slide whose outputs go through the zones another way: forward labelled backward, a sign lost."""
+def _label_against_signal(one: Measurements, sensor: Sensor, limits: Limits) -> Iterator[Finding]:
+    """Slides whose signs disagree with their labels: forward labelled as backward, an offset without its sign."""
     for k, part in enumerate(sensor.accelerometers):
         for i, axis in enumerate("xy"):
             if one.agreement[k, i, i] < limits.slide:
@@ -192,15 +179,15 @@ def _label_against_signal(one: Vitals, sensor: Sensor, limits: Limits) -> Iterat
                 yield Finding("error", "label against signal", one.name, channel, figure, limits.slide, text)
 
 
-def _wiring(vitals: Sequence[Vitals], sensor: Sensor, limits: Limits) -> Iterator[Finding]:
+def _wiring(measured: Sequence[Measurements], sensor: Sensor, limits: Limits) -> Iterator[Finding]:
     """Outputs inverted, swapped or not following, over all labelled slides; and z against gravity."""
     for k, part in enumerate(sensor.accelerometers):
         upright = (
-            np.array([one.rest_v[3 * k + 2] - part.zero_g_v for one in vitals]) / part.sensitivity_v_per_g
+            np.array([one.rest_v[3 * k + 2] - part.zero_g_v for one in measured]) / part.sensitivity_v_per_g
         )
         if not np.isnan(upright).all() and (z_g := float(np.nanmedian(upright))) < -0.5:
             yield Finding("error", "inverted", "", f"{part.name}_vz", z_g, -0.5, "g at rest, where +1 is due")
-        told = np.array([one.agreement[k] for one in vitals])
+        told = np.array([one.agreement[k] for one in measured])
         known = ~np.isnan(told)
         if (known.sum(axis=0).diagonal() < 3).any():
             continue
@@ -212,31 +199,31 @@ def _wiring(vitals: Sequence[Vitals], sensor: Sensor, limits: Limits) -> Iterato
                 text = f"mean agreement with its axis, which {part.name}_v{'xyz'[others[0]]} follows instead"
                 yield Finding("error", "swapped", "", channel, float(mean[i, i]), limits.follows, text)
             elif mean[i, i] < limits.inverted:
-                text = "mean agreement with the article's zones: its sign is turned"
+                text = "mean agreement with the article's zones: its sign is inverted"
                 yield Finding("error", "inverted", "", channel, float(mean[i, i]), limits.inverted, text)
             elif mean[i, i] < limits.follows:
                 text = "mean agreement with the article's zones: it does not follow the slides"
                 yield Finding("error", "dead", "", channel, float(mean[i, i]), limits.follows, text)
 
 
-def _duplicates(vitals: Sequence[Vitals], limits: Limits) -> Iterator[Finding]:
+def _duplicates(measured: Sequence[Measurements], limits: Limits) -> Iterator[Finding]:
     """Recordings that hold the samples of an earlier one to the last bit, wherever they begin."""
     owner: dict[int, int] = {}
-    for n, one in enumerate(vitals):
+    for n, one in enumerate(measured):
         owners = [owner.setdefault(int(mark), n) for mark in one.landmarks]
         shared = Counter(m for m in owners if m != n)
         if not shared:
             continue
         m, count = shared.most_common(1)[0]
-        share = count / min(len(one.landmarks), len(vitals[m].landmarks))
+        share = count / min(len(one.landmarks), len(measured[m].landmarks))
         if share > limits.copied:
-            text = f"of its samples, or of the other's, are those of {vitals[m].name} to the last bit"
+            text = f"of its samples, or of the other's, are those of {measured[m].name} to the last bit"
             yield Finding("error", "duplicate", one.name, "", share, limits.copied, text)
 
 
-def _made_up(vitals: Sequence[Vitals], sensor: Sensor, limits: Limits) -> Iterator[Finding]:
+def _made_up(measured: Sequence[Measurements], sensor: Sensor, limits: Limits) -> Iterator[Finding]:
     """Noise that two recordings or two outputs share, and outputs whose noise is equal beyond chance."""
-    whole = [one for one in vitals if len(one.fingerprint) == max(len(v.fingerprint) for v in vitals)]
+    whole = [one for one in measured if len(one.fingerprint) == max(len(v.fingerprint) for v in measured)]
     outputs = len(sensor.channels)
     noise = np.concatenate([one.fingerprint.T for one in whole])
     for b in range(1, len(noise)):
@@ -250,7 +237,7 @@ def _made_up(vitals: Sequence[Vitals], sensor: Sensor, limits: Limits) -> Iterat
             other = whole[int(shared[:own].argmax()) // outputs].name
             text = f"correlation of its noise with that of {other}: a generator's, repeated"
             yield Finding("error", "made up", one.name, channel, figure, limits.same_noise, text)
-    variance = np.array([one.noise_v_rthz**2 for one in vitals if np.isfinite(one.noise_v_rthz).all()])
+    variance = np.array([one.noise_v_rthz**2 for one in measured if np.isfinite(one.noise_v_rthz).all()])
     if len(variance) < 5:
         return
     chance = variance.std(axis=0, ddof=1).mean() / np.sqrt(len(variance))
@@ -262,14 +249,14 @@ def _made_up(vitals: Sequence[Vitals], sensor: Sensor, limits: Limits) -> Iterat
 
 
 def _leakage(manifest: pd.DataFrame, limits: Limits) -> Iterator[Finding]:
-    """A line that is taught and asked: the same direction and offset in a calibration and in a test split."""
+    """Leakage: a line of the same direction and offset in a calibration and in a test split."""
     named = manifest[manifest[["direction_deg", "offset_mm"]].notna().all(axis=1)]
     taught = named[named["split"].str.startswith(("calibration", "train"))]
     for name, row in named[named["split"].str.startswith("test")].iterrows():
-        turn = np.abs((taught["direction_deg"] - row["direction_deg"] + 180) % 360 - 180)
+        angle = np.abs((taught["direction_deg"] - row["direction_deg"] + 180) % 360 - 180)
         aside = np.abs(taught["offset_mm"] - row["offset_mm"])
-        same = taught[(turn < limits.same_line_deg) & (aside < limits.same_line_mm)]
+        same = taught[(angle < limits.same_line_deg) & (aside < limits.same_line_mm)]
         if len(same):
-            text = f"mm from the line of {same.index[0]}, which is taught"
+            text = f"mm from the line of {same.index[0]}, which is in a calibration split"
             off = float(aside[same.index[0]])
             yield Finding("warning", "leakage", str(name), "", off, limits.same_line_mm, text)

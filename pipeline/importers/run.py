@@ -1,4 +1,4 @@
-"""The import: sources and a map in, the contract's folder out. It resumes, and two imports are identical.
+"""The import: sources and a map in, a folder of recordings out. It resumes, and two imports are identical.
 
 Finished recordings wait in a hidden folder beside the output, with a journal that says from which files and
 with which map they were made. An import that was interrupted goes on from there; bad input removes it.

@@ -1,4 +1,4 @@
-"""From what a file holds to the contract's volts: units, calibration, the board's turn and signs.
+"""From what a file holds to volts: units, calibration, the board's turn and signs.
 
 An accelerometer that is calibrated, turned or flipped goes through g: with readings u in volts, offsets b and
 gains M (V/g) of its calibration, its board's signs S and turn R about z,

@@ -54,7 +54,7 @@ class Folder:
         """Reads one slide, and its truth if any; holds it against the sensor's rate and the moments of motion.
 
         Raises:
-            InputError: no such recording, a broken file, or samples that are not what the contract says.
+            InputError: no such recording, a broken file, or samples that do not fit the sensor or the manifest.
         """
         if recording not in self.manifest.index:
             raise InputError(f"{self.root}: the manifest lists no recording '{recording}'; name one it lists")
@@ -86,7 +86,7 @@ def read_folder(root: Path) -> Folder:
     """Reads `sensor.toml` and `manifest.csv` and sees that every file named exists.
 
     Raises:
-        InputError: a file is missing or not what the contract says.
+        InputError: a file is missing or malformed.
     """
     root = Path(root)
     if not root.is_dir():

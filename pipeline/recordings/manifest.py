@@ -50,7 +50,7 @@ def read_table(path: Path) -> pd.DataFrame:
 
 
 def write_manifest(path: Path, manifest: pd.DataFrame) -> None:
-    """Writes the contract's columns first, then any further ones; labels that are absent stay empty."""
+    """Writes the known columns first, then any further ones; labels that are absent stay empty."""
     table = manifest.reset_index()
     columns = [c for c in (*REQUIRED, *LABELS) if c in table]
     table[columns + [c for c in table if c not in columns]].to_csv(path, index=False, lineterminator="\n")

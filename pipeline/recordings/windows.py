@@ -1,4 +1,4 @@
-"""Windows with their labels: what a model is fitted to, read from a folder as a device would have seen it.
+"""Windows with their labels: what a model is fitted to, read from a folder as the runtime would see it.
 
 The labels choose the moments at which a recording's stream is read and become the targets. Neither they nor
 those moments enter a window: its volts and its length come from the stream alone.

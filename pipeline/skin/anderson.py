@@ -1,9 +1,12 @@
-"""Anderson acceleration: of the last iterates, the combination whose correction is least."""
+"""Anderson acceleration of a fixed-point iteration: the combination of the last iterates with the least correction.
+
+D. G. Anderson, J. ACM 12 (1965) 547; in the form of H. F. Walker and P. Ni, SIAM J. Numer. Anal. 49 (2011) 1715.
+"""
 
 import numpy as np
 
 DEPTH = 10
-# Keeps the least-squares problem solvable where corrections hardly change any more.
+# Relative; keeps the normal equations regular once corrections hardly change.
 RIDGE = 1e-10
 
 

@@ -1,6 +1,7 @@
 """Symmetric indefinite sparse systems: analysed once, refactored as the values change.
 
-MKL's PARDISO where it is (x86-64), else SciPy's SuperLU in its symmetric mode. The tangent of a pressed
+MKL's PARDISO (O. Schenk and K. Gaertner, Future Gener. Comput. Syst. 20 (2004) 475) where it is installed (x86-64),
+else SciPy's SuperLU in its symmetric mode. The tangent of a pressed
 skin can be indefinite, so Cholesky would not do.
 """
 
@@ -42,8 +43,9 @@ class Pardiso:
     """LDL^T by MKL, through the library that pypardiso finds; on the calling thread alone.
 
     In single precision, which halves the time of both phases: the factor is held over many postures and only
-    has to point the right way. Pivots stay on the diagonal (the two by two ones that Bunch and Kaufman would
-    look for cost as much again), so their signs still tell whether the posture is stable.
+    has to point the right way. Pivots stay on the diagonal, so that their signs tell
+    whether the posture is stable; the 2 x 2 pivots of Bunch and Kaufman (Math. Comp. 31 (1977) 163) would double the
+    time.
     """
 
     def __init__(self) -> None:

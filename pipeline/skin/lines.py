@@ -1,4 +1,4 @@
-"""Which lines an atlas needs, what mirror symmetry saves of them, and the solve of one.
+"""The indenter's lines of an atlas: which are needed, which follow by mirror symmetry, and the solution of one.
 
 Results keep their positions in ascending order of the coordinate along the line, whatever the sense of
 motion.
@@ -17,7 +17,7 @@ from pipeline.skin.solver import Skin, Statistics
 from pipeline.skin.system import Material, State
 
 # What is kept of a board's posture, against the untouched inflated skin: gravity in its frame (g), its
-# centre's displacement (mm), its turn about the skin's normal (rad). After the boards: the force on the
+# centre's displacement (mm), its rotation about the skin's normal (rad). After the boards: the force on the
 # indenter (N).
 PER_BOARD = 7
 MIRROR_BOARD = (np.array([-1, 1, 1, -1, 1, 1, -1.0]), np.array([1, -1, 1, 1, -1, 1, -1.0]))
@@ -68,7 +68,7 @@ def lines(offsets: tuple[np.ndarray, np.ndarray], sensor: Sensor) -> list[Line]:
 
 
 def representative(line: Line, sensor: Sensor) -> tuple[Line, tuple[int, ...]]:
-    """The line to be solved in this one's stead, and the axes to mirror its result in."""
+    """The line to be solved instead of this one, and the axes to mirror its result in."""
     axes = []
     for axis in (0, 1):
         if mirrored_boards(sensor, axis) is None:
@@ -156,7 +156,8 @@ def channels(skin: Skin, posture: State, inflated: State) -> np.ndarray:
 def join_families(
     along: tuple[np.ndarray, np.ndarray], across: tuple[np.ndarray, np.ndarray], grids: tuple[np.ndarray, ...]
 ) -> np.ndarray:
-    """One field and its friction parts from two families of lines, by transfinite (Gordon) interpolation.
+    """One field and its friction parts from two families of lines, by transfinite interpolation
+    (W. J. Gordon, SIAM J. Numer. Anal. 8 (1971) 158).
 
     With P_y the spline across the lines along x, and P_x the other way, the mean is P_y A + P_x B - P_x P_y
     (A+B)/2: it has the accuracy of the fine spacing along the lines in both directions.

@@ -235,7 +235,10 @@ def tangent(gradients, volumes, shear, room, slopes, swelling, stiffness):
 
 @njit(cache=True, fastmath=FAST, error_model="numpy", inline="always")
 def inverse_cube_root(j):
-    """j^(-1/3) to 1e-12 for 0.02 < j < 20, iterated from below: a call would end vectorisation."""
+    """j^(-1/3) to 1e-12 for 0.02 < j < 20, by the third-order expansion of t^(-1/3) about t = j y^3 = 1.
+
+    Iterated from below; a library call would end vectorisation.
+    """
     y = 3.0 / (2.0 + j)
     for _ in range(6):
         t = j * y * y * y

@@ -4,10 +4,10 @@ A factorisation costs as much as several iterations, so a factor is held, over p
 Anderson's mixing converges with it faster than a new one is expected to. Each line starts from the
 inflated, untouched skin and goes on in short steps: a jump would let the rod pierce the skin into an
 equilibrium that is false and looks converged. Each search begins ahead by half of what the last step changed;
-by all of it, it would overshoot.
+all of it would overshoot.
 
 A highly inflated skin snaps as the rod passes the dome's middle: the branch it was on ends (a pivot turns
-negative) and Newton's method circles there. The skin then creeps down its energy, as if in syrup, to the
+negative) and Newton's method circles there. A damped descent of the energy then leads to the
 branch that it would snap to: steps of (K + eta M) with eta large enough for every pivot to be positive.
 What fails even so is halved.
 """

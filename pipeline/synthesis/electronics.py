@@ -10,11 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.signal import lfilter
 
-from pipeline.sensor import Sensor
+from pipeline.sensor import NOISE_G_RTHZ, Sensor
 
-# Freescale MMA7361L data sheet, rev. 0: noise, 350 ug/sqrt(Hz); bandwidth (3 dB), 400 Hz in x and y, 300 Hz in z; a
-# supply of 3.3 V. Parts of other models are taken to be alike.
-NOISE_G_RTHZ = 350e-6
+# Freescale MMA7361L data sheet, rev. 0: bandwidth (3 dB), 400 Hz in x and y, 300 Hz in z; a supply of 3.3 V. Parts of
+# other models are taken to be alike.
 BANDWIDTH_HZ = (400.0, 400.0, 300.0)
 SUPPLY_V = 3.3
 
@@ -39,7 +38,7 @@ class ElectronicsSpread:
 
 @dataclass(frozen=True)
 class Electronics:
-    """One device's parts.
+    """One specimen's electronics.
 
     volts_per_g: (boards, 3, 3) outputs by the board's axes. zero_v: (boards, 3). noise_g_rthz: (boards, 3).
     bandwidth_hz: of x, y, z. mains_v: (boards * 3, 4) amplitudes of sine and cosine, of the fundamental and of
@@ -72,7 +71,7 @@ def ideal_electronics(sensor: Sensor) -> Electronics:
 
 
 def draw_electronics(sensor: Sensor, spread: ElectronicsSpread, random: np.random.Generator) -> Electronics:
-    """The parts of one device of this sensor."""
+    """The electronics of one specimen of this sensor."""
     ideal = ideal_electronics(sensor)
     boards = len(sensor.accelerometers)
     turn = np.deg2rad(spread.turn_deg) * random.standard_normal(boards)
@@ -93,7 +92,7 @@ def draw_electronics(sensor: Sensor, spread: ElectronicsSpread, random: np.rando
         ideal.rate_hz,
         ideal.volts_per_g @ (gain * crossed) @ turned,
         ideal.zero_v + spread.zero_g_v * random.standard_normal((boards, 3)),
-        np.full((boards, 3), NOISE_G_RTHZ),
+        np.full((boards, 3), NOISE_G_RTHZ["MMA7361L"]),
         BANDWIDTH_HZ,
         # The grid holds its frequency to some hundredths of a hertz.
         float(random.choice(spread.mains_hz)) + 0.02 * random.standard_normal(),
