@@ -24,7 +24,8 @@ from pipeline.synthesis.paths.draw import KINDS, draw_path
 from pipeline.synthesis.paths.partial_contact import partial_friction_parts, touch_depth_mm
 from pipeline.synthesis.paths.response import path_response, path_truth
 from pipeline.synthesis.slide_plan import Slide
-from pipeline.synthesis.synthesize import ideal_device, record, sensor_of, synthesize
+from pipeline.synthesis.specimen import ideal_specimen
+from pipeline.synthesis.synthesize import record, sensor_of, synthesize
 
 ATLAS = read_atlas()
 SENSOR = sensor_of(ATLAS)
@@ -46,9 +47,9 @@ def straight(
     return ContactPath(course, timing, HEIGHT, 0.035, **(plain | changes))
 
 
-def exact_device():
-    device = ideal_device(SENSOR)
-    return replace(device, electronics=replace(device.electronics, adc_step_v=0.0))
+def exact_specimen():
+    specimen = ideal_specimen(SENSOR)
+    return replace(specimen, electronics=replace(specimen.electronics, adc_step_v=0.0))
 
 
 def test_a_straight_path_at_one_speed_is_a_slide() -> None:
@@ -58,13 +59,13 @@ def test_a_straight_path_at_one_speed_is_a_slide() -> None:
     knot = np.arange(round(travel / STEP_MM) + 1)
     to_end = STEP_MM * np.minimum(knot, knot[-1] - knot)
     path = straight(travel, np.minimum(speed, np.sqrt(2 * speed / ramp * to_end)))
-    one, other = (record(plan, exact_device(), ATLAS, np.random.default_rng(0)) for plan in (slide, path))
+    one, other = (record(plan, exact_specimen(), ATLAS, np.random.default_rng(0)) for plan in (slide, path))
     assert path.motion_end_s == pytest.approx(slide.motion_start_s + slide.stroke.duration_s, abs=1e-6)
     assert len(one.volts) == len(other.volts)
     assert np.ptp(one.volts, axis=0)[:2].min() > 0.2
     assert np.abs(one.volts - other.volts).max() < 2e-4
     # It would show: friction that does not get there.
-    other = record(replace(path, friction_mm=50.0), exact_device(), ATLAS, np.random.default_rng(0))
+    other = record(replace(path, friction_mm=50.0), exact_specimen(), ATLAS, np.random.default_rng(0))
     assert np.abs(one.volts - other.volts).max() > 1e-3
 
 

@@ -20,13 +20,12 @@ from pipeline.checks.zone_signs import sign_agreement
 from pipeline.recordings.folder import read_folder
 from pipeline.sensor import Accelerometer, design_hash, design_of
 from pipeline.skin.lines import gravity
-from pipeline.synthesis.board_gravity import in_tilted_device, upright
+from pipeline.synthesis.board_gravity import in_tilted_sensor, upright
 from pipeline.synthesis.distribution import SPLITS, Distribution
 from pipeline.synthesis.motion import Stroke
 from pipeline.synthesis.slide_plan import Slide, crossing
+from pipeline.synthesis.specimen import Specimen, ideal_specimen
 from pipeline.synthesis.synthesize import (
-    Device,
-    ideal_device,
     noise_of,
     plan,
     record,
@@ -42,10 +41,10 @@ SENSOR = sensor_of(ATLAS)
 HEIGHT = 7.0
 
 
-def exact(**changes) -> Device:
-    """A device that adds nothing, not even the ADC's step."""
-    device = ideal_device(SENSOR)
-    return replace(device, electronics=replace(device.electronics, adc_step_v=0.0), **changes)
+def exact(**changes) -> Specimen:
+    """A specimen that adds nothing, not even the ADC's step."""
+    specimen = ideal_specimen(SENSOR)
+    return replace(specimen, electronics=replace(specimen.electronics, adc_step_v=0.0), **changes)
 
 
 def slide_over(
@@ -58,9 +57,9 @@ def slide_over(
     return Slide(direction, offset, start, motion, depth, 0.035, HEIGHT, **changes)
 
 
-def grams(slide: Slide, device: Device | None = None, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+def grams(slide: Slide, specimen: Specimen | None = None, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
     """Time (n,) s and the only board's readings (n, 3) g."""
-    recording = record(slide, device or exact(), ATLAS, np.random.default_rng(seed))
+    recording = record(slide, specimen or exact(), ATLAS, np.random.default_rng(seed))
     return recording.time_s, (recording.volts - 1.65) / 0.8
 
 
@@ -96,7 +95,7 @@ def test_the_lag_is_a_standard_solid_and_has_its_limits():
     assert ramp[:, 0] == pytest.approx(time - 0.4 * 0.3 * (1 - np.exp(-time / 0.3)), abs=1e-12)
 
 
-def test_a_tilted_device_turns_every_board_s_gravity():
+def test_a_tilted_sensor_turns_every_board_s_gravity():
     random = np.random.default_rng(1)
     boards = Rotation.from_euler("ZYX", random.uniform(-0.6, 0.6, (40, 3)))
     matrices = boards.as_matrix()
@@ -104,10 +103,10 @@ def test_a_tilted_device_turns_every_board_s_gravity():
     yaw = np.arctan2(matrices[:, 1, 0], matrices[:, 0, 0])
     for tilt in ((0.0, 0.0), (30.0, -20.0), (-70.0, 10.0)):
         up = upright(tilt)
-        found = in_tilted_device(level[:, :2, None], yaw[:, None], up)[:, :, 0]
+        found = in_tilted_sensor(level[:, :2, None], yaw[:, None], up)[:, :, 0]
         wanted = np.einsum("bij,i->bj", matrices, up) * [-1, -1, 1]
         assert found == pytest.approx(wanted, abs=1e-12)
-    assert in_tilted_device(np.zeros((1, 2, 1)), np.zeros((1, 1)), upright((90.0, 0.0))).ravel() == (
+    assert in_tilted_sensor(np.zeros((1, 2, 1)), np.zeros((1, 1)), upright((90.0, 0.0))).ravel() == (
         pytest.approx([1, 0, 0], abs=1e-12)
     )
     with pytest.raises(ValueError, match="none together"):
@@ -299,7 +298,7 @@ def test_several_boards_and_another_design(tmp_path):
     recording = read_folder(made.root).load("s00000")
     assert recording.volts.shape[1] == 6
     slide = replace(plan(0, 1, atlas, sensor, Distribution()), gain=1.0, posture_deg=(0.0, 0.0))
-    quiet = record(slide, ideal_device(sensor), atlas, noise_of(0, 1)).volts
+    quiet = record(slide, ideal_specimen(sensor), atlas, noise_of(0, 1)).volts
     assert quiet[0, 0] - 1.65 == pytest.approx(1.65 - quiet[0, 3], abs=1e-3)
     assert np.corrcoef(recording.volts[:, 3], quiet[:, 3])[0, 1] > 0.8
 
@@ -308,7 +307,7 @@ def test_lines_that_were_not_solved_are_left_out():
     atlas = two_boards(valid=False)
     slides = [plan(n, 2, atlas, sensor_of(atlas), Distribution()) for n in range(20)]
     for n, slide in enumerate(slides):
-        assert np.isfinite(record(slide, ideal_device(sensor_of(atlas)), atlas, noise_of(n, 2)).volts).all()
+        assert np.isfinite(record(slide, ideal_specimen(sensor_of(atlas)), atlas, noise_of(n, 2)).volts).all()
     unsolved = replace(atlas, valid=np.zeros_like(atlas.valid))
     with pytest.raises(InputError, match="over solved positions"):
         plan(0, 2, unsolved, sensor_of(atlas), Distribution())

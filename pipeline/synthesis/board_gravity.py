@@ -1,22 +1,22 @@
-"""What boards read when the whole device is tilted: their posture in the skin on top of the device's own."""
+"""Gravity that boards read in a tilted sensor, from their posture in a level one."""
 
 import numpy as np
 
 
 def upright(tilt_deg: tuple[float, float]) -> np.ndarray:
-    """Where up is, (3,) in the device's frame, of a device tilted towards x and towards y by these angles."""
+    """The upward unit vector (3,) in the frame of a sensor tilted towards x and towards y by these angles."""
     x, y = np.sin(np.deg2rad(tilt_deg))
     if (left := 1 - x**2 - y**2) < 0:
         raise ValueError(f"tilts of {tilt_deg[0]:g} and {tilt_deg[1]:g} degrees are none together")
     return np.array([-x, -y, np.sqrt(left)])
 
 
-def in_tilted_device(tilt_g: np.ndarray, yaw_rad: np.ndarray, up: np.ndarray) -> np.ndarray:
+def in_tilted_sensor(tilt_g: np.ndarray, yaw_rad: np.ndarray, up: np.ndarray) -> np.ndarray:
     """Gravity (boards, 3, n) g that the boards read.
 
-    A board's rotation R in the device is known from what it reads in a level one, r = S R^T e_z with
+    A board's rotation R in the sensor is known from what it reads in a level one, r = S R^T e_z with
     S = diag(-1, -1, 1) (see `pipeline.skin.lines.gravity`), and from its yaw about the skin's normal:
-    R = Rz(yaw) Ry(p) Rx(q), sin p = r_x, sin q = -r_y / cos p. In a device where up is u it reads S R^T u.
+    R = Rz(yaw) Ry(p) Rx(q), sin p = r_x, sin q = -r_y / cos p. In a sensor where up is u it reads S R^T u.
 
     Args:
         tilt_g: (boards, 2, n) r_x and r_y. yaw_rad: (boards, n). up: (3,), see `upright`.

@@ -25,7 +25,7 @@ _DRAWS = 200
 
 @dataclass(frozen=True)
 class Distribution:
-    """Of slides and of the device that they are made with. Pairs are bounds of a uniform draw unless said otherwise.
+    """Of slides and of the specimen that they are made with. Pairs are bounds of a uniform draw unless said otherwise.
 
     Lines: `offset_mm`, from the sensor's reference point; lines with less than `chord_mm` over the chamber are drawn
     again. Slides along the axes for the splits that are not called diagonal, any direction for the others.
@@ -39,7 +39,7 @@ class Distribution:
     `pressure_share` of the nominal one (of an atlas of one height: the nominal one) and the height goes with its cube
     root. `repeatability`: standard deviation of a slide's response about the atlas's. `delayed`, `tau_s`
     (log-uniform): the skin's lag.
-    Disturbances: `posture_deg`, standard deviation of the whole device's tilt, slide by slide. `vibration_g`
+    Disturbances: `posture_deg`, standard deviation of the sensor's tilt, slide by slide. `vibration_g`
     (log-uniform) while the surfaces slide at 10 mm/s, rising with the root of the speed, at `vibration_hz`. `ripple`
     (log-uniform): relative amplitude of the pressure's, at `ripple_hz` (log-uniform). `drift_g`: standard deviation
     of each output's drift in a minute.

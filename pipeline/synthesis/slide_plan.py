@@ -29,7 +29,7 @@ class Slide:
     split: str = "train"
     motion_start_s: float = 2.0
     rest_after_s: float = 2.0
-    posture_deg: tuple[float, float] = (0.0, 0.0)  # the device's tilt towards x and towards y
+    posture_deg: tuple[float, float] = (0.0, 0.0)  # the sensor's tilt towards x and towards y
     gain: float = 1.0  # of the response
 
     @property

@@ -1,4 +1,4 @@
-"""Synthetic slides: what a device of a solved design would record, as arrays or as a folder of recordings.
+"""Synthetic slides: what a specimen of a solved design would record, as arrays or as a folder of recordings.
 
 The atlas is asked every half millimetre of the way, the slow part (way, lag, ripple, posture) is computed every
 hundredth of a second or less, and cubic convolution leads to the sample rate, where vibration and electronics come in.
@@ -6,7 +6,7 @@ hundredth of a second or less, and cubic convolution leads to the sample rate, w
 
 import json
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,14 +21,15 @@ from pipeline.progress import progress_bar
 from pipeline.recordings.folder import Folder, Recording, write_folder
 from pipeline.sensor import Accelerometer, Board, Sensor, Skin, design_hash, read_sensor
 from pipeline.skin.lines import PER_BOARD
-from pipeline.synthesis.board_gravity import in_tilted_device, upright
+from pipeline.synthesis.board_gravity import in_tilted_sensor, upright
 from pipeline.synthesis.distribution import Distribution, draw_slide
-from pipeline.synthesis.electronics import Electronics, draw_electronics, ideal_electronics, volts
+from pipeline.synthesis.electronics import volts
 from pipeline.synthesis.paths.contact_path import ContactPath
 from pipeline.synthesis.paths.distribution import PathDistribution
 from pipeline.synthesis.paths.draw import draw_path
 from pipeline.synthesis.paths.response import path_response, path_truth
 from pipeline.synthesis.slide_plan import Slide
+from pipeline.synthesis.specimen import Specimen, draw_specimen
 from pipeline.synthesis.upsampling import upsampled
 from pipeline.synthesis.viscoelastic_lag import standard_solid
 
@@ -40,46 +41,8 @@ SLOW_MM = 0.2
 _RINGING = 3.0
 # The vibration amplitude in `Distribution` is for this speed and this normal force.
 _VIBRATION_MM_S, _VIBRATION_N = 10.0, 0.3
-# Streams of random numbers of one seed.
-_DEVICE, _PLAN, _NOISE, _PATH_PLAN, _PATH_NOISE = 0, 1, 2, 3, 4
-
-
-@dataclass(frozen=True)
-class Device:
-    """What stays the same from slide to slide: electronics, the skin's lag, vibration, the pressure's ripple."""
-
-    electronics: Electronics
-    delayed: float = 0.0
-    tau_s: float = 0.1
-    vibration_g: float = 0.0
-    vibration_hz: float = 100.0
-    ripple: float = 0.0
-    ripple_hz: float = 1.0
-    friction_mm: float = 0.3
-    drift_g: float = 0.0
-
-
-def ideal_device(sensor: Sensor) -> Device:
-    """No noise, no lag, nothing but the atlas and the ADC's step."""
-    return Device(ideal_electronics(sensor))
-
-
-def draw_device(sensor: Sensor, distribution: Distribution, seed: int) -> Device:
-    """The device of a seed."""
-    random = np.random.default_rng([seed, _DEVICE])
-    d = distribution
-    log_uniform = lambda bounds: float(np.exp(random.uniform(*np.log(bounds))))  # noqa: E731
-    return Device(
-        draw_electronics(sensor, d.electronics, random),
-        float(random.uniform(*d.delayed)),
-        log_uniform(d.tau_s),
-        log_uniform(d.vibration_g),
-        float(random.uniform(*d.vibration_hz)),
-        log_uniform(d.ripple),
-        log_uniform(d.ripple_hz),
-        d.friction_mm,
-        d.drift_g,
-    )
+# Streams of random numbers of one seed; 0 is the specimen's.
+_PLAN, _NOISE, _PATH_PLAN, _PATH_NOISE = 1, 2, 3, 4
 
 
 def synthetic_slides(
@@ -95,10 +58,10 @@ def synthetic_slides(
     """
     atlas, distribution = atlas or read_atlas(), distribution or Distribution()
     sensor = sensor or sensor_of(atlas)
-    device = draw_device(sensor, distribution, seed)
+    specimen = draw_specimen(sensor, distribution, seed)
     for number in range(count):
         slide = plan(number, seed, atlas, sensor, distribution)
-        yield slide, record(slide, device, atlas, noise_of(number, seed))
+        yield slide, record(slide, specimen, atlas, noise_of(number, seed))
 
 
 def synthetic_paths(
@@ -109,13 +72,13 @@ def synthetic_paths(
     distribution: Distribution | None = None,
     paths: PathDistribution | None = None,
 ) -> Iterator[tuple[ContactPath, Recording]]:
-    """As `synthetic_slides`, of contacts along any path, on the same device of a seed."""
+    """As `synthetic_slides`, of contacts along any path, on the same specimen."""
     atlas, distribution = atlas or read_atlas(), distribution or Distribution()
     sensor = sensor or sensor_of(atlas)
-    device = draw_device(sensor, distribution, seed)
+    specimen = draw_specimen(sensor, distribution, seed)
     for number in range(count):
         path = path_plan(number, seed, atlas, sensor, distribution, paths)
-        yield path, record(path, device, atlas, noise_of(number, seed, _PATH_NOISE))
+        yield path, record(path, specimen, atlas, noise_of(number, seed, _PATH_NOISE))
 
 
 def plan(number: int, seed: int, atlas: Atlas, sensor: Sensor, distribution: Distribution) -> Slide:
@@ -141,59 +104,65 @@ def noise_of(number: int, seed: int, stream: int = _NOISE) -> np.random.Generato
     return np.random.default_rng([seed, stream, number])
 
 
-def record(plan: Slide | ContactPath, device: Device, atlas: Atlas, random: np.random.Generator) -> Recording:
-    """What the device records of a slide or of a contact along a path.
+def record(
+    plan: Slide | ContactPath, specimen: Specimen, atlas: Atlas, random: np.random.Generator
+) -> Recording:
+    """What the specimen records of a slide or of a contact along a path.
 
     Raises:
         InputError: the plan leaves the atlas's depths or heights.
     """
-    rate = device.electronics.rate_hz
+    rate = specimen.electronics.rate_hz
     count = int(plan.duration_s * rate) + 1
     factor = max(1, int(rate * min(SLOW_S, SLOW_MM / plan.quickest_mm_s)))
     slow_s = (np.arange(-1, -(-count // factor) + 2)) * factor / rate
-    tilt, yaw, rubbing = _skin(plan, device, atlas, slow_s, random)
-    gravity = in_tilted_device(tilt, yaw, upright(plan.posture_deg))
+    tilt, yaw, rubbing = _skin(plan, specimen, atlas, slow_s, random)
+    gravity = in_tilted_sensor(tilt, yaw, upright(plan.posture_deg))
     boards = len(gravity)
-    gravity += _drift(slow_s, device.drift_g, boards, random)
+    gravity += _drift(slow_s, specimen.drift_g, boards, random)
     slow = np.concatenate([gravity.reshape(boards * 3, -1), rubbing[None]])
     fast = upsampled(slow, factor)[:, :count]
     sensed = fast[:-1].reshape(boards, 3, count)
-    if device.vibration_g > 0:
+    if specimen.vibration_g > 0:
         coupling = random.standard_normal((boards, 3, 1)).astype(np.float32)
-        sensed += coupling * (fast[-1] * _ringing(count, device, random))
-    output = volts(sensed, device.electronics, random)
+        sensed += coupling * (fast[-1] * _ringing(count, specimen, random))
+    output = volts(sensed, specimen.electronics, random)
     truth = path_truth(plan, atlas) if isinstance(plan, ContactPath) else None
     return Recording(plan.name, np.arange(count) / rate, output.astype(float), truth)
 
 
 def _skin(
-    plan: Slide | ContactPath, device: Device, atlas: Atlas, time_s: np.ndarray, random: np.random.Generator
+    plan: Slide | ContactPath,
+    specimen: Specimen,
+    atlas: Atlas,
+    time_s: np.ndarray,
+    random: np.random.Generator,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """What the skin does to its boards at (n,) s.
 
     Returns:
-        Readings along x and y in a level device (boards, 2, n) g; yaw (boards, n) rad; the vibration's rms (n,) g.
+        Readings along x and y in a level sensor (boards, 2, n) g; yaw (boards, n) rad; the vibration's rms (n,) g.
     """
     boards, level = atlas.boards, atlas.pressure_at(plan.height_mm)
     if isinstance(plan, ContactPath):
         values, speed = path_response(plan, atlas, time_s)
     else:
-        values, speed = _line_response(plan, device, atlas, time_s)
+        values, speed = _line_response(plan, specimen, atlas, time_s)
     posture = plan.gain * values[:, : PER_BOARD * boards].reshape(-1, boards, PER_BOARD)
     chosen = posture[:, :, [0, 1, 6]].reshape(-1, boards * 3)
-    lagging = standard_solid(chosen, time_s[1] - time_s[0], device.delayed, device.tau_s)
+    lagging = standard_solid(chosen, time_s[1] - time_s[0], specimen.delayed, specimen.tau_s)
     tilt = atlas.static(level)[:, :2] + lagging.reshape(-1, boards, 3)[:, :, :2]
-    if device.ripple > 0:
-        wave = np.sin(2 * np.pi * (device.ripple_hz * time_s + random.uniform()))
+    if specimen.ripple > 0:
+        wave = np.sin(2 * np.pi * (specimen.ripple_hz * time_s + random.uniform()))
         # All tilts go with the pressure as the static one does, to first order.
-        tilt = tilt * (1 + _static_exponent(atlas, level) * device.ripple * wave)[:, None, None]
+        tilt = tilt * (1 + _static_exponent(atlas, level) * specimen.ripple * wave)[:, None, None]
     pressing = np.maximum(values[:, -1], 0) / _VIBRATION_N
-    rubbing = device.vibration_g * np.sqrt(speed / _VIBRATION_MM_S) * pressing
+    rubbing = specimen.vibration_g * np.sqrt(speed / _VIBRATION_MM_S) * pressing
     return np.moveaxis(tilt, 0, -1), lagging.reshape(-1, boards, 3)[:, :, 2].T, rubbing
 
 
 def _line_response(
-    slide: Slide, device: Device, atlas: Atlas, time_s: np.ndarray
+    slide: Slide, specimen: Specimen, atlas: Atlas, time_s: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """What the atlas says of a slide at (n,) s, without any lag: (n, channels); and the speed (n,) mm/s."""
     stroke = slide.stroke
@@ -201,7 +170,7 @@ def _line_response(
     forth, back = stroke.forth(since), stroke.back(since)
     parts = _along_the_way(slide, atlas, atlas.pressure_at(slide.height_mm))(forth - back)
     # Friction is fully there once the indenter slides and turns within some way (P. R. Dahl, 1968).
-    turned = np.where(back > 0, 2 * np.exp(-back / max(device.friction_mm, 1e-9)) - 1, 1.0)
+    turned = np.where(back > 0, 2 * np.exp(-back / max(specimen.friction_mm, 1e-9)) - 1, 1.0)
     angle = np.deg2rad(slide.direction_deg)
     drag = np.cos(angle) * parts[:, 1] + np.sin(angle) * parts[:, 2]
     return parts[:, 0] + turned[:, None] * drag, stroke.speed(since)
@@ -229,9 +198,9 @@ def _drift(time_s: np.ndarray, drift_g: float, boards: int, random: np.random.Ge
     return drift_g * random.standard_normal((boards, 3, 1)) * time_s / 60
 
 
-def _ringing(count: int, device: Device, random: np.random.Generator) -> np.ndarray:
+def _ringing(count: int, specimen: Specimen, random: np.random.Generator) -> np.ndarray:
     """Noise (n,) of unit variance round the vibration's frequency: white noise through one pair of poles."""
-    turn = 2 * np.pi * min(device.vibration_hz / device.electronics.rate_hz, 0.45)
+    turn = 2 * np.pi * min(specimen.vibration_hz / specimen.electronics.rate_hz, 0.45)
     radius = np.exp(-turn / (2 * _RINGING))
     a = np.array([1, -2 * radius * np.cos(turn), radius**2], np.float32)
     rung = lfilter(np.ones(1, np.float32), a, random.standard_normal(count, dtype=np.float32))
@@ -280,7 +249,7 @@ def synthesize(
 ) -> Folder:
     """`softslide synthesize`: writes a folder of recordings, whole or not at all.
 
-    count: of slides along straight lines; paths: of contacts along any path, on the same device.
+    count: of slides along straight lines; paths: of contacts along any path, on the same specimen.
 
     Raises:
         InputError: no recordings, a negative seed, an atlas that is none or of another design, an `out` not to be
@@ -300,7 +269,7 @@ def synthesize(
     # Whoever reads a report on these recordings is to see what they are.
     sensor = replace(sensor, name=f"{sensor.name}, synthetic")
     distribution = distribution or Distribution()
-    device = draw_device(sensor, distribution, seed)
+    specimen = draw_specimen(sensor, distribution, seed)
     plans: list[tuple[Slide | ContactPath, np.random.Generator]] = []
     for number in range(count):
         plans.append((plan(number, seed, atlas, sensor, distribution), noise_of(number, seed)))
@@ -309,7 +278,7 @@ def synthesize(
             (path_plan(number, seed, atlas, sensor, distribution), noise_of(number, seed, _PATH_NOISE))
         )
     manifest = pd.DataFrame([each.labels() for each, _ in plans])
-    recordings = (record(each, device, atlas, noise) for each, noise in plans)
+    recordings = (record(each, specimen, atlas, noise) for each, noise in plans)
     origin = {
         "what": "synthetic slides, made by softslide synthesize; never measured on hardware",
         "seed": seed,

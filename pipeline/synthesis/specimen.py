@@ -1,0 +1,58 @@
+"""One specimen of a sensor: a physical sensor as made, which differs from its design; drawn from a seed."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.sensor import Sensor
+from pipeline.synthesis.distribution import Distribution
+from pipeline.synthesis.electronics import Electronics, draw_electronics, ideal_electronics
+
+# Of a seed's streams of random numbers, the specimen's.
+_STREAM = 0
+
+
+@dataclass(frozen=True)
+class Specimen:
+    """What stays the same from slide to slide.
+
+    delayed, tau_s: the skin's lag, see `viscoelastic_lag.standard_solid`. vibration_g, vibration_hz: of rubbing.
+    ripple, ripple_hz: the pressure's relative amplitude and frequency. friction_mm: distance over which friction
+    reverses. drift_g: standard deviation of an output's drift in a minute.
+    """
+
+    electronics: Electronics
+    delayed: float = 0.0
+    tau_s: float = 0.1
+    vibration_g: float = 0.0
+    vibration_hz: float = 100.0
+    ripple: float = 0.0
+    ripple_hz: float = 1.0
+    friction_mm: float = 0.3
+    drift_g: float = 0.0
+
+
+def ideal_specimen(sensor: Sensor) -> Specimen:
+    """No noise, no lag, nothing but the atlas and the ADC's step."""
+    return Specimen(ideal_electronics(sensor))
+
+
+def draw_specimen(sensor: Sensor, distribution: Distribution, seed: int) -> Specimen:
+    """The seed's specimen."""
+    random = np.random.default_rng([seed, _STREAM])
+    d = distribution
+
+    def log_uniform(bounds: tuple[float, float]) -> float:
+        return float(np.exp(random.uniform(*np.log(bounds))))
+
+    return Specimen(
+        draw_electronics(sensor, d.electronics, random),
+        delayed=float(random.uniform(*d.delayed)),
+        tau_s=log_uniform(d.tau_s),
+        vibration_g=log_uniform(d.vibration_g),
+        vibration_hz=float(random.uniform(*d.vibration_hz)),
+        ripple=log_uniform(d.ripple),
+        ripple_hz=log_uniform(d.ripple_hz),
+        friction_mm=d.friction_mm,
+        drift_g=d.drift_g,
+    )
