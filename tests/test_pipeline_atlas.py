@@ -153,15 +153,15 @@ def test_solve_resumes_from_finished_lines(quick, tmp_path, monkeypatch):
 
 
 def test_a_failed_position_is_reported_and_left_out(quick, monkeypatch):
-    solve = pipeline.solve.solve_line
+    solve = pipeline.atlas.solve.solve_line
 
     def failing(sensor, line, along, depth, pressure, inflated):
-        values, statistics = (np.zeros((len(along), 10)), pipeline.solve.Statistics())
+        values, statistics = (np.zeros((len(along), 10)), pipeline.atlas.solve.Statistics())
         if (line.axis, line.sense, line.offset_mm) == (0, 1, 6.0):
             values[np.searchsorted(along, 12.0) :] = np.nan
         return values, statistics
 
-    monkeypatch.setattr(pipeline.solve, "solve_line", failing)
+    monkeypatch.setattr(pipeline.atlas.solve, "solve_line", failing)
     assert solve is not failing
     atlas = solve_atlas(quick_sensor(), QUICK)
     level = atlas.pressure_mpa[0]
@@ -209,7 +209,7 @@ def test_simulate_writes_the_same_atlas_however_it_is_run(workers, backend, tmp_
     check_atlas(atlas, read_sensor(sensor))
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a.npz", "sensor.toml"]
     if workers > 1:
-        alone = solve_atlas(read_sensor(sensor), replace(pipeline.solve.COARSE, depth_mm=(0.5,)))
+        alone = solve_atlas(read_sensor(sensor), replace(pipeline.atlas.solve.COARSE, depth_mm=(0.5,)))
         assert np.array_equal(atlas.parts, alone.parts)
 
 
@@ -218,7 +218,7 @@ def test_simulate_writes_the_same_atlas_however_it_is_run(workers, backend, tmp_
     [
         (["--sensor", "no.toml"], "no such file"),
         (["--workers", "0"], "at least one"),
-        (["--depth", "0.5", "0.2"], "--depth: depth_mm"),
+        (["--depth", "0.5", "0.2"], "--depth 0.5 0.2: depth_mm"),
     ],
 )
 def test_simulate_refuses_bad_arguments_in_one_line(arguments, words, tmp_path, capsys):

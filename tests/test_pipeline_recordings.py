@@ -302,7 +302,7 @@ def test_a_bad_sensor_is_refused(root: Path, capsys) -> None:
 
 
 def test_an_absent_folder_is_refused(tmp_path: Path, root: Path, capsys) -> None:
-    assert "no such folder" in refused(tmp_path / "none", capsys)
+    assert "none: no such file or folder" in refused(tmp_path / "none", capsys)
     for file in ("manifest.csv", "sensor.toml"):
         copy = shutil.copytree(root, tmp_path / f"without-{file}")
         (copy / file).unlink()

@@ -316,10 +316,10 @@ def test_lines_that_were_not_solved_are_left_out():
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["--slides", "0"], "--slides 0, --paths 0: at least one"),
+        (["--slides", "0"], "--slides 0: at least one"),
         (["--slides", "1", "--seed", "-1"], "--seed -1"),
         (["--slides", "1", "--atlas", "no.npz"], "no.npz: no such file"),
-        (["--slides", "1", "--sensor", "no.toml"], "no.toml: cannot be read (no such file)"),
+        (["--slides", "1", "--sensor", "no.toml"], "no.toml: no such file or folder"),
     ],
 )
 def test_bad_arguments_are_one_line(arguments, words, tmp_path, capsys):

@@ -143,7 +143,7 @@ def simulate(
     try:
         grid = replace(grid, depth_mm=tuple(depths)) if depths else grid
     except ValueError as error:
-        raise InputError(str(error), "depth") from None
+        raise InputError(f"{' '.join(f'{d:g}' for d in depths or ())}: {error}", "depth") from None
     atlas = solve_atlas(
         coarse(sensor) if is_coarse else sensor,
         grid,
