@@ -15,9 +15,9 @@ from models.cnn.gauss_newton import Refinement, RefinementConfig
 from models.cnn.network import OUTPUTS, SlideNetwork
 from models.response_map.map import ResponseMap
 
-# Priors so wide that only a start at infinity is held back; every start converges in 15 steps or loses.
+# Wide priors: a start must find its way from anywhere on the skin.
 STARTS = RefinementConfig(steps=15, trust=1.0, least_prior=(3.0, 1.5, 20.0, 25.0))
-# A fan of 96 starts. LENGTHS_MM: speed times energy width, of which the article's skin shows 6 to 9 mm.
+# A fan of 96 starts. LENGTHS_MM: guesses of speed times energy width.
 HEADINGS, OFFSETS_MM, LENGTHS_MM = 12, (-15.0, -5.0, 5.0, 15.0), (6.0, 9.0)
 MISFIT = OUTPUTS.index("misfit")
 

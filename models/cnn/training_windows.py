@@ -25,8 +25,11 @@ BEYOND_MM = 6.0  # a slide begins and ends up to so far beyond the chamber
 MIDWAY_SHARE = 0.6  # of the chord: the latest place on the dome where a slide begins
 LEAST_SEEN = 0.06  # share of a slide at which the first windows end
 LONGEST_PAUSE = 0.3  # share of the slide's own time
-WAVE_MM = (15.0, 50.0)  # lengths of the map residual's waves: those of its splines and of the chamber
-ZERO_SHARE = 0.3  # share of the slide at which the drift is counted from: the mean over starts of any length
+WAVE_MM = (
+    15.0,
+    50.0,
+)  # lengths of the map residual's waves, well above the splines' spacing and up to the chamber's size
+ZERO_SHARE = 0.3  # share of the slide at which the moving part of the drift is zero
 TRIGGER_SAMPLES = 3  # that the trigger averages
 LEAST_SAMPLES = 8  # after the trigger, for a window's bins to differ
 LEAST_BLOCKS = 6  # and blocks; the runtime estimates from 8 on (features/stream/conditioning.py)
