@@ -2,15 +2,23 @@
 
 import json
 import math
+import sys
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
+from features.card_fields import check_fields
+from features.digest import sha256
 from features.errors import InputError
+from features.regular_file import read_regular
 from features.stream.conditioning import ROUNDING, Conditioning
 
 FORMAT = "softslide-model"
 VERSION = 1
+# A hundred times the largest card so far, which holds a calibrated response map.
+MOST_BYTES = 1 << 26
+# An integer of more decimal digits may be beyond a float.
+MOST_DIGITS = 300
 INPUTS = ("window", "features")
 UNITS = {
     "direction_cos": "1",
@@ -71,7 +79,8 @@ class Card:
     its row for them. graph_sha256: of the graph's file.
 
     Raises:
-        ValueError: an unknown input or output, or channels that are no whole number of accelerometers.
+        ValueError: an unknown input or output, channels that are no whole number of accelerometers, or a field of
+            another type or outside its range (features/card_fields.py).
     """
 
     model: str
@@ -95,6 +104,7 @@ class Card:
             raise ValueError(f"output '{unknown[0]}' is unknown; known are {', '.join(UNITS)}")
         if not self.channels or len(self.channels) % 3:
             raise ValueError(f"{len(self.channels)} channels; each accelerometer has three")
+        check_fields(self)
 
     @property
     def block_samples(self) -> float:
@@ -108,49 +118,107 @@ class Card:
 
 
 def write_card(card: Card, path: Path) -> None:
-    """Writes model.json. Infinite limits become null: JSON has no infinity."""
+    """Writes model.json with a hash of itself. Infinite limits become null: JSON has no infinity."""
     table = {"format": FORMAT, "version": VERSION, **asdict(card)}
     table["units"] = {name: UNITS[name] for name in card.outputs}
     table["validity"] = {k: None if v == math.inf else v for k, v in table["validity"].items()}
+    table["card_sha256"] = card_hash(table)
     path.write_text(json.dumps(table, indent=1, allow_nan=False) + "\n", encoding="utf-8")
 
 
+def card_hash(table: dict[str, Any]) -> str:
+    """SHA-256 of model.json's table without its key card_sha256, as JSON with sorted keys and no spaces.
+
+    It finds what was altered by accident or by hand. It is no signature: who alters a card can compute it anew.
+    """
+    rest = {key: value for key, value in table.items() if key != "card_sha256"}
+    text = json.dumps(rest, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return sha256(text.encode()).hexdigest()
+
+
 def read_card(path: Path) -> Card:
-    """Reads and validates model.json.
+    """Reads and validates model.json. A card of a release that wrote no hash is read, with a line on standard error.
 
     Raises:
-        InputError: the file is missing, no JSON, or of another format or version; a key is unknown or missing; a value
-            is bad.
+        InputError: the file is missing, no regular file, no JSON, or of another format or version; it is not what was
+            written; a key is unknown or missing; a value is bad.
     """
-    try:
-        table = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file; a bundle holds model.onnx and model.json") from None
-    except (ValueError, OSError) as error:
-        raise InputError(f"{path}: not a model card ({error}); export the bundle again") from None
-    if not isinstance(table, dict) or table.pop("format", None) != FORMAT:
+    table = _table(path)
+    if table.pop("format", None) != FORMAT:
         raise InputError(f"{path}: not a softslide model card; name a bundle that 'softslide train' made")
-    if (version := table.pop("version", None)) != VERSION:
+    version = table.pop("version", None)
+    if type(version) is not int or version != VERSION:
         raise InputError(
-            f"{path}: card version {version}, this release reads {VERSION}; export the bundle again"
+            f"{path}: card version {version!r:.40}, this release reads {VERSION}; export the bundle again"
         )
     table.pop("units", None)
     if odd := sorted(set(table) ^ {f.name for f in fields(Card)}):
-        raise InputError(f"{path}: key '{odd[0]}' is missing or unknown; export the bundle again")
+        raise InputError(f"{path}: key {odd[0]!r:.60} is missing or unknown; export the bundle again")
     try:
-        limits: dict[str, Any] = {k: math.inf if v is None else v for k, v in table["validity"].items()}
-        limits["speed_mm_s"] = tuple(limits["speed_mm_s"])
-        return Card(
-            **{
-                **table,
-                "outputs": tuple(table["outputs"]),
-                "channels": tuple(table["channels"]),
-                "reference_mm": tuple(float(v) for v in table["reference_mm"]),
-                "sample_rate_hz": float(table["sample_rate_hz"]),
-                "conditioning": Conditioning(**table["conditioning"]),
-                "intervals": {k: Interval(**v) for k, v in table["intervals"].items()},
-                "validity": Validity(**limits),
-            }
-        )
+        return _card(table)
     except (TypeError, ValueError, AttributeError, KeyError) as error:
-        raise InputError(f"{path}: a value does not fit ({error}); export the bundle again") from None
+        reason = " ".join(str(error).split())[:160]
+        raise InputError(f"{path}: a value does not fit ({reason}); export the bundle again") from None
+
+
+def _table(path: Path) -> dict[str, Any]:
+    """The file's table, without its hash, which is checked."""
+    content = read_regular(path, MOST_BYTES, "a bundle holds model.onnx and model.json")
+    try:
+        table = json.loads(
+            content.decode("utf-8"),
+            object_pairs_hook=_unique,
+            parse_int=_integer,
+            parse_float=_finite,
+            parse_constant=_finite,
+        )
+    except (ValueError, RecursionError) as error:
+        reason = " ".join(str(error).split())[:160]
+        raise InputError(f"{path}: not a model card ({reason}); export the bundle again") from None
+    if not isinstance(table, dict):
+        raise InputError(f"{path}: not a softslide model card; name a bundle that 'softslide train' made")
+    if "card_sha256" not in table:
+        print(
+            f"{path}: the card has no hash of its own, so that changes to it are not found", file=sys.stderr
+        )
+    elif table["card_sha256"] != card_hash(table):
+        raise InputError(f"{path}: altered since it was written; take the bundle from its source again")
+    table.pop("card_sha256", None)
+    return table
+
+
+def _card(table: dict[str, Any]) -> Card:
+    limits: dict[str, Any] = {k: math.inf if v is None else v for k, v in table["validity"].items()}
+    lists = ("outputs", "channels", "reference_mm")
+    for values in (*(table[name] for name in lists), limits["speed_mm_s"]):
+        if not isinstance(values, list):
+            raise TypeError(f"{', '.join(lists)} and speed_mm_s are lists")
+    limits["speed_mm_s"] = tuple(limits["speed_mm_s"])
+    return Card(
+        **{
+            **table,
+            **{name: tuple(table[name]) for name in lists},
+            "conditioning": Conditioning(**table["conditioning"]),
+            "intervals": {k: Interval(**v) for k, v in table["intervals"].items()},
+            "validity": Validity(**limits),
+        }
+    )
+
+
+def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    table = dict(pairs)
+    if len(table) < len(pairs):
+        raise ValueError("a key comes twice")
+    return table
+
+
+def _integer(text: str) -> int:
+    if len(text.lstrip("-")) > MOST_DIGITS:
+        raise ValueError(f"an integer has more than {MOST_DIGITS} digits")
+    return int(text)
+
+
+def _finite(text: str) -> float:
+    if not math.isfinite(value := float(text)):
+        raise ValueError(f"{text:.40} is no finite number")
+    return value

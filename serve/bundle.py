@@ -1,30 +1,29 @@
 """Opens a bundle, and checks that card and graph belong together and give the result of the card's example."""
 
-import math
+from collections.abc import Callable
 from pathlib import Path
+from threading import Thread
+from typing import Any, TypeVar
 
 import numpy as np
 import onnxruntime as ort
 from onnxruntime.capi.onnxruntime_pybind11_state import NotImplemented as MissingOperator
 
 from features.card import Card, read_card
+from features.digest import sha256
 from features.errors import InputError
+from features.regular_file import read_regular
 from features.vector.feature_vector import feature_names
 from features.window import WINDOW_BINS
-
-try:
-    # hashlib loads OpenSSL, 4 MB of memory that nothing else here needs.
-    from _sha2 import sha256
-except ImportError:
-    try:
-        from _sha256 import sha256  # Python 3.11
-    except ImportError:
-        from hashlib import sha256
+from serve.graph_limits import MOST_BYTES, check_graph
 
 # Largest difference between two processors' arithmetic, relative or absolute. Graph and original differ by 4e-5
 # (experiments/LOG.md); more than 1e-3 is another graph.
 GOLDEN_TOLERANCE = 1e-3
+# Loading takes a tenth of a second, a window a few ms; what takes longer than this is no model to localize with.
+LOADING_S = 20.0
 GRAPHS = ("model.onnx", "model.ort")
+T = TypeVar("T")
 _NEEDED = ("direction_cos", "direction_sin", "offset_mm")
 
 
@@ -38,18 +37,21 @@ def open_bundle(bundle: Path) -> tuple[Card, ort.InferenceSession]:
     path = next((bundle / name for name in GRAPHS if (bundle / name).is_file()), bundle / GRAPHS[0])
     card = read_card(bundle / "model.json")
     _check_card(card, bundle / "model.json")
-    try:
-        graph = path.read_bytes()
-    except OSError:
-        raise InputError(f"{path}: cannot be read; a bundle holds model.onnx and model.json") from None
+    graph = read_regular(path, MOST_BYTES, "a bundle holds model.onnx and model.json")
     if sha256(graph).hexdigest() != card.graph_sha256:
         raise InputError(
             f"{path}: not the graph that model.json describes; take the bundle from its source again"
         )
+    if path.suffix == ".onnx":
+        check_graph(graph, path)
+    return card, _in_time(lambda: _checked_session(card, graph, path), path)
+
+
+def _checked_session(card: Card, graph: bytes, path: Path) -> ort.InferenceSession:
     session = open_session(graph, path)
     _check_shapes(card, session, path)
     _check_golden(card, session, path)
-    return card, session
+    return session
 
 
 def open_session(graph: bytes, path: Path) -> ort.InferenceSession:
@@ -79,37 +81,18 @@ def open_session(graph: bytes, path: Path) -> ort.InferenceSession:
 
 def _check_card(card: Card, path: Path) -> None:
     """Checks of what the runtime relies on, beyond the card's own."""
-    accelerometers = card.sensor.get("accelerometers") if isinstance(card.sensor, dict) else None
-    if not isinstance(accelerometers, list | tuple):
-        raise InputError(f"{path}: sensor names no accelerometers; export the bundle again")
-    names = tuple(f"a{n}_{axis}" for n in range(len(accelerometers)) for axis in ("vx", "vy", "vz"))
+    count = len(card.sensor["accelerometers"])
+    names = tuple(f"a{n}_{axis}" for n in range(count) for axis in ("vx", "vy", "vz"))
     if card.channels != names:
         raise InputError(
             f"{path}: channels are {', '.join(map(str, card.channels))}, the sensor's are {', '.join(names)}; "
             "export the bundle again"
         )
-    for n, accelerometer in enumerate(accelerometers):
-        for key in ("zero_g_v", "sensitivity_v_per_g"):
-            if not _number(accelerometer.get(key) if isinstance(accelerometer, dict) else None):
-                raise InputError(f"{path}: accelerometer {n} has no {key}; export the bundle again")
     speeds = [name for name in ("log_speed", "log_speed_width") if name in card.outputs]
     missing = [name for name in _NEEDED if name not in card.outputs] or ([] if speeds else ["log_speed"])
     if missing or len(set(card.outputs)) < len(card.outputs):
         wrong = f"output {missing[0]} is missing" if missing else "an output is named twice"
         raise InputError(f"{path}: {wrong}; export the bundle again")
-    if not (_number(card.sample_rate_hz) and card.samples_per_block >= 1):
-        raise InputError(
-            f"{path}: sample_rate_hz {card.sample_rate_hz:g} gives no sample in a block of "
-            f"{card.conditioning.block_s:g} s; export the bundle again"
-        )
-    limits = vars(card.validity).values()
-    numbers = [v for limit in limits for v in (limit if isinstance(limit, tuple) else (limit,))]
-    numbers += [v for interval in card.intervals.values() for v in vars(interval).values()]
-    numbers += card.reference_mm
-    if any(isinstance(v, bool) or not isinstance(v, int | float) or math.isnan(v) for v in numbers):
-        raise InputError(f"{path}: a limit or an interval is no number; export the bundle again")
-    if len(card.reference_mm) != 2 or len(card.validity.speed_mm_s) != 2:
-        raise InputError(f"{path}: reference_mm and speed_mm_s are pairs; export the bundle again")
 
 
 def _check_shapes(card: Card, session: ort.InferenceSession, path: Path) -> None:
@@ -153,8 +136,27 @@ def _check_golden(card: Card, session: ort.InferenceSession, path: Path) -> None
         raise InputError(f"{path}: the graph does not compute its card's example; export the bundle again")
 
 
-def _number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and 0 < value < math.inf
+def _in_time(call: Callable[[], T], path: Path) -> T:
+    """What the call returns or raises; after LOADING_S it is left behind, in a thread that ends with the process."""
+    outcome: list[tuple[bool, Any]] = []
+
+    def work() -> None:
+        try:
+            outcome.append((True, call()))
+        except Exception as error:
+            outcome.append((False, error))
+
+    worker = Thread(target=work, daemon=True)
+    worker.start()
+    worker.join(LOADING_S)
+    if not outcome:
+        raise InputError(
+            f"{path}: not loaded and run once in {LOADING_S:g} s; take the bundle from its source again"
+        )
+    done, value = outcome[0]
+    if not done:
+        raise value
+    return value
 
 
 def _line(error: Exception) -> str:

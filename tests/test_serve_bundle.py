@@ -4,7 +4,7 @@ import json
 from pathlib import Path
 
 import pytest
-from small_bundle import write_small_bundle
+from small_bundle import write_small_bundle, write_table
 from streams import a_sensor
 
 from features.errors import InputError
@@ -12,8 +12,8 @@ from serve.localizer import Localizer
 
 
 def damaged(bundle: Path, **changes: object) -> Path:
-    card = json.loads((bundle / "model.json").read_text())
-    (bundle / "model.json").write_text(json.dumps(card | changes))
+    """The bundle with a changed card, whose hash fits it."""
+    write_table(bundle, json.loads((bundle / "model.json").read_text()) | changes)
     return bundle
 
 

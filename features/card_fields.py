@@ -1,0 +1,130 @@
+"""The types and ranges of a model card's fields: what lies outside them would fail, or answer wrongly, later."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from features.card import Card
+
+# Orders of magnitude beyond any sensor that is built; they bound the memory and the work of a stream.
+MOST_ACCELEROMETERS = 64
+HIGHEST_RATE_HZ = 1e6
+LONGEST_BLOCK_S = 1.0
+MOST_BLOCKS = 1_000_000
+# An estimate is made of the mean of so many blocks, held in memory.
+MOST_TRIGGER_BLOCKS = 1000
+MOST_MM = 1e4
+MOST_VOLTS = 1e3
+# Of anything else: times in s, speeds in mm/s, factors.
+LARGEST = 1e6
+
+
+def check_fields(card: "Card") -> None:
+    """Checks every field that an answer depends on.
+
+    Raises:
+        ValueError: a field has another type, or its value lies outside its range.
+    """
+    text(card.model, "model")
+    text(card.graph_sha256, "graph_sha256")
+    number(card.sample_rate_hz, "sample_rate_hz", 0.0, HIGHEST_RATE_HZ, above=True)
+    numbers(card.reference_mm, "reference_mm", 2, -MOST_MM, MOST_MM)
+    _sensor(card.sensor)
+    _conditioning(card)
+    for name, interval in card.intervals.items():
+        number(interval.scale, f"intervals: {name}: scale", 0.0, LARGEST)
+        number(interval.floor, f"intervals: {name}: floor", 0.0, LARGEST)
+    speeds = numbers(card.validity.speed_mm_s, "validity: speed_mm_s", 2, 0.0, LARGEST)
+    if not 0 < speeds[0] <= speeds[1]:
+        raise ValueError(f"validity: speed_mm_s is {list(speeds)}; it must be positive and rise")
+    number(card.validity.peak_v, "validity: peak_v", 0.0, MOST_VOLTS)
+    for name in ("offset_mm", "misfit", "direction_sd_deg", "log_speed_sd"):
+        if (limit := getattr(card.validity, name)) != math.inf:
+            number(limit, f"validity: {name}", 0.0, LARGEST)
+    table(card.provenance, "provenance")
+    golden = table(card.golden, "golden")
+    if set(golden) != {"inputs", "estimate"}:
+        raise ValueError("golden holds other keys than inputs and estimate")
+    table(golden["inputs"], "golden: inputs")
+    numbers(golden["estimate"], "golden: estimate", len(card.outputs), -math.inf, math.inf)
+
+
+def _sensor(sensor: Any) -> None:
+    accelerometers = table(sensor, "sensor").get("accelerometers")
+    if not isinstance(accelerometers, list | tuple) or not 1 <= len(accelerometers) <= MOST_ACCELEROMETERS:
+        raise ValueError(f"sensor: accelerometers is no list of 1 to {MOST_ACCELEROMETERS}")
+    text(sensor.get("name"), "sensor: name")
+    numbers(sensor.get("chamber_mm"), "sensor: chamber_mm", 2, 0.0, MOST_MM)
+    for n, accelerometer in enumerate(accelerometers):
+        place = f"sensor: accelerometer {n}"
+        table(accelerometer, place)
+        for key in ("x_mm", "y_mm"):
+            number(accelerometer.get(key), f"{place}: {key}", -MOST_MM, MOST_MM)
+        for key in ("zero_g_v", "sensitivity_v_per_g"):
+            number(accelerometer.get(key), f"{place}: {key}", 0.0, MOST_VOLTS, above=True)
+
+
+def _conditioning(card: "Card") -> None:
+    for name, value in asdict(card.conditioning).items():
+        if name.endswith("_blocks"):
+            most = MOST_TRIGGER_BLOCKS if name == "trigger_blocks" else MOST_BLOCKS
+            number(value, f"conditioning: {name}", 1, most)
+        elif name.endswith("_v"):
+            number(value, f"conditioning: {name}", 0.0, MOST_VOLTS)
+        elif name.endswith("_s"):
+            number(value, f"conditioning: {name}", 0.0, LARGEST)
+    number(card.conditioning.block_s, "conditioning: block_s", 0.0, LONGEST_BLOCK_S)
+    if card.samples_per_block < 1:
+        raise ValueError(
+            f"sample_rate_hz {card.sample_rate_hz:g} gives no sample in a block of {card.conditioning.block_s:g} s"
+        )
+
+
+def number(value: Any, name: str, low: float, high: float, above: bool = False) -> float:
+    """A real number in low..high. above: it must be more than `low`.
+
+    Raises:
+        ValueError: it is none.
+    """
+    if isinstance(value, bool) or not isinstance(value, int | float) or math.isnan(value):
+        raise ValueError(f"{name} is no number")
+    if not low <= value <= high or (above and value == low):
+        raise ValueError(f"{name} is {value:g}; it must lie in {low:g}..{high:g}")
+    return value
+
+
+def numbers(value: Any, name: str, count: int, low: float, high: float) -> Sequence[float]:
+    """So many real numbers, each in low..high.
+
+    Raises:
+        ValueError: they are none.
+    """
+    if not isinstance(value, list | tuple) or len(value) != count:
+        raise ValueError(f"{name} is no list of {count} numbers")
+    for item in value:
+        number(item, name, low, high)
+    return value
+
+
+def text(value: Any, name: str) -> str:
+    """A text.
+
+    Raises:
+        ValueError: it is none.
+    """
+    if not isinstance(value, str):
+        raise ValueError(f"{name} is no text")
+    return value
+
+
+def table(value: Any, name: str) -> Mapping[str, Any]:
+    """A table of keys and values.
+
+    Raises:
+        ValueError: it is none.
+    """
+    if not isinstance(value, Mapping):
+        raise ValueError(f"{name} is no table")
+    return value

@@ -1,0 +1,184 @@
+"""What a graph may ask for, read from model.onnx before ONNX Runtime builds it.
+
+The file is a protocol buffer (onnx.proto3 of ONNX); the few fields that matter are read here, since the package `onnx`
+is not on a device. The limits are orders of magnitude beyond the project's own models. They keep out what would exhaust
+memory or never end by its shapes alone; the bundle's example is run against a clock besides.
+"""
+
+import math
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+
+from features.errors import InputError
+
+MOST_BYTES = 1 << 28
+MOST_NODES = 100_000
+DEEPEST = 4
+# Elements that one shape in the graph may ask for: 64 MB in single precision. Also the turns of a loop.
+MOST_ELEMENTS = 1 << 24
+# Versions that ONNX Runtime 1.31 knows; a newer one is its to refuse.
+NEWEST = {"": 27, "ai.onnx": 27, "ai.onnx.ml": 6, "com.microsoft": 1}
+# Which input of an operator is a shape, a number of repeats or a number of turns.
+_SHAPE_INPUT = {"ConstantOfShape": 0, "Expand": 1, "Reshape": 1, "Tile": 1, "Loop": 0, "Pad": 1, "Resize": 3}
+_INT64 = 7
+
+Fields = Iterator[tuple[int, int | bytes]]
+
+
+def check_graph(graph: bytes, path: Path) -> None:
+    """Checks a model.onnx. path: named in errors.
+
+    Raises:
+        InputError: no ONNX graph; operators of unknown domains or versions; data outside the file; too many nodes,
+            nested too deep, or a shape that is too large.
+    """
+    try:
+        _check_model(graph)
+    except ValueError as error:
+        raise InputError(
+            f"{path}: no graph that this release runs ({error}); take the bundle from its source again"
+        ) from None
+    except (IndexError, struct.error):
+        raise InputError(f"{path}: no ONNX graph; take the bundle from its source again") from None
+
+
+def _check_model(content: bytes) -> None:
+    for key, value in _fields(content):
+        if key == 8:
+            domain, version = "", 0
+            for inner, item in _fields(_bytes(value)):
+                domain = _bytes(item).decode() if inner == 1 else domain
+                version = _whole(item) if inner == 2 else version
+            if not 1 <= version <= NEWEST.get(domain, 0):
+                raise ValueError(f"operators of '{domain or 'ai.onnx'}' {version}")
+        elif key == 25:
+            raise ValueError("it defines operators of its own")
+        elif key == 7:
+            _check_graph(_bytes(value), [0], 1)
+
+
+def _check_graph(content: bytes, nodes: list[int], depth: int) -> None:
+    """nodes: a count of one, of the whole model."""
+    if depth > DEEPEST:
+        raise ValueError(f"graphs are nested more than {DEEPEST} deep")
+    asked: list[tuple[str, bytes]] = []
+    constants: dict[bytes, list[int]] = {}
+    for key, value in _fields(content):
+        if key == 1:
+            nodes[0] += 1
+            asked += _check_node(_bytes(value), nodes, depth, constants)
+        elif key == 5:
+            _note_tensor(_bytes(value), constants)
+        elif key == 15:
+            raise ValueError("a constant is sparse")
+    if nodes[0] > MOST_NODES:
+        raise ValueError(f"more than {MOST_NODES} nodes")
+    for operator, name in asked:
+        if math.prod(max(1, abs(v)) for v in constants.get(name, ())) > MOST_ELEMENTS:
+            raise ValueError(f"{operator} asks for more than {MOST_ELEMENTS} elements or turns")
+
+
+def _check_node(
+    content: bytes, nodes: list[int], depth: int, constants: dict[bytes, list[int]]
+) -> list[tuple[str, bytes]]:
+    """The operator with the name of the constant that says how much it makes, if it is of that kind."""
+    inputs, outputs, attributes, operator = [], [], [], ""
+    for key, value in _fields(content):
+        if key == 1:
+            inputs.append(_bytes(value))
+        elif key == 2:
+            outputs.append(_bytes(value))
+        elif key == 4:
+            operator = _bytes(value).decode()
+        elif key == 5:
+            attributes.append(_bytes(value))
+        elif key == 7 and _bytes(value).decode() not in NEWEST:
+            raise ValueError(f"operators of '{_bytes(value).decode()}'")
+    for attribute in attributes:
+        for key, value in _fields(attribute):
+            if key in (6, 11):
+                _check_graph(_bytes(value), nodes, depth + 1)
+            elif key in (5, 10):
+                _note_tensor(_bytes(value), constants, outputs[0] if outputs else b"")
+            elif key in (22, 23):
+                raise ValueError("a constant is sparse")
+    place = _SHAPE_INPUT.get(operator)
+    return [(operator, inputs[place])] if place is not None and len(inputs) > place else []
+
+
+def _note_tensor(content: bytes, constants: dict[bytes, list[int]], name: bytes = b"") -> None:
+    """Notes the values of a short list of int64; name: in place of the tensor's own."""
+    kind, values, raw, dims = 0, [], b"", []
+    for key, value in _fields(content):
+        if key == 1:
+            dims += _packed(value)
+        elif key == 2:
+            kind = _whole(value)
+        elif key == 7:
+            values += _packed(value)
+        elif key == 8:
+            name = name or _bytes(value)
+        elif key == 9:
+            raw = _bytes(value)
+        elif key == 13 or (key == 14 and value != 0):
+            raise ValueError("a constant lies in another file")
+    if any(size < 0 for size in dims) or math.prod(dims) > MOST_BYTES:
+        raise ValueError("a constant is too large")
+    if kind == _INT64 and len(raw) % 8 == 0 and len(raw) <= 64:
+        constants[name] = values or list(struct.unpack(f"<{len(raw) // 8}q", raw))
+
+
+def _fields(content: bytes) -> Fields:
+    """The fields of a message in their order: its number, and a whole number or the bytes of it."""
+    at = 0
+    while at < len(content):
+        tag, at = _varint(content, at)
+        number, form = tag >> 3, tag & 7
+        if form == 0:
+            value, at = _varint(content, at)
+            yield number, value
+        else:
+            size, at = (8, at) if form == 1 else (4, at) if form == 5 else _varint(content, at)
+            if form not in (1, 2, 5) or at + size > len(content):
+                raise ValueError("damaged")
+            yield number, content[at : at + size]
+            at += size
+
+
+def _varint(content: bytes, at: int) -> tuple[int, int]:
+    """A number of seven bits a byte, the lowest first, and the place after it."""
+    value = 0
+    for n in range(10):
+        byte = content[at + n]
+        value |= (byte & 0x7F) << 7 * n
+        if byte < 0x80:
+            return value, at + n + 1
+    raise ValueError("damaged")
+
+
+def _packed(value: int | bytes) -> list[int]:
+    """A repeated int64, one of them or several in a row."""
+    numbers, at = [], 0
+    if isinstance(value, int):
+        return [_signed(value)]
+    while at < len(value):
+        number, at = _varint(value, at)
+        numbers.append(_signed(number))
+    return numbers
+
+
+def _signed(value: int) -> int:
+    return value - (1 << 64) if value >> 63 else value
+
+
+def _bytes(value: int | bytes) -> bytes:
+    if isinstance(value, bytes):
+        return value
+    raise ValueError("damaged")
+
+
+def _whole(value: int | bytes) -> int:
+    if isinstance(value, int):
+        return value
+    raise ValueError("damaged")

@@ -1,0 +1,314 @@
+"""A bundle that was altered, by accident or on purpose: refused with one line, or it answers as before."""
+
+import copy
+import json
+import os
+import random
+import shutil
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import onnx
+import pytest
+from onnx import TensorProto, helper, numpy_helper
+from small_bundle import resigned, write_small_bundle
+from streams import a_sensor, pass_over, still, stream
+
+import softslide
+from features.card import card_hash
+from features.errors import InputError
+from serve.localizer import Localizer
+
+VOLTS = stream(still(0.6), pass_over(1.0), still(0.4))
+WRONG = (None, True, -1, 0, 1e300, 10**400, "1", "", [], [1.0, 2.0, 3.0], {}, {"a": 1}, [[]])
+Keys = tuple[Any, ...]
+
+
+@pytest.fixture(scope="module")
+def bundle(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_small_bundle(tmp_path_factory.mktemp("bundles") / "b", a_sensor(), offset_mm_per_v=50.0)
+
+
+@pytest.fixture
+def mine(bundle: Path, tmp_path: Path) -> Path:
+    """A copy to alter."""
+    return Path(shutil.copytree(bundle, tmp_path / "mine"))
+
+
+def answers(bundle: Path) -> list[Any]:
+    return [repr(estimate) for estimate in Localizer.load(bundle).push(VOLTS)]
+
+
+def taken(bundle: Path) -> list[Any] | None:
+    """What the bundle answers; None where it is refused with one line that names it."""
+    try:
+        return answers(bundle)
+    except InputError as error:
+        said = str(error)
+    assert "\n" not in said
+    assert str(bundle) in said
+    assert len(said) < 500 + len(str(bundle))
+    return None
+
+
+def places(table: Any, keys: Keys = ()) -> Iterator[Keys]:
+    """The keys that lead to each value of a table; of a list of numbers the first."""
+    if keys:
+        yield keys
+    if isinstance(table, dict):
+        for key, value in table.items():
+            yield from places(value, (*keys, key))
+    elif isinstance(table, list) and table:
+        yield from places(table[0], (*keys, 0))
+
+
+def edited(table: dict[str, Any], keys: Keys, value: Any) -> dict[str, Any]:
+    changed = copy.deepcopy(table)
+    inner: Any = changed
+    for key in keys[:-1]:
+        inner = inner[key]
+    inner[keys[-1]] = value
+    return changed
+
+
+def wrong_for(value: Any) -> list[Any]:
+    """Wrong values; for a number also a slightly other one."""
+    near = [value * 1.01 + 1e-3] if isinstance(value, float) else []
+    return [*WRONG, *near]
+
+
+def at(table: Any, keys: Keys) -> Any:
+    for key in keys:
+        table = table[key]
+    return table
+
+
+def test_no_edit_of_one_field_changes_an_answer(bundle: Path, mine: Path) -> None:
+    table, wanted = json.loads((bundle / "model.json").read_text()), answers(bundle)
+    edits = refused = 0
+    for keys in places(table):
+        for wrong in wrong_for(at(table, keys)):
+            (mine / "model.json").write_text(json.dumps(edited(table, keys, wrong)))
+            edits += 1
+            told = taken(mine)
+            refused += told is None
+            assert told in (None, wanted), (keys, wrong)
+    assert edits > 1000
+    # The same value again, and no more, is taken: True for 1 and the like.
+    assert refused > 0.97 * edits
+
+
+def test_a_card_without_a_hash_is_refused_or_runs(
+    bundle: Path, mine: Path, capsys: pytest.CaptureFixture
+) -> None:
+    """Types and ranges alone: what such a card says may be wrong, but it never fails later than at loading."""
+    table = json.loads((bundle / "model.json").read_text())
+    del table["card_sha256"]
+    edits = [(keys, wrong) for keys in places(table) for wrong in WRONG]
+    refused = 0
+    for keys, wrong in random.Random(0).sample(edits, 300):
+        (mine / "model.json").write_text(json.dumps(edited(table, keys, wrong)))
+        refused += taken(mine) is None
+    assert refused > 150
+    assert "no hash of its own" in capsys.readouterr().err
+
+
+def test_a_card_of_before_says_so_in_one_line(
+    bundle: Path, mine: Path, capsys: pytest.CaptureFixture
+) -> None:
+    table = json.loads((bundle / "model.json").read_text())
+    del table["card_sha256"]
+    (mine / "model.json").write_text(json.dumps(table))
+    assert answers(mine) == answers(bundle)
+    (said,) = capsys.readouterr().err.splitlines()
+    assert said.startswith(f"{mine / 'model.json'}: the card has no hash")
+
+
+def test_a_hash_does_not_depend_on_the_order_and_the_spaces(bundle: Path, mine: Path) -> None:
+    table = json.loads((bundle / "model.json").read_text())
+    shuffled = dict(reversed(table.items()))
+    (mine / "model.json").write_text(json.dumps(shuffled, indent=7))
+    assert answers(mine) == answers(bundle)
+    assert card_hash(shuffled) == table["card_sha256"]
+
+
+@pytest.mark.parametrize("name", ["model.json", "model.onnx"])
+def test_no_flipped_bit_changes_an_answer(bundle: Path, mine: Path, name: str) -> None:
+    content, wanted = (bundle / name).read_bytes(), answers(bundle)
+    chance = random.Random(0)
+    for _ in range(300):
+        flipped = bytearray(content)
+        flipped[chance.randrange(len(flipped))] ^= 1 << chance.randrange(8)
+        (mine / name).write_bytes(flipped)
+        assert taken(mine) in (None, wanted)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        '{"a":' * 100_000,
+        "[" * 100_000,
+        "9" * 5000,
+        '{"format": 1, "format": 1}',
+        "NaN",
+        "\ud800",
+        "\x00",
+        "3",
+        "[]",
+    ],
+    ids=lambda text: text[:12].encode("unicode_escape").decode(),
+)
+def test_text_that_is_no_card_is_refused(mine: Path, text: str) -> None:
+    (mine / "model.json").write_bytes(text.encode("utf-8", "surrogatepass"))
+    assert taken(mine) is None
+
+
+@pytest.mark.parametrize("name", ["model.json", "model.onnx"])
+@pytest.mark.parametrize(
+    "kind", ["pipe", "link to a pipe", "folder", "loop", "device", "giant", "unreadable"]
+)
+def test_what_is_no_file_of_a_bounded_size_is_refused_at_once(mine: Path, name: str, kind: str) -> None:
+    path = mine / name
+    path.unlink()
+    if kind in ("pipe", "link to a pipe"):
+        pipe = path if kind == "pipe" else mine / "pipe"
+        os.mkfifo(pipe)
+        if pipe is not path:
+            path.symlink_to(pipe)
+    elif kind == "folder":
+        path.mkdir()
+    elif kind == "loop":
+        path.symlink_to(path)
+    elif kind == "device":
+        path.symlink_to("/dev/zero")
+    elif kind == "giant":
+        with path.open("wb") as file:
+            file.truncate(1 << 40)
+    else:
+        path.symlink_to("/proc/self/mem")
+    begun = time.monotonic()
+    assert taken(mine) is None
+    assert time.monotonic() - begun < 2.0
+
+
+def int64(values: list[int], name: str) -> onnx.TensorProto:
+    return numpy_helper.from_array(np.array(values, np.int64), name)
+
+
+def hostile(
+    nodes: list[onnx.NodeProto], constants: list[onnx.TensorProto], opset: int = 18
+) -> onnx.ModelProto:
+    """A graph with the inputs and the output of a bundle's."""
+    inputs = [("volts", ["B", 3, 64]), ("elapsed_s", ["B"]), ("weight", ["B", 1])]
+    graph = helper.make_graph(
+        nodes,
+        "hostile",
+        [helper.make_tensor_value_info(name, TensorProto.FLOAT, shape) for name, shape in inputs],
+        [helper.make_tensor_value_info("estimate", TensorProto.FLOAT, ["B", 5])],
+        constants,
+    )
+    return helper.make_model(graph, opset_imports=[helper.make_opsetid("", opset)], ir_version=10)
+
+
+def endless() -> onnx.ModelProto:
+    """Turns a loop 2^60 times."""
+    body = helper.make_graph(
+        [helper.make_node("Identity", ["on"], ["on_2"]), helper.make_node("Add", ["x", "x"], ["y"])],
+        "body",
+        [
+            helper.make_tensor_value_info("n", TensorProto.INT64, []),
+            helper.make_tensor_value_info("on", TensorProto.BOOL, []),
+            helper.make_tensor_value_info("x", TensorProto.FLOAT, None),
+        ],
+        [
+            helper.make_tensor_value_info("on_2", TensorProto.BOOL, []),
+            helper.make_tensor_value_info("y", TensorProto.FLOAT, None),
+        ],
+    )
+    return hostile(
+        [helper.make_node("Loop", ["turns", "", "volts"], ["estimate"], body=body)],
+        [int64([1 << 60], "turns")],
+    )
+
+
+def huge() -> onnx.ModelProto:
+    """Makes a matrix of 3 TB."""
+    return hostile(
+        [helper.make_node("Expand", ["volts", "size"], ["estimate"])], [int64([1 << 20, 1 << 20, 1], "size")]
+    )
+
+
+def huge_by_node() -> onnx.ModelProto:
+    """The same size from a node Constant."""
+    size = helper.make_node("Constant", [], ["size"], value=int64([1 << 20, 1 << 20, 1], "unnamed"))
+    return hostile([size, helper.make_node("Expand", ["volts", "size"], ["estimate"])], [])
+
+
+def elsewhere() -> onnx.ModelProto:
+    """A constant in another file."""
+    model = hostile([helper.make_node("Add", ["volts", "k"], ["estimate"])], [int64([1], "k")])
+    constant = model.graph.initializer[0]
+    constant.data_location = TensorProto.EXTERNAL
+    constant.external_data.add(key="location", value="/etc/passwd")
+    return model
+
+
+def foreign() -> onnx.ModelProto:
+    """An operator of nobody's."""
+    return hostile([helper.make_node("Run", ["volts"], ["estimate"], domain="evil.example")], [])
+
+
+def newer() -> onnx.ModelProto:
+    """Operators of a version that is not out."""
+    return hostile([helper.make_node("Identity", ["volts"], ["estimate"])], [], opset=99)
+
+
+@pytest.mark.parametrize("made", [endless, huge, huge_by_node, elsewhere, foreign, newer])
+def test_a_hostile_graph_with_a_fitting_card_is_refused_before_it_is_built(mine: Path, made: Any) -> None:
+    resigned(mine, made().SerializeToString())
+    with pytest.raises(InputError, match="no graph that this release runs"):
+        Localizer.load(mine)
+
+
+def test_work_without_end_that_no_shape_shows_is_left_behind(mine: Path) -> None:
+    """Sizes that are computed: 20,000 by 20,000 times itself takes minutes. The command ends all the same."""
+    side = int64([20_000], "side")
+    nodes = [
+        helper.make_node("Concat", ["side", "side"], ["size"], axis=0),
+        helper.make_node("ReduceSum", ["volts"], ["one"], keepdims=0),
+        helper.make_node("Expand", ["one", "size"], ["square"]),
+        helper.make_node("MatMul", ["square", "square"], ["product"]),
+        helper.make_node("ReduceSum", ["product"], ["sum"], keepdims=0),
+        helper.make_node("Unsqueeze", ["elapsed_s", "last"], ["column"]),
+        helper.make_node("Concat", ["column"] * 5, ["row"], axis=1),
+        helper.make_node("Add", ["row", "sum"], ["estimate"]),
+    ]
+    resigned(mine, hostile(nodes, [side, int64([1], "last")]).SerializeToString())
+    done = subprocess.run(
+        [sys.executable, "-c", LOAD, str(mine)],
+        cwd=Path(softslide.__file__).parent,
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert done.returncode == 2, done.stderr
+    assert "not loaded and run once in 1 s" in done.stdout
+
+
+LOAD = """
+import sys
+from pathlib import Path
+import serve.bundle
+from features.errors import InputError
+serve.bundle.LOADING_S = 1.0
+try:
+    serve.bundle.open_bundle(Path(sys.argv[1]))
+except InputError as error:
+    print(error)
+    sys.exit(2)
+"""
