@@ -1,0 +1,1 @@
+"""Tracks a contact along any path: a bank of extended Kalman filters on the response map."""

@@ -1,0 +1,203 @@
+"""A bank of hypotheses about one contact: a Gaussian sum (Alspach and Sorenson 1972), stepped by extended Kalman filters.
+
+Each holds a state and its covariance. The state of a sensor with C tilt channels, n = 8 + C numbers:
+x, y (mm), heading (rad), speed along it (mm/s, negative: backwards), acceleration (mm/s2), curvature (1/mm), gain
+(1: the calibration's), depth (mm off the map's), and the map's residual in each channel (V).
+"""
+
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+
+from features.contact.response_surface import ResponseSurface
+
+X, Y, HEADING, SPEED, ACCELERATION, CURVATURE, GAIN, DEPTH = range(8)
+RESIDUAL = 8
+
+FRICTION_MM = 0.35  # of way, over which the friction's direction follows the motion's (measured on the emulator)
+RESIDUAL_MM = 4.0  # of way, over which the map's residual is correlated: between one and two knots of its splines
+ACCELERATION_MM = 12.0  # of way, over which a change of speed goes on
+MANOEUVRE_MM = 25.0  # of way, over which manoeuvres are remembered
+PEAK_SHARE = 0.003  # of the present output that the map leaves over, as in the network's refinement
+MISFIT_S = 0.5  # memory of the misfit
+
+
+@dataclass(frozen=True)
+class MotionNoise:
+    """Standard deviations that a hypothesis grows by over 1 mm of way between manoeuvres.
+
+    place: mm. heading: rad. speed, acceleration: shares (of the speed; of its square). curvature: 1/mm. gain: 1.
+    depth: mm. rising: of the gain, a second, while the contact is pressed on or lifted.
+    """
+
+    place: float = 0.01
+    heading: float = 0.01
+    speed: float = 0.03
+    acceleration: float = 0.004
+    curvature: float = 0.003
+    gain: float = 0.003
+    depth: float = 0.005
+    rising: float = 0.42
+
+
+@dataclass
+class Hypotheses:
+    """N hypotheses.
+
+    state: (N, n). covariance: (N, n, n). friction: (N, 2), direction of the friction on the skin, at most 1 long.
+    log_weight: (N,), the largest is 0. partial: (N,) bool, whether the contact is being pressed on or lifted.
+    misfit: (N,), the innovation's chi-square over C, a running mean. way_mm: (N,) since the last branching; age_mm: (N,)
+    in all, forgotten over MANOEUVRE_MM, and so are manoeuvres: (N,).
+    """
+
+    state: np.ndarray
+    covariance: np.ndarray
+    friction: np.ndarray
+    log_weight: np.ndarray
+    partial: np.ndarray
+    misfit: np.ndarray
+    way_mm: np.ndarray
+    age_mm: np.ndarray
+    manoeuvres: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.state)
+
+    def take(self, which: Any) -> "Hypotheses":
+        """Some of them, as a copy."""
+        return Hypotheses(*(getattr(self, f.name)[which].copy() for f in fields(self)))
+
+    @property
+    def weight(self) -> np.ndarray:
+        """(N,), the sum is 1."""
+        weight = np.exp(self.log_weight - self.log_weight.max())
+        return weight / weight.sum()
+
+
+def joined(parts: list[Hypotheses]) -> Hypotheses:
+    """All of them in one bank."""
+    return Hypotheses(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Hypotheses)))
+
+
+def started(
+    state: np.ndarray, sd: np.ndarray, friction: np.ndarray, log_weight: np.ndarray, partial: bool
+) -> Hypotheses:
+    """New hypotheses from states (N, n), their standard deviations (N, n) and log weights (N,)."""
+    count, size = state.shape
+    covariance = np.zeros((count, size, size))
+    covariance[:, range(size), range(size)] = sd**2
+    zero = np.zeros(count)
+    return Hypotheses(
+        state,
+        covariance,
+        friction,
+        log_weight,
+        np.full(count, partial),
+        np.ones(count),
+        zero.copy(),
+        zero.copy(),
+        zero.copy(),
+    )
+
+
+def predict(bank: Hypotheses, elapsed_s: float, floor_v: float, noise: MotionNoise) -> None:
+    """Moves every hypothesis on by elapsed_s along its arc. floor_v: V, standard deviation of the map's residual."""
+    state, count, size = bank.state, len(bank), bank.state.shape[1]
+    state[:, SPEED] += elapsed_s * state[:, ACCELERATION]
+    speed, curvature = state[:, SPEED], state[:, CURVATURE]
+    step = elapsed_s * speed
+    way = np.abs(step)
+    middle = state[:, HEADING] + 0.5 * curvature * step
+    cos, sin = np.cos(middle), np.sin(middle)
+    slope = np.zeros((count, size, size))
+    diagonal = slope.reshape(count, -1)[:, :: size + 1]
+    diagonal[:] = 1.0
+    slope[:, X, HEADING], slope[:, X, SPEED] = -step * sin, elapsed_s * cos
+    slope[:, Y, HEADING], slope[:, Y, SPEED] = step * cos, elapsed_s * sin
+    slope[:, HEADING, SPEED], slope[:, HEADING, CURVATURE] = elapsed_s * curvature, step
+    slope[:, SPEED, ACCELERATION] = elapsed_s
+    kept = np.exp(-way[:, None] / np.array([ACCELERATION_MM, RESIDUAL_MM, FRICTION_MM, MANOEUVRE_MM]))
+    diagonal[:, ACCELERATION] = kept[:, 0]
+    diagonal[:, RESIDUAL:] = kept[:, 1:2]
+    state[:, X] += step * cos
+    state[:, Y] += step * sin
+    state[:, HEADING] += curvature * step
+    state[:, ACCELERATION] *= kept[:, 0]
+    state[:, RESIDUAL:] *= kept[:, 1:2]
+    covariance = slope @ bank.covariance @ slope.transpose(0, 2, 1)
+    grown = covariance.reshape(count, -1)[:, :: size + 1]
+    grown[:, X] += noise.place**2 * way
+    grown[:, Y] += noise.place**2 * way
+    grown[:, HEADING] += noise.heading**2 * way
+    grown[:, SPEED] += (noise.speed * speed) ** 2 * way
+    grown[:, ACCELERATION] += (noise.acceleration * speed * speed) ** 2 * way
+    grown[:, CURVATURE] += noise.curvature**2 * way
+    grown[:, GAIN] += np.where(bank.partial, noise.rising**2 * elapsed_s, noise.gain**2 * way)
+    grown[:, DEPTH] += noise.depth**2 * way
+    grown[:, RESIDUAL:] += (floor_v**2 * (1.0 - kept[:, 1] ** 2))[:, None]
+    bank.covariance = covariance
+    turning = 1.0 - kept[:, 2:3]
+    bank.friction += turning * (_motion(state) - bank.friction)
+    bank.way_mm += way
+    bank.age_mm = kept[:, 3] * (bank.age_mm + way)
+    bank.manoeuvres *= kept[:, 3]
+
+
+def update(
+    bank: Hypotheses, volts: np.ndarray, variance: np.ndarray, surface: ResponseSurface, elapsed_s: float
+) -> None:
+    """Corrects every hypothesis by one measurement and weighs it by its likelihood.
+
+    volts: (C,) V, subtracted; variance: (C,) V^2 of its noise, infinite for a dead channel.
+    """
+    state, count, size = bank.state, len(bank), bank.state.shape[1]
+    channels = np.flatnonzero(np.isfinite(variance))
+    shown, by_state = expected(bank, surface)
+    volts, shown, by_state = volts[channels], shown[:, channels], by_state[:, channels]
+    crossed = bank.covariance @ by_state.transpose(0, 2, 1)
+    spread = by_state @ crossed
+    spread.reshape(count, -1)[:, :: len(channels) + 1] += variance[channels]
+    gap = (volts - shown)[:, :, None]
+    inverse = np.linalg.inv(spread)
+    pull = inverse @ gap
+    chi_square = (gap * pull).sum((1, 2))
+    state += (crossed @ pull)[:, :, 0]
+    covariance = bank.covariance - crossed @ inverse @ crossed.transpose(0, 2, 1)
+    bank.covariance = 0.5 * (covariance + covariance.transpose(0, 2, 1))
+    # One outlying block must not decide between hypotheses: its likelihood is cut off.
+    evidence = np.minimum(chi_square, OUTLIER) + np.log(np.linalg.det(spread))
+    bank.log_weight -= 0.5 * evidence
+    bank.log_weight -= bank.log_weight.max()
+    bank.misfit += min(elapsed_s / MISFIT_S, 1.0) * (chi_square / len(channels) - bank.misfit)
+
+
+OUTLIER = 60.0  # chi-square beyond which one measurement tells nothing more
+
+
+def expected(bank: Hypotheses, surface: ResponseSurface) -> tuple[np.ndarray, np.ndarray]:
+    """The subtracted output that each hypothesis expects (N, C) V, and its derivatives by the state (N, C, n)."""
+    state, channels = bank.state, surface.channels
+    response = surface.at(state[:, X], state[:, Y])
+    friction, motion, gain = bank.friction, _motion(state), state[:, GAIN, None]
+    mixture = np.empty((len(bank), 1, 4, 1))
+    mixture[:, 0, 0, 0] = 1.0
+    mixture[:, 0, 1:3, 0] = friction
+    mixture[:, 0, 3, 0] = state[:, DEPTH]
+    raw = (response * mixture).sum(2)
+    by_state = np.zeros((len(bank), channels, state.shape[1]))
+    by_state[:, :, X] = gain * raw[:, 1]
+    by_state[:, :, Y] = gain * raw[:, 2]
+    # The friction's direction turns with the heading as far as it has followed it.
+    followed = np.maximum((friction * motion).sum(1, keepdims=True), 0.0) * gain
+    by_state[:, :, HEADING] = followed * (motion[:, :1] * response[:, 0, 2] - motion[:, 1:] * response[:, 0, 1])
+    by_state[:, :, GAIN] = raw[:, 0]
+    by_state[:, :, DEPTH] = gain * response[:, 0, 3]
+    by_state[:, range(channels), range(RESIDUAL, RESIDUAL + channels)] = 1.0
+    return gain * raw[:, 0] + state[:, RESIDUAL:], by_state
+
+
+def _motion(state: np.ndarray) -> np.ndarray:
+    """(N, 2): the unit vector along the motion."""
+    sign = np.where(state[:, SPEED] < 0.0, -1.0, 1.0)
+    return np.stack([sign * np.cos(state[:, HEADING]), sign * np.sin(state[:, HEADING])], axis=1)

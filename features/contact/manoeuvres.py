@@ -1,0 +1,181 @@
+"""What a contact may do next: each hypothesis gets children that change speed, bend, stop, turn back, turn a corner,
+start again, lift off or finish being pressed on. The likelihood of the next blocks decides between them.
+
+Manoeuvres are a renewal process along the way: a hypothesis that has made few expects few (the rate's posterior mean
+under a gamma prior), so that a straight slide grows sharp.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from features.contact.hypotheses import (
+    ACCELERATION,
+    CURVATURE,
+    GAIN,
+    HEADING,
+    SPEED,
+    Hypotheses,
+    X,
+    Y,
+    joined,
+)
+
+
+@dataclass(frozen=True)
+class Manoeuvres:
+    """Chosen on synthetic paths (experiments/LOG.md).
+
+    prior_count, prior_mm: gamma prior of the manoeuvres' rate, 1/mm. steering: shares of a change of speed, a bend and
+    both. speed: standard deviation of a change, a share of the speed; speed_mm_s: and at least this.
+    acceleration: a share of the speed's square, 1/mm. curvature: 1/mm.
+    stop, back, corner, lift, whole, restart: probabilities at each branching.
+    """
+
+    prior_count: float = 0.5
+    prior_mm: float = 12.0
+    steering: tuple[float, float, float] = (0.4, 0.4, 0.2)
+    speed: float = 0.5
+    speed_mm_s: float = 0.1
+    acceleration: float = 0.06
+    curvature: float = 0.05
+    stop: float = 0.006
+    back: float = 0.003
+    corner: float = 0.004
+    lift: float = 0.003
+    whole: float = 0.3
+    restart: float = 0.004
+
+
+SLOW_MM_S = 0.3  # a contact this slow may start again in any direction
+RESTART_HEADINGS = 6
+RESTART_SPEEDS = ((0.8, 0.4), (3.0, 1.3))  # mm/s: mean and standard deviation
+STOPPED_MM_S = 0.05
+CORNER_RAD = (-1.2, 1.2)
+
+
+def branched(
+    bank: Hypotheses, parents: int, log_odds: float, gain_sd: float, probabilities: Manoeuvres
+) -> Hypotheses:
+    """The bank and the children of its best hypotheses: of at most `parents`, within `log_odds` of the best."""
+    order = np.argsort(-bank.log_weight, kind="stable")[:parents]
+    best = order[bank.log_weight[order] > -log_odds]
+    p = probabilities
+    parent = bank.take(best)
+    bank.way_mm[best] = 0.0
+    rate = (p.prior_count + parent.manoeuvres) / (p.prior_mm + parent.age_mm)
+    chance = np.minimum(rate * np.maximum(parent.way_mm, 0.02), 0.6)
+    speed = np.abs(parent.state[:, SPEED])
+    change = (p.speed * speed) ** 2 + p.speed_mm_s**2
+    acceleration = (p.acceleration * speed**2) ** 2 + 0.05**2
+    children = [bank]
+    for share, speeds, bends in zip(p.steering, (True, False, True), (False, True, True), strict=True):
+        child = _child(parent, share * chance)
+        if speeds:
+            child.covariance[:, SPEED, SPEED] += change
+            child.covariance[:, ACCELERATION, ACCELERATION] += acceleration
+        if bends:
+            child.covariance[:, CURVATURE, CURVATURE] += p.curvature**2
+        children.append(child)
+    stop = _child(parent, p.stop)
+    _set_speed(stop, np.zeros(len(stop)), np.full(len(stop), STOPPED_MM_S))
+    back = _child(parent, p.back)
+    _set_speed(back, -back.state[:, SPEED], 0.3 * speed + 0.1)
+    children += [stop, back]
+    for turn in CORNER_RAD:
+        corner = _child(parent, p.corner)
+        corner.state[:, HEADING] += turn
+        corner.covariance[:, HEADING, HEADING] += 0.5**2
+        _set(corner, CURVATURE, np.zeros(len(corner)), np.full(len(corner), 0.02))
+        children.append(corner)
+    slow = parent.take(speed < SLOW_MM_S)
+    if len(slow):
+        children += _restarts(slow, p.restart)
+    whole = ~parent.partial
+    if whole.any():
+        lift = _child(parent.take(whole), p.lift)
+        lift.partial[:] = True
+        lift.covariance[:, GAIN, GAIN] += 0.05**2
+        children.append(lift)
+    if parent.partial.any():
+        children.append(_made_whole(parent.take(parent.partial), gain_sd, p.whole))
+    return joined(children)
+
+
+def merged(bank: Hypotheses, most: int, log_odds: float) -> Hypotheses:
+    """The best hypotheses, like ones in one: at most `most`, within `log_odds` of the best."""
+    order = np.argsort(-bank.log_weight, kind="stable")
+    order = order[bank.log_weight[order] > -log_odds][: 3 * most]
+    bank = bank.take(order)
+    # x, y, heading, speed, acceleration, curvature, gain
+    state = bank.state[:, :7]
+    sd = np.sqrt(np.maximum(bank.covariance.diagonal(0, 1, 2)[:, :7], 0.0))
+    sd = np.maximum(sd, [0.02, 0.02, 0.005, 0.02, 0.02, 0.001, 0.005])
+    apart = np.abs(state[:, None] - state[None])
+    apart[:, :, HEADING] = np.abs((apart[:, :, HEADING] + np.pi) % (2 * np.pi) - np.pi)
+    less, more = np.minimum(sd[:, None], sd[None]), np.maximum(sd[:, None], sd[None])
+    alike = (
+        (apart < 0.6 * less).all(2) & (more < 1.6 * less).all(2) & (bank.partial[:, None] == bank.partial[None])
+    )
+    kept: list[int] = []
+    free = np.ones(len(bank), dtype=bool)
+    for n in range(len(bank)):
+        if free[n]:
+            same = alike[n] & free
+            bank.log_weight[n] = np.logaddexp.reduce(bank.log_weight[same])
+            free &= ~same
+            kept.append(n)
+            if len(kept) == most:
+                break
+    bank = bank.take(np.array(kept))
+    bank.log_weight -= bank.log_weight.max()
+    return bank
+
+
+def _child(parent: Hypotheses, chance: np.ndarray | float) -> Hypotheses:
+    child = parent.take(slice(None))
+    child.log_weight += np.log(chance)
+    child.manoeuvres += 1.0
+    return child
+
+
+def _set(bank: Hypotheses, n: int, value: np.ndarray, sd: np.ndarray) -> None:
+    """Number n of the state anew, correlated with nothing."""
+    bank.state[:, n] = value
+    bank.covariance[:, n, :] = 0.0
+    bank.covariance[:, :, n] = 0.0
+    bank.covariance[:, n, n] = sd**2
+
+
+def _set_speed(bank: Hypotheses, value: np.ndarray, sd: np.ndarray) -> None:
+    _set(bank, SPEED, value, sd)
+    _set(bank, ACCELERATION, np.zeros(len(bank)), np.full(len(bank), 0.01))
+
+
+def _restarts(slow: Hypotheses, chance: float) -> list[Hypotheses]:
+    """A contact at rest, or nearly, that sets off in any direction."""
+    children = []
+    for k in range(RESTART_HEADINGS):
+        for speed, sd in RESTART_SPEEDS:
+            child = _child(slow, chance)
+            turned = child.state[:, HEADING] + k * 2 * np.pi / RESTART_HEADINGS
+            _set(child, HEADING, turned, np.full(len(child), np.pi / RESTART_HEADINGS))
+            _set(child, CURVATURE, np.zeros(len(child)), np.full(len(child), 0.02))
+            _set_speed(child, np.full(len(child), speed), np.full(len(child), sd))
+            children.append(child)
+    return children
+
+
+def _made_whole(partial: Hypotheses, gain_sd: float, chance: float) -> Hypotheses:
+    """Contacts that have been pressed on: from now their gain is what slides repeat by."""
+    child = _child(partial, chance)
+    gap = 1.0 - child.state[:, GAIN]
+    total = child.covariance[:, GAIN, GAIN] + gain_sd**2
+    column = child.covariance[:, :, GAIN].copy()
+    # The density of the prior of a gain between 0 and 1 is 1.
+    child.log_weight -= 0.5 * (gap**2 / total + np.log(2 * np.pi * total))
+    child.state += column * (gap / total)[:, None]
+    child.covariance -= column[:, :, None] * column[:, None] / total[:, None, None]
+    child.partial[:] = False
+    child.manoeuvres -= 1.0
+    return child

@@ -1,0 +1,156 @@
+"""Hypotheses at a touch: where on the skin the output could come from.
+
+A contact comes over the chamber's rim at full depth, or is pressed on anywhere inside, when its gain starts from
+nothing. After the track has been lost it may be anywhere at full depth.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from features.contact.hypotheses import (
+    ACCELERATION,
+    CURVATURE,
+    DEPTH,
+    GAIN,
+    HEADING,
+    RESIDUAL,
+    SPEED,
+    Hypotheses,
+    X,
+    Y,
+    joined,
+    started,
+)
+from features.contact.response_surface import ResponseSurface
+
+GRID_MM = 2.5
+HEADINGS = 8
+SPEEDS_MM_S = (0.2, 40.0)
+RIM_MM = (5.0, 9.0)  # outside and inside the chamber's edge, where a contact over the rim first shows
+GATE = 18.0  # chi-square of a place for two channels
+PLACE_SHARE = 0.1  # of the expected output, by which the nearest place of the grid may be off
+PRESSED_SHARE = 0.08  # of the present output, by which a partial contact's shape differs from the whole one's
+PRESSED = 0.3  # prior probability that a touch is pressed on inside the skin
+
+
+@dataclass(frozen=True)
+class Onset:
+    """What the last blocks show: level (C,) V and slope (C,) V/s of the subtracted output, and their standard
+    deviations."""
+
+    level: np.ndarray
+    slope: np.ndarray
+    level_sd: np.ndarray
+    slope_sd: np.ndarray
+
+
+def onset(recent: np.ndarray, block_s: float, noise_v: np.ndarray) -> Onset:
+    """A line through the last blocks (m, C) V, read at the last one. noise_v: (C,) V of one block."""
+    time = (np.arange(len(recent)) - len(recent) + 1.0) * block_s
+    design = np.stack([np.ones_like(time), time], axis=1)
+    covariance = np.linalg.inv(design.T @ design)
+    level, slope = covariance @ design.T @ recent
+    level_sd, slope_sd = np.sqrt(np.diag(covariance))[:, None] * noise_v
+    return Onset(level, slope, level_sd, slope_sd)
+
+
+def at_touch(
+    seen: Onset,
+    surface: ResponseSurface,
+    half_mm: tuple[float, float],
+    floor_v: float,
+    gain_sd: float,
+    depth_sd_mm: float,
+    most: int,
+    anywhere: bool = False,
+) -> Hypotheses | None:
+    """The most likely hypotheses, at most `most`; None if no place fits.
+
+    half_mm: half the chamber's sizes along x and y. anywhere: at full depth not only near the rim.
+    """
+    scale = np.array([GRID_MM / 2, GRID_MM / 2, 0.35, 0.0, 0.0, 0.01, gain_sd, depth_sd_mm])
+    parts = [
+        _over_rim(seen, surface, half_mm, floor_v, scale, anywhere),
+        _pressed_on(seen, surface, half_mm, floor_v, scale),
+    ]
+    bank = joined(parts)
+    if not len(bank):
+        return None
+    best = bank.take(np.argsort(-bank.log_weight, kind="stable")[:most])
+    best.log_weight -= best.log_weight.max()
+    return best
+
+
+def _grid(half_mm: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
+    axes = [np.arange(-h - RIM_MM[0], h + RIM_MM[0] + 1e-6, GRID_MM) for h in half_mm]
+    x, y = np.meshgrid(*axes, indexing="ij")
+    return x.ravel(), y.ravel()
+
+
+def _over_rim(
+    seen: Onset,
+    surface: ResponseSurface,
+    half_mm: tuple[float, float],
+    floor_v: float,
+    scale: np.ndarray,
+    anywhere: bool,
+) -> Hypotheses:
+    """Contacts at full depth: the place from the level, the speed along each heading from the slope."""
+    x, y = (np.tile(axis, HEADINGS) for axis in _grid(half_mm))
+    heading = np.repeat(np.arange(HEADINGS) * 2 * np.pi / HEADINGS, len(x) // HEADINGS)
+    motion = np.stack([np.cos(heading), np.sin(heading)], axis=1)
+    response = surface.at(x, y)
+    raw = response[:, :, 0] + motion[:, None, :1] * response[:, :, 1] + motion[:, None, 1:] * response[:, :, 2]
+    shown, slopes = raw[:, 0], raw[:, 1:]
+    along = (motion[:, :, None] * slopes).sum(1)
+    variance = (
+        seen.level_sd**2 + floor_v**2 + (slopes**2).sum(1) * (GRID_MM / 2) ** 2 + (PLACE_SHARE * shown) ** 2
+    )
+    misfit = ((seen.level - shown) ** 2 / variance).sum(1)
+    precision = (along**2 / seen.slope_sd**2).sum(1) + 1e-12
+    speed = (along * seen.slope / seen.slope_sd**2).sum(1) / precision
+    # A slope is no better known than the map's own slope is over a cell of the grid.
+    coarse = (0.3 * seen.slope) ** 2 + (0.15 * speed * np.abs(along).max(1))[:, None] ** 2
+    off_slope = ((seen.slope - speed[:, None] * along) ** 2 / (seen.slope_sd**2 + coarse)).sum(1)
+    inside = np.minimum(half_mm[0] - np.abs(x), half_mm[1] - np.abs(y))
+    nearer_x = half_mm[0] - np.abs(x) < half_mm[1] - np.abs(y)
+    inward = np.where(nearer_x, -np.sign(x) * motion[:, 0], -np.sign(y) * motion[:, 1])
+    possible = (misfit < GATE) & (speed > SPEEDS_MM_S[0] / 2) & (speed < 1.5 * SPEEDS_MM_S[1])
+    if not anywhere:
+        possible &= (inside < RIM_MM[1]) & (inward > -0.2)
+    n = np.flatnonzero(possible)
+    speed = np.clip(speed[n], *SPEEDS_MM_S)
+    state = np.zeros((len(n), RESIDUAL + surface.channels))
+    state[:, X], state[:, Y], state[:, HEADING], state[:, SPEED] = x[n], y[n], heading[n], speed
+    state[:, GAIN] = 1.0
+    sd = np.concatenate([np.tile(scale, (len(n), 1)), np.full((len(n), surface.channels), floor_v)], axis=1)
+    sd[:, SPEED] = np.minimum(precision[n] ** -0.5, speed) + 0.3 * speed
+    sd[:, ACCELERATION] = 0.005 * speed**2 + 0.01
+    return started(state, sd, motion[n], -0.5 * (misfit + off_slope)[n], partial=False)
+
+
+def _pressed_on(
+    seen: Onset,
+    surface: ResponseSurface,
+    half_mm: tuple[float, float],
+    floor_v: float,
+    scale: np.ndarray,
+) -> Hypotheses:
+    """Contacts that are still being pressed on: the gain from the level, no motion yet."""
+    x, y = _grid(half_mm)
+    inner = (np.abs(x) < half_mm[0] - GRID_MM) & (np.abs(y) < half_mm[1] - GRID_MM)
+    x, y = x[inner], y[inner]
+    shown = surface.at(x, y)[:, 0, 0]
+    gain = (shown * seen.level).sum(1) / ((shown**2).sum(1) + 1e-12)
+    variance = seen.level_sd**2 + floor_v**2 + (PRESSED_SHARE * np.abs(seen.level).max()) ** 2
+    misfit = ((seen.level - gain[:, None] * shown) ** 2 / variance).sum(1)
+    n = np.flatnonzero((gain > 0.005) & (gain < 1.1) & (misfit < GATE))
+    state = np.zeros((len(n), RESIDUAL + surface.channels))
+    state[:, X], state[:, Y], state[:, SPEED], state[:, GAIN] = x[n], y[n], 0.01, gain[n]
+    sd = np.concatenate([np.tile(scale, (len(n), 1)), np.full((len(n), surface.channels), floor_v)], axis=1)
+    sd[:, HEADING], sd[:, SPEED], sd[:, ACCELERATION] = 3.0, 1.0, 0.01
+    sd[:, GAIN] = 0.3 * gain[n] + 0.05
+    # The prior is shared among the places that fit.
+    log_prior = np.log(PRESSED) - np.log(max(len(n), 1) / 30)
+    return started(state, sd, np.zeros((len(n), 2)), log_prior - 0.5 * misfit[n], partial=True)

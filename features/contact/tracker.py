@@ -1,0 +1,208 @@
+"""Tracks one contact from touch to release: where it is and how it moves, with a covariance, at each block."""
+
+import math
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from features.contact.hypotheses import (
+    DEPTH,
+    GAIN,
+    HEADING,
+    SPEED,
+    Hypotheses,
+    MotionNoise,
+    X,
+    Y,
+    predict,
+    update,
+)
+from features.contact.manoeuvres import Manoeuvres, branched, merged
+from features.contact.response_surface import ResponseSurface
+from features.contact.touch import at_touch, onset
+
+STEP_BLOCKS = 2  # a filter's step: 40 ms, in which the fastest slide calibrated for (13 mm/s) goes half a millimetre
+BRANCH_STEPS = 5
+ONSET_BLOCKS = 12
+NEAR_MM = 2.5  # hypotheses this near the best one tell of the same place
+RELEASE_S = 0.3
+LOST_S = 0.5
+
+
+@dataclass(frozen=True)
+class TrackingConfig:
+    """most: hypotheses kept after a branching; at first, until the best has gone first_mm, and at a touch: more.
+    parents: hypotheses that get children. log_odds: of a hypothesis to the best, beyond which it is dropped.
+    depth_sd_mm: contact depth about the calibration's. lost: misfit of a track that is lost."""
+
+    noise: MotionNoise = field(default_factory=MotionNoise)
+    manoeuvres: Manoeuvres = field(default_factory=Manoeuvres)
+    most: int = 14
+    first_most: int = 50
+    touch_most: int = 200
+    first_mm: float = 4.0
+    parents: int = 3
+    parent_odds: float = 5.0
+    log_odds: float = 15.0
+    depth_sd_mm: float = 0.02
+    lost: float = 5.0
+
+
+class Track(NamedTuple):
+    """One moment. mean: (4,) x, y (mm), vx, vy (mm/s); covariance: (4, 4). certain: weight of the hypotheses near the
+    best one. misfit: chi-square over its degrees of freedom. partial: weight of hypotheses that the contact is being
+    pressed on or lifted. gain, depth_mm (off the map's): means; depth_sd_mm."""
+
+    mean: np.ndarray
+    covariance: np.ndarray
+    certain: float
+    misfit: float
+    partial: float
+    gain: float
+    depth_mm: float
+    depth_sd_mm: float
+    hypotheses: int
+
+
+class ContactTracker:
+    """One stream's tracker.
+
+    surface: the calibrated response. half_mm: half the chamber's sizes. noise_v: (C,) V of one block, with the lag
+    undone. floor_v: V, the map's residual. gain_sd: from slide to slide. release_v: V, an output that is nothing.
+    """
+
+    def __init__(
+        self,
+        surface: ResponseSurface,
+        half_mm: tuple[float, float],
+        block_s: float,
+        noise_v: np.ndarray,
+        floor_v: float,
+        gain_sd: float,
+        release_v: float,
+        config: TrackingConfig,
+    ) -> None:
+        self._surface, self._half, self._block_s, self._config = surface, half_mm, block_s, config
+        self._noise_v, self._floor_v, self._gain_sd, self._release_v = noise_v, floor_v, gain_sd, release_v
+        self._recent = np.zeros((ONSET_BLOCKS, len(noise_v)))
+        self.reset()
+
+    def reset(self) -> None:
+        """Forgets the contact and the last blocks."""
+        self._bank: Hypotheses | None = None
+        self._track: Track | None = None
+        self._filled = self._steps = self._blocks = self._quiet = self._lost = 0
+
+    @property
+    def tracking(self) -> bool:
+        """Whether a contact is tracked."""
+        return self._bank is not None
+
+    def push(self, volts: np.ndarray, touched: bool, usable: np.ndarray | None = None) -> Track | None:
+        """One block: volts (C,) V of the tilt channels, subtracted, the lag undone; touched: whether the output is off
+        the static one, which starts a track; usable: (C,) bool. -> the contact, None if none is tracked."""
+        self._recent[:-1] = self._recent[1:]
+        self._recent[-1] = volts
+        self._filled = min(self._filled + 1, ONSET_BLOCKS)
+        if self._bank is None:
+            if touched and self._filled >= 5:
+                self._start(anywhere=False)
+            return self._track
+        self._blocks += 1
+        if self._blocks % STEP_BLOCKS:
+            self._track = None if self._track is None else _moved_on(self._track, self._block_s)
+        else:
+            self._step(usable)
+        return self._track
+
+    def _start(self, anywhere: bool) -> None:
+        recent = self._recent[-self._filled :]
+        seen = onset(recent, self._block_s, self._noise_v)
+        self._bank = at_touch(
+            seen,
+            self._surface,
+            self._half,
+            self._floor_v,
+            self._gain_sd,
+            self._config.depth_sd_mm,
+            self._config.touch_most,
+            anywhere,
+        )
+        self._blocks = self._steps = self._quiet = self._lost = 0
+        self._track = None if self._bank is None else read(self._bank)
+
+    def _step(self, usable: np.ndarray | None) -> None:
+        assert self._bank is not None
+        config, elapsed_s = self._config, STEP_BLOCKS * self._block_s
+        volts = self._recent[-STEP_BLOCKS:].mean(axis=0)
+        peak_v = float(np.abs(volts).max())
+        self._quiet = self._quiet + 1 if peak_v < self._release_v else 0
+        if self._quiet * elapsed_s > RELEASE_S:
+            self._bank = self._track = None
+            return
+        variance = self._noise_v**2 / STEP_BLOCKS
+        if usable is not None and not usable.all():
+            variance = np.where(usable, variance, np.inf)
+        predict(self._bank, elapsed_s, self._floor_v + 0.003 * peak_v, config.noise)
+        update(self._bank, volts, variance, self._surface, elapsed_s)
+        self._leave_skin()
+        self._steps += 1
+        if self._steps % BRANCH_STEPS == 0:
+            first = self._bank.age_mm[self._bank.log_weight.argmax()] < config.first_mm
+            bank = merged(self._bank, config.first_most if first else config.most, config.log_odds)
+            self._bank = branched(bank, config.parents, config.parent_odds, self._gain_sd, config.manoeuvres)
+        self._track = read(self._bank)
+        self._lost = self._lost + 1 if self._track.misfit > config.lost else 0
+        if self._lost * elapsed_s > LOST_S:
+            self._start(anywhere=True)
+
+    def _leave_skin(self) -> None:
+        """A place far off the chamber, or a gain beyond reason, is unlikely."""
+        assert self._bank is not None
+        state = self._bank.state
+        beyond = np.maximum(np.abs(state[:, X]) - self._half[0], np.abs(state[:, Y]) - self._half[1])
+        unlikely = 0.3 * np.maximum(beyond - 4.0, 0.0) + 10.0 * np.maximum(state[:, GAIN] - 1.15, 0.0) ** 2
+        self._bank.log_weight -= unlikely + 0.5 * (state[:, GAIN] < 0.0)
+
+
+def read(bank: Hypotheses) -> Track:
+    """The mixture of the hypotheses near the best one."""
+    weight, state = bank.weight, bank.state
+    best = int(weight.argmax())
+    cos, sin = np.cos(state[:, HEADING]), np.sin(state[:, HEADING])
+    speed = state[:, SPEED]
+    mean = np.stack([state[:, X], state[:, Y], speed * cos, speed * sin], axis=1)
+    near = np.hypot(*(mean[:, :2] - mean[best, :2]).T) < NEAR_MM
+    certain = float(weight[near].sum())
+    share = np.where(near, weight, 0.0) / certain
+    slope = np.zeros((len(bank), 4, 4))
+    slope[:, 0, 0] = slope[:, 1, 1] = 1.0
+    slope[:, 2, 2], slope[:, 2, 3] = -speed * sin, cos
+    slope[:, 3, 2], slope[:, 3, 3] = speed * cos, sin
+    # x, y, heading, speed are the state's first four numbers.
+    each = slope @ bank.covariance[:, :4, :4] @ slope.transpose(0, 2, 1)
+    middle = share @ mean
+    apart = mean - middle
+    covariance = (share[:, None, None] * (each + apart[:, :, None] * apart[:, None])).sum(0)
+    depth = state[:, DEPTH]
+    depth_mm = float(share @ depth)
+    variance = float(share @ (bank.covariance[:, DEPTH, DEPTH] + (depth - depth_mm) ** 2))
+    return Track(
+        middle,
+        covariance,
+        certain,
+        float(share @ bank.misfit),
+        float(weight @ bank.partial),
+        float(share @ state[:, GAIN]),
+        depth_mm,
+        math.sqrt(max(variance, 0.0)),
+        len(bank),
+    )
+
+
+def _moved_on(track: Track, elapsed_s: float) -> Track:
+    """The same contact a moment later, going on as it goes."""
+    slope = np.eye(4)
+    slope[0, 2] = slope[1, 3] = elapsed_s
+    return track._replace(mean=slope @ track.mean, covariance=slope @ track.covariance @ slope.T)
