@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from features.card_fields import check_fields
+from features.contact.calibration import ContactCalibration
 from features.digest import sha256
 from features.errors import InputError
 from features.regular_file import read_regular
@@ -76,7 +77,8 @@ class Card:
     graph's row, keys of UNITS. sensor: as in sensor.toml. channels: a0_vx, a0_vy, a0_vz, a1_vx, ...
     reference_mm: the point that offsets are measured from. intervals: by quantity (direction_deg, log_speed,
     offset_mm). provenance: what the model was trained from. golden: one worked example, the graph's inputs by name and
-    its row for them. graph_sha256: of the graph's file.
+    its row for them. graph_sha256: of the graph's file. contact: what contacts are tracked with, None: straight slides
+    alone.
 
     Raises:
         ValueError: an unknown input or output, channels that are no whole number of accelerometers, or a field of
@@ -96,6 +98,7 @@ class Card:
     provenance: dict[str, Any]
     golden: dict[str, Any]
     graph_sha256: str
+    contact: ContactCalibration | None = None
 
     def __post_init__(self) -> None:
         if self.input not in INPUTS:
@@ -152,6 +155,8 @@ def read_card(path: Path) -> Card:
             f"{path}: card version {version!r:.40}, this release reads {VERSION}; export the bundle again"
         )
     table.pop("units", None)
+    # Bundles made before contacts were tracked have no such section.
+    table.setdefault("contact", None)
     if odd := sorted(set(table) ^ {f.name for f in fields(Card)}):
         raise InputError(f"{path}: key {odd[0]!r:.60} is missing or unknown; export the bundle again")
     try:
@@ -201,7 +206,14 @@ def _card(table: dict[str, Any]) -> Card:
             "conditioning": Conditioning(**table["conditioning"]),
             "intervals": {k: Interval(**v) for k, v in table["intervals"].items()},
             "validity": Validity(**limits),
+            "contact": None if table["contact"] is None else _contact(table["contact"]),
         }
+    )
+
+
+def _contact(table: dict[str, Any]) -> ContactCalibration:
+    return ContactCalibration(
+        **{**table, **{name: tuple(table[name]) for name in ("chamber_mm", "noise_v")}}
     )
 
 

@@ -1,6 +1,7 @@
 """The estimate, and how it is made of one row of the graph's output."""
 
 import math
+from enum import StrEnum
 from typing import NamedTuple
 
 import numpy as np
@@ -10,6 +11,36 @@ from features.stream.tracker import SlideState
 from features.window import Window
 
 
+class Contact(StrEnum):
+    """What touches the skin: nothing, something that presses on one place, slides, or has stopped."""
+
+    NONE = "none"
+    PRESS = "press"
+    SLIDE = "slide"
+    STOPPED = "stopped"
+
+
+class Reason(StrEnum):
+    """Why an estimate is not valid; empty when it is.
+
+    no_contact: nothing touches. unknown_zero: the static output is not known yet. too_early: the contact has not moved
+    enough. ambiguous: several places or headings explain the output. off_map: the contact is where the calibration
+    does not reach, or its speed is outside the range. not_this_sensor: the output fits no contact on this skin.
+    drift: gravity's length changes with the output, as it does not on a skin that only tilts. dead_channel: an
+    accelerometer is lost, frozen or clipped.
+    """
+
+    NONE = ""
+    NO_CONTACT = "no_contact"
+    UNKNOWN_ZERO = "unknown_zero"
+    TOO_EARLY = "too_early"
+    AMBIGUOUS = "ambiguous"
+    OFF_MAP = "off_map"
+    NOT_THIS_SENSOR = "not_this_sensor"
+    DRIFT = "drift"
+    DEAD_CHANNEL = "dead_channel"
+
+
 class Estimate(NamedTuple):
     """What is known at one moment. NaN: not estimated. lo and hi bound a 90 % interval.
 
@@ -17,6 +48,8 @@ class Estimate(NamedTuple):
     may lie outside that range. offset_mm: signed distance from the card's reference point to the line of motion,
     positive where the line lies to the left of the motion. depth_mm: of the indentation. x_mm, y_mm: the contact in the
     skin's plane, from the chamber's centre. valid: false where the model abstains.
+    contact: what touches; reason: why the estimate is not valid. vx_mm_s, vy_mm_s: the velocity. misfit: reduced
+    chi-square of the straight slide at constant speed.
     accelerometers: number that the slide is read from, 0 without a slide. zero_shift_v, gain, turn_deg: the sensor's
     drift (features/stream/drift.py).
     """
@@ -40,6 +73,21 @@ class Estimate(NamedTuple):
     zero_shift_v: float = math.nan
     gain: float = math.nan
     turn_deg: float = math.nan
+    contact: Contact = Contact.NONE
+    reason: Reason = Reason.NONE
+    vx_mm_s: float = math.nan
+    vy_mm_s: float = math.nan
+    x_lo_mm: float = math.nan
+    x_hi_mm: float = math.nan
+    y_lo_mm: float = math.nan
+    y_hi_mm: float = math.nan
+    vx_lo_mm_s: float = math.nan
+    vx_hi_mm_s: float = math.nan
+    vy_lo_mm_s: float = math.nan
+    vy_hi_mm_s: float = math.nan
+    depth_lo_mm: float = math.nan
+    depth_hi_mm: float = math.nan
+    misfit: float = math.nan
 
 
 _NO_INTERVAL = Interval(math.nan, math.nan)
@@ -67,15 +115,15 @@ def decode(
     speed = math.exp(min(max(log_speed, -50.0), 50.0))
     cos, sin = math.cos(direction), math.sin(direction)
     limits = card.validity
-    valid = (
-        math.isfinite(direction + log_speed + offset)
-        and limits.speed_mm_s[0] <= speed <= limits.speed_mm_s[1]
-        and abs(offset) <= limits.offset_mm
-        and direction_sd <= limits.direction_sd_deg
-        and speed_sd <= limits.log_speed_sd
-        and value.get("misfit", 0.0) <= limits.misfit
-        and max(float(window.volts.max()), -float(window.volts.min())) >= limits.peak_v
-    )
+    reason = Reason.NONE
+    if not (math.isfinite(direction + log_speed + offset) and value.get("misfit", 0.0) <= limits.misfit):
+        reason = Reason.NOT_THIS_SENSOR
+    elif direction_sd > limits.direction_sd_deg or speed_sd > limits.log_speed_sd:
+        reason = Reason.AMBIGUOUS
+    elif not (limits.speed_mm_s[0] <= speed <= limits.speed_mm_s[1] and abs(offset) <= limits.offset_mm):
+        reason = Reason.OFF_MAP
+    elif max(float(window.volts.max()), -float(window.volts.min())) < limits.peak_v:
+        reason = Reason.TOO_EARLY
     return Estimate(
         time_s=time_s,
         state=state,
@@ -91,5 +139,10 @@ def decode(
         depth_mm=value.get("depth_mm", math.nan),
         x_mm=card.reference_mm[0] - offset * sin + along * cos,
         y_mm=card.reference_mm[1] + offset * cos + along * sin,
-        valid=valid,
+        valid=reason is Reason.NONE,
+        contact=Contact.SLIDE,
+        reason=reason,
+        vx_mm_s=speed * cos,
+        vy_mm_s=speed * sin,
+        misfit=value.get("misfit", math.nan),
     )

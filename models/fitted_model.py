@@ -8,6 +8,7 @@ import numpy as np
 import onnx
 
 from features.card import Interval, Validity
+from features.contact.calibration import ContactCalibration
 from features.stream.conditioning import Conditioning
 from pipeline.recordings.windows import LabelledWindows
 
@@ -21,6 +22,7 @@ class FittedModel:
     conditioning: of the signal that it reads.
     summary: figures of the fit, for the record.
     windows: what export is checked on where there are no recordings; None: the recordings' own.
+    contact: what contacts are tracked with; None: the model knows straight slides alone.
     """
 
     name: str
@@ -33,6 +35,7 @@ class FittedModel:
     conditioning: Conditioning
     summary: dict[str, float] = field(default_factory=dict)
     windows: LabelledWindows | None = None
+    contact: ContactCalibration | None = None
 
 
 @dataclass(frozen=True)

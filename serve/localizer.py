@@ -9,9 +9,11 @@ import onnxruntime as ort
 
 from features.angles import tilt_channels
 from features.card import Card
+from features.contact.judgement import TrackLimits, agrees, judged, with_place
+from features.contact.tracker import ContactTracker, Track, TrackingConfig
 from features.errors import InputError
-from features.estimate import Estimate, decode
-from features.stream.conditioning import Blocks
+from features.estimate import Estimate, Reason, decode
+from features.stream.conditioning import Blocks, LagUndone
 from features.stream.drift import UNKNOWN, DriftWatch
 from features.stream.faults import BRIDGED_BLOCKS, SignalWatch
 from features.stream.tracker import SlideState, SlideTracker
@@ -26,6 +28,8 @@ BRIDGED_SHARE = 0.05
 # Blocks, 1 s, between two readings of the drift at rest; the static output's memory is 30 s.
 DRIFT_BLOCKS = 50
 _OUTPUT = ["estimate"]
+# What forbids any estimate from the signal, not only that of a straight slide.
+_OF_THE_SIGNAL = (Reason.DEAD_CHANNEL, Reason.DRIFT, Reason.TOO_EARLY)
 
 
 class Localizer:
@@ -49,6 +53,9 @@ class Localizer:
         self._watch = SignalWatch(np.zeros(channels), 2.0 * zero, read)
         self._tracker = SlideTracker(card.conditioning, channels)
         self._drift = DriftWatch(accelerometers)
+        self._lag = LagUndone(card.conditioning, 2 * len(accelerometers))
+        self._contact = contact_tracker(card, self._lag.noise_gain)
+        self._limits = TrackLimits()
         self._inputs = {
             "volts": np.zeros((1, channels, WINDOW_BINS), np.float32),
             "elapsed_s": np.zeros(1, np.float32),
@@ -72,6 +79,7 @@ class Localizer:
         self._watch.reset()
         self._tracker.reset()
         self._drift.reset()
+        self._forget_contact()
         self._count = 0
         self._bridged = 0
         self._slide_blocks = 0
@@ -106,12 +114,11 @@ class Localizer:
         tracker = self._tracker
         time_s = self._clock.start_s + self._count * self.card.conditioning.block_s
         window = tracker.window()
-        if window is None:
-            return Estimate(time_s, tracker.state, **self._last_drift._asdict())
-        if tracker.state is not SlideState.ENDED:
-            return self._estimate(window, time_s)
-        assert self._held is not None
-        return self._held[1]._replace(time_s=time_s)
+        if tracker.state is SlideState.ENDED:
+            assert self._held is not None
+            return self._held[1]._replace(time_s=time_s)
+        straight = None if window is None else self._straight(window, time_s)
+        return self._chosen(straight, time_s)
 
     @property
     def state(self) -> SlideState:
@@ -141,7 +148,8 @@ class Localizer:
         self._inputs["weight"][0] = self._tracker.usable
         return self._inputs
 
-    def _estimate(self, window: Window, time_s: float) -> Estimate:
+    def _straight(self, window: Window, time_s: float) -> Estimate:
+        """The graph's estimate: a straight slide at constant speed."""
         tracker = self._tracker
         row = self.infer(self.inputs(window))
         width = (
@@ -150,20 +158,60 @@ class Localizer:
             else math.nan
         )
         estimate = decode(row, self.card, window, tracker.state, time_s, width)
-        valid = (
-            estimate.valid
-            and self._whole
-            and tracker.moved
-            and self._drift.keeps_gravity(
-                tracker.static, np.add.reduce(window.volts, axis=1) / WINDOW_BINS, tracker.usable
-            )
-            and (self.card.input == "window" or bool(tracker.usable.all()))
-        )
+        reason = estimate.reason
+        if not (self._whole and (self.card.input == "window" or tracker.usable.all())):
+            reason = Reason.DEAD_CHANNEL
+        elif not self._drift.keeps_gravity(
+            tracker.static, np.add.reduce(window.volts, axis=1) / WINDOW_BINS, tracker.usable
+        ):
+            reason = Reason.DRIFT
+        elif not tracker.moved:
+            reason = Reason.TOO_EARLY
         return estimate._replace(
-            valid=valid,
-            accelerometers=tracker.usable.tolist().count(True),
-            **self._last_drift._asdict(),
+            valid=reason is Reason.NONE, reason=reason, accelerometers=tracker.usable.tolist().count(True)
         )
+
+    def _chosen(self, straight: Estimate | None, time_s: float) -> Estimate:
+        """The straight slide where it fits, else the track; what is common to both is added."""
+        tracker, track = self._tracker, self._track
+        if track is None:
+            estimate = straight or Estimate(time_s, tracker.state, reason=self._no_contact())
+        else:
+            estimate = judged(track, time_s, tracker.state, self.card.reference_mm, self._limits)
+            if straight is not None and straight.valid and agrees(straight, track, self._limits):
+                estimate = with_place(straight, estimate)
+            elif straight is not None and straight.reason in _OF_THE_SIGNAL:
+                estimate = estimate._replace(valid=False, reason=straight.reason)
+            elif straight is None and tracker.state is not SlideState.SLIDE:
+                estimate = estimate._replace(valid=False, reason=Reason.TOO_EARLY)
+            estimate = estimate._replace(
+                misfit=math.nan if straight is None else straight.misfit,
+                accelerometers=tracker.usable.tolist().count(True) if straight is not None else 0,
+            )
+        return estimate._replace(**self._last_drift._asdict())
+
+    def _no_contact(self) -> Reason:
+        if not self._healthy.any():
+            return Reason.DEAD_CHANNEL
+        return Reason.NO_CONTACT if self._tracker.known.any() else Reason.UNKNOWN_ZERO
+
+    def _forget_contact(self) -> None:
+        self._lag.reset()
+        self._track: Track | None = None
+        if self._contact is not None:
+            self._contact.reset()
+
+    def _follow_contact(self) -> None:
+        """Passes the last block to the contact's tracker."""
+        tracker = self._tracker
+        if self._contact is None:
+            return
+        if not tracker.known.any():
+            self._forget_contact()
+            return
+        volts = self._lag.push(tracker.subtracted[tracker.tilt])
+        usable = np.repeat(tracker.usable & self._healthy, 2)
+        self._track = self._contact.push(volts, tracker.state is SlideState.SLIDE, usable)
 
     def _whole_blocks(
         self, volts: np.ndarray, time_s: np.ndarray | None
@@ -175,10 +223,11 @@ class Localizer:
     def _advance(self, samples: np.ndarray, shares: tuple[float, float]) -> None:
         tracker = self._tracker
         sliding, usable = tracker.state is SlideState.SLIDE, tracker.usable
-        judged = self._watch.push(samples, shares)
-        tracker.push(judged.mean, judged.healthy)
+        block = self._watch.push(samples, shares)
+        tracker.push(block.mean, block.healthy)
         self._count += 1
-        self._healthy = judged.healthy
+        self._healthy = block.healthy
+        self._follow_contact()
         if not self._drift.complete:
             self._drift.note(tracker.static, tracker.known)
         if tracker.state is SlideState.SLIDE:
@@ -188,16 +237,17 @@ class Localizer:
                 # The static output stays as it is while something slides.
                 self._last_drift = self._drift.read(tracker.static, tracker.usable)
             self._slide_blocks += 1
-            bridged = bool((judged.bridged & tracker.usable).any())
+            bridged = bool((block.bridged & tracker.usable).any())
             self._bridged += bridged
             self._whole = not bridged and self._bridged <= BRIDGED_SHARE * self._slide_blocks
         elif tracker.final is None:
             self._held = None
         elif self._held is None or self._held[0] is not tracker.final:
             # Computed as the slide ends, so that the result does not depend on when it is read.
-            self._held = tracker.final, self._estimate(tracker.final, 0.0)
+            straight = self._straight(tracker.final, 0.0)
+            self._held = tracker.final, self._chosen(straight, 0.0)
         if tracker.state is not SlideState.SLIDE and self._count % DRIFT_BLOCKS == 0:
-            self._last_drift = self._drift.read(tracker.static, judged.healthy)
+            self._last_drift = self._drift.read(tracker.static, block.healthy)
 
     def _checked(self, volts: np.ndarray, time_s: np.ndarray | None) -> tuple[np.ndarray, np.ndarray | None]:
         channels = len(self.card.channels)
@@ -212,6 +262,23 @@ class Localizer:
                 f"time_s of shape {time_s.shape} for {len(volts)} samples; push a finite time in s for each"
             )
         return volts, time_s
+
+
+def contact_tracker(card: Card, noise_gain: float) -> ContactTracker | None:
+    """The tracker that a card describes; None for a bundle that knows straight slides alone."""
+    contact = card.contact
+    if contact is None:
+        return None
+    return ContactTracker(
+        surface=contact.surface(),
+        half_mm=(contact.chamber_mm[0] / 2, contact.chamber_mm[1] / 2),
+        block_s=card.conditioning.block_s,
+        noise_v=noise_gain * np.array(contact.noise_v),
+        floor_v=contact.floor_v,
+        gain_sd=contact.gain_sd,
+        release_v=card.conditioning.release_v,
+        config=TrackingConfig(),
+    )
 
 
 def _numbers(values: np.ndarray, name: str) -> np.ndarray:

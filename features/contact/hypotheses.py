@@ -1,4 +1,4 @@
-"""A bank of hypotheses about one contact: a Gaussian sum (Alspach and Sorenson 1972), stepped by extended Kalman filters.
+"""A bank of hypotheses about one contact: a Gaussian sum (Alspach and Sorenson 1972) of extended Kalman filters.
 
 Each holds a state and its covariance. The state of a sensor with C tilt channels, n = 8 + C numbers:
 x, y (mm), heading (rad), speed along it (mm/s, negative: backwards), acceleration (mm/s2), curvature (1/mm), gain
@@ -15,8 +15,12 @@ from features.contact.response_surface import ResponseSurface
 X, Y, HEADING, SPEED, ACCELERATION, CURVATURE, GAIN, DEPTH = range(8)
 RESIDUAL = 8
 
-FRICTION_MM = 0.35  # of way, over which the friction's direction follows the motion's (measured on the emulator)
-RESIDUAL_MM = 4.0  # of way, over which the map's residual is correlated: between one and two knots of its splines
+FRICTION_MM = (
+    0.35  # of way, over which the friction's direction follows the motion's (measured on the emulator)
+)
+RESIDUAL_MM = (
+    4.0  # of way, over which the map's residual is correlated: between one and two knots of its splines
+)
 ACCELERATION_MM = 12.0  # of way, over which a change of speed goes on
 MANOEUVRE_MM = 25.0  # of way, over which manoeuvres are remembered
 PEAK_SHARE = 0.003  # of the present output that the map leaves over, as in the network's refinement
@@ -47,8 +51,8 @@ class Hypotheses:
 
     state: (N, n). covariance: (N, n, n). friction: (N, 2), direction of the friction on the skin, at most 1 long.
     log_weight: (N,), the largest is 0. partial: (N,) bool, whether the contact is being pressed on or lifted.
-    misfit: (N,), the innovation's chi-square over C, a running mean. way_mm: (N,) since the last branching; age_mm: (N,)
-    in all, forgotten over MANOEUVRE_MM, and so are manoeuvres: (N,).
+    misfit: (N,), the innovation's chi-square over C, a running mean. way_mm: (N,) since the last branching; age_mm:
+    (N,) in all, forgotten over MANOEUVRE_MM, and so is manoeuvres: (N,).
     """
 
     state: np.ndarray
@@ -151,7 +155,7 @@ def update(
 
     volts: (C,) V, subtracted; variance: (C,) V^2 of its noise, infinite for a dead channel.
     """
-    state, count, size = bank.state, len(bank), bank.state.shape[1]
+    state, count = bank.state, len(bank)
     channels = np.flatnonzero(np.isfinite(variance))
     shown, by_state = expected(bank, surface)
     volts, shown, by_state = volts[channels], shown[:, channels], by_state[:, channels]
@@ -190,7 +194,9 @@ def expected(bank: Hypotheses, surface: ResponseSurface) -> tuple[np.ndarray, np
     by_state[:, :, Y] = gain * raw[:, 2]
     # The friction's direction turns with the heading as far as it has followed it.
     followed = np.maximum((friction * motion).sum(1, keepdims=True), 0.0) * gain
-    by_state[:, :, HEADING] = followed * (motion[:, :1] * response[:, 0, 2] - motion[:, 1:] * response[:, 0, 1])
+    by_state[:, :, HEADING] = followed * (
+        motion[:, :1] * response[:, 0, 2] - motion[:, 1:] * response[:, 0, 1]
+    )
     by_state[:, :, GAIN] = raw[:, 0]
     by_state[:, :, DEPTH] = gain * response[:, 0, 3]
     by_state[:, range(channels), range(RESIDUAL, RESIDUAL + channels)] = 1.0

@@ -16,8 +16,6 @@ from features.contact.hypotheses import (
     HEADING,
     SPEED,
     Hypotheses,
-    X,
-    Y,
     joined,
 )
 
@@ -115,7 +113,9 @@ def merged(bank: Hypotheses, most: int, log_odds: float) -> Hypotheses:
     apart[:, :, HEADING] = np.abs((apart[:, :, HEADING] + np.pi) % (2 * np.pi) - np.pi)
     less, more = np.minimum(sd[:, None], sd[None]), np.maximum(sd[:, None], sd[None])
     alike = (
-        (apart < 0.6 * less).all(2) & (more < 1.6 * less).all(2) & (bank.partial[:, None] == bank.partial[None])
+        (apart < 0.6 * less).all(2)
+        & (more < 1.6 * less).all(2)
+        & (bank.partial[:, None] == bank.partial[None])
     )
     kept: list[int] = []
     free = np.ones(len(bank), dtype=bool)

@@ -10,8 +10,6 @@ import numpy as np
 
 from features.contact.hypotheses import (
     ACCELERATION,
-    CURVATURE,
-    DEPTH,
     GAIN,
     HEADING,
     RESIDUAL,
@@ -101,7 +99,9 @@ def _over_rim(
     heading = np.repeat(np.arange(HEADINGS) * 2 * np.pi / HEADINGS, len(x) // HEADINGS)
     motion = np.stack([np.cos(heading), np.sin(heading)], axis=1)
     response = surface.at(x, y)
-    raw = response[:, :, 0] + motion[:, None, :1] * response[:, :, 1] + motion[:, None, 1:] * response[:, :, 2]
+    raw = (
+        response[:, :, 0] + motion[:, None, :1] * response[:, :, 1] + motion[:, None, 1:] * response[:, :, 2]
+    )
     shown, slopes = raw[:, 0], raw[:, 1:]
     along = (motion[:, :, None] * slopes).sum(1)
     variance = (

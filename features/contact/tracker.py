@@ -22,7 +22,9 @@ from features.contact.manoeuvres import Manoeuvres, branched, merged
 from features.contact.response_surface import ResponseSurface
 from features.contact.touch import at_touch, onset
 
-STEP_BLOCKS = 2  # a filter's step: 40 ms, in which the fastest slide calibrated for (13 mm/s) goes half a millimetre
+STEP_BLOCKS = (
+    2  # a filter's step: 40 ms, in which the fastest slide calibrated for (13 mm/s) goes half a millimetre
+)
 BRANCH_STEPS = 5
 ONSET_BLOCKS = 12
 NEAR_MM = 2.5  # hypotheses this near the best one tell of the same place
@@ -52,7 +54,8 @@ class TrackingConfig:
 class Track(NamedTuple):
     """One moment. mean: (4,) x, y (mm), vx, vy (mm/s); covariance: (4, 4). certain: weight of the hypotheses near the
     best one. misfit: chi-square over its degrees of freedom. partial: weight of hypotheses that the contact is being
-    pressed on or lifted. gain, depth_mm (off the map's): means; depth_sd_mm."""
+    pressed on or lifted. gain, depth_mm (off the map's): means; depth_sd_mm. way_mm: since the touch, at most 25.
+    """
 
     mean: np.ndarray
     covariance: np.ndarray
@@ -63,6 +66,7 @@ class Track(NamedTuple):
     depth_mm: float
     depth_sd_mm: float
     hypotheses: int
+    way_mm: float
 
 
 class ContactTracker:
@@ -198,6 +202,7 @@ def read(bank: Hypotheses) -> Track:
         depth_mm,
         math.sqrt(max(variance, 0.0)),
         len(bank),
+        float(share @ bank.age_mm),
     )
 
 

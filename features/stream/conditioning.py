@@ -176,3 +176,26 @@ def without_lag(blocks: np.ndarray, conditioning: Conditioning) -> np.ndarray:
     return blocks + conditioning.lag_s / conditioning.block_s * np.diff(
         crept, axis=0, prepend=0.0 * crept[:1]
     )
+
+
+class LagUndone:
+    """Undoes the skin's lag in a running stream of block means, as `without_lag` does in a whole recording.
+
+    noise_gain: standard deviation of what comes out over that of white noise that goes in.
+    """
+
+    def __init__(self, conditioning: Conditioning, channels: int) -> None:
+        self._lag_blocks, self._creep = conditioning.lag_s / conditioning.block_s, conditioning.creep
+        self._crept = np.zeros(channels)
+        # y + L (z_n - z_(n-1)), z the exponential average of y: 1 + L c on the newest block, little on those before.
+        self.noise_gain = 1.0 + self._lag_blocks * self._creep
+
+    def reset(self) -> None:
+        """Back to an output of zero."""
+        self._crept[:] = 0.0
+
+    def push(self, subtracted: np.ndarray) -> np.ndarray:
+        """One block (C,) V -> (C,) V."""
+        change = self._creep * (subtracted - self._crept)
+        self._crept += change
+        return subtracted + self._lag_blocks * change

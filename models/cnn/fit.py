@@ -19,6 +19,7 @@ from models.graph.from_torch import export_graph
 from models.held_out import WHOLE, offset_reach_mm, signed_errors
 from models.intervals import conformal_interval
 from models.response_map.calibrate import CalibrationConfig
+from models.response_map.contact_card import contact_calibration
 from models.response_map.from_atlas import SensorSpread
 from models.response_map.map import ResponseMap
 from models.response_map.select import CalibratedMap, calibrated_map
@@ -98,6 +99,7 @@ def fit_cnn(
         validity=validity,
         conditioning=config.conditioning,
         summary=dict(summary),
+        contact=contact_calibration(response),
         windows=None if found.slides else source.draw(200, torch.Generator().manual_seed(1)).labelled(),
     )
 

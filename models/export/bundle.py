@@ -82,6 +82,7 @@ def write_bundle(
             "estimate": exported[golden].tolist(),
         },
         graph_sha256=hashlib.sha256(graph).hexdigest(),
+        contact=fitted.contact,
     )
     with staged(out) as folder:
         (folder / "model.onnx").write_bytes(graph)

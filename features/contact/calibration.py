@@ -1,0 +1,66 @@
+"""What the model card carries for the tracking of contacts: the calibrated response map and its errors."""
+
+import base64
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from features.contact.response_surface import PARTS, ResponseSurface
+
+# Far beyond any skin; they bound the memory.
+MOST_KNOTS = 200
+LARGEST = 1e6
+
+
+@dataclass(frozen=True)
+class ContactCalibration:
+    """The card's section `contact`.
+
+    coefficients: base64 of float16, little-endian, (4, K, K, C) in units of scale_v: the splines of M, Fx, Fy (V) and D
+    (V/mm). knots: K. half_mm: the splines cover [-half_mm, half_mm]. spacing_mm: of the knots.
+    chamber_mm: sizes of the chamber. depth_mm: the calibration's. noise_v: (C,) V, of a block's mean. floor_v: V, the
+    map's residual. gain_sd: of the gain from slide to slide.
+
+    Raises:
+        ValueError: a number is out of range, or the coefficients are not as many as K and C say.
+    """
+
+    coefficients: str
+    scale_v: float
+    knots: int
+    half_mm: float
+    spacing_mm: float
+    chamber_mm: tuple[float, float]
+    depth_mm: float
+    noise_v: tuple[float, ...]
+    floor_v: float
+    gain_sd: float
+
+    def __post_init__(self) -> None:
+        numbers = (self.scale_v, self.half_mm, self.spacing_mm, *self.chamber_mm, *self.noise_v, self.floor_v)
+        for value in (*numbers, self.gain_sd, self.depth_mm):
+            if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < LARGEST:
+                raise ValueError(f"contact: {value!r:.40} is no number above 0 and below {LARGEST:g}")
+        if type(self.knots) is not int or not 4 <= self.knots <= MOST_KNOTS or len(self.chamber_mm) != 2:
+            raise ValueError(f"contact: knots {self.knots!r:.40}, chamber_mm {self.chamber_mm!r:.40}: out of range")
+        if not isinstance(self.coefficients, str):
+            raise ValueError("contact: coefficients are no text")
+        self.surface()
+
+    def surface(self) -> ResponseSurface:
+        """The response map, ready to be read."""
+        stored = np.frombuffer(base64.b64decode(self.coefficients, validate=True), dtype="<f2")
+        shape = (PARTS, self.knots, self.knots, len(self.noise_v))
+        if stored.size != math.prod(shape):
+            raise ValueError(f"{stored.size} coefficients of the contact calibration, not {math.prod(shape)}")
+        values = stored.astype(float).reshape(shape) * self.scale_v
+        if not np.isfinite(values).all():
+            raise ValueError("a coefficient of the contact calibration is not finite")
+        return ResponseSurface(values, self.half_mm, self.spacing_mm)
+
+
+def encoded(coefficients: np.ndarray) -> tuple[str, float]:
+    """Coefficients in V -> the card's text and its scale. Half precision keeps 1 in 2000 of each, below the noise."""
+    scale = float(np.abs(coefficients).max()) or 1.0
+    return base64.b64encode((coefficients / scale).astype("<f2").tobytes()).decode("ascii"), scale

@@ -1,0 +1,162 @@
+"""From a track to an estimate: intervals, what the contact does, and whether it may be believed.
+
+Where the straight slide at constant speed, which the graph fits to the whole stroke, explains the output and agrees
+with the track, it is the estimate: it knows more, and is sharper.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from features.contact.tracker import Track
+from features.estimate import Contact, Estimate, Reason
+from features.stream.tracker import SlideState
+
+
+@dataclass(frozen=True)
+class TrackLimits:
+    """Chosen on synthetic paths (experiments/LOG.md).
+
+    half_width, heading_width: 90 % half-widths over the filters' standard deviations; the filters neglect the map's
+    curvature and keep only the likeliest hypotheses. place_mm, speed_mm_s, heading_deg: and never less than these.
+    place_sd_mm, heading_sd_deg: largest standard deviations of a valid estimate. certain: least weight of the
+    hypotheses near the best one. misfit: largest chi-square over its degrees of freedom. partial: largest weight of
+    hypotheses that the contact is still being pressed on or lifted. way_mm: least way. stopped_mm_s: a contact slower
+    than this has stopped. agreement: largest squared Mahalanobis distance of the straight slide from the track, four
+    degrees of freedom.
+    """
+
+    half_width: float = 1.9
+    heading_width: float = 1.7
+    place_mm: float = 0.03
+    speed_mm_s: float = 0.02
+    heading_deg: float = 0.3
+    place_sd_mm: float = 1.2
+    heading_sd_deg: float = 20.0
+    certain: float = 0.93
+    misfit: float = 2.2
+    partial: float = 0.3
+    way_mm: float = 1.5
+    stopped_mm_s: float = 0.15
+    agreement: float = 25.0
+
+
+def judged(
+    track: Track, time_s: float, state: SlideState, reference_mm: tuple[float, float], limits: TrackLimits
+) -> Estimate:
+    """The track as an estimate; `reason` says why it is not valid."""
+    x, y, vx, vy = track.mean.tolist()
+    variance = np.maximum(track.covariance.diagonal(), 0.0)
+    sd = np.sqrt(variance)
+    speed, heading = math.hypot(vx, vy), math.atan2(vy, vx)
+    cos, sin = math.cos(heading), math.sin(heading)
+    along, across = np.array([cos, sin]), np.array([-sin, cos])
+    velocity, place = track.covariance[2:, 2:], track.covariance[:2, :2]
+    speed_sd = math.sqrt(max(along @ velocity @ along, 0.0))
+    heading_sd = math.sqrt(max(across @ velocity @ across, 0.0)) / max(speed, 1e-3)
+    from_reference = np.array([x - reference_mm[0], y - reference_mm[1]])
+    lever_mm = float(along @ from_reference)
+    offset_sd = math.sqrt(max(across @ place @ across, 0.0) + (lever_mm * min(heading_sd, 1.0)) ** 2)
+    x_half, y_half, vx_half, vy_half = (limits.half_width * sd).tolist()
+    vx_half, vy_half = vx_half + limits.speed_mm_s, vy_half + limits.speed_mm_s
+    x_half, y_half = x_half + limits.place_mm, y_half + limits.place_mm
+    speed_half = limits.half_width * speed_sd + limits.speed_mm_s
+    heading_half = min(limits.heading_width * math.degrees(heading_sd) + limits.heading_deg, 180.0)
+    offset, offset_half = float(across @ from_reference), limits.half_width * offset_sd + limits.place_mm
+    contact = Contact.SLIDE
+    if track.partial > 0.5 or track.way_mm < limits.way_mm:
+        contact = Contact.PRESS
+    elif speed < limits.stopped_mm_s:
+        contact = Contact.STOPPED
+    degrees = math.degrees(heading) % 360.0
+    depth_half = limits.half_width * track.depth_sd_mm
+    reason = _reason(track, math.hypot(sd[0], sd[1]), math.degrees(heading_sd), contact, limits)
+    return Estimate(
+        time_s=time_s,
+        state=state,
+        direction_deg=0.0 if degrees == 360.0 else degrees,
+        direction_lo_deg=degrees - heading_half,
+        direction_hi_deg=degrees + heading_half,
+        speed_mm_s=speed,
+        speed_lo_mm_s=max(speed - speed_half, 0.0),
+        speed_hi_mm_s=speed + speed_half,
+        offset_mm=offset,
+        offset_lo_mm=offset - offset_half,
+        offset_hi_mm=offset + offset_half,
+        depth_mm=track.depth_mm,
+        x_mm=x,
+        y_mm=y,
+        valid=reason is Reason.NONE,
+        contact=contact,
+        reason=reason,
+        vx_mm_s=vx,
+        vy_mm_s=vy,
+        x_lo_mm=x - x_half,
+        x_hi_mm=x + x_half,
+        y_lo_mm=y - y_half,
+        y_hi_mm=y + y_half,
+        vx_lo_mm_s=vx - vx_half,
+        vx_hi_mm_s=vx + vx_half,
+        vy_lo_mm_s=vy - vy_half,
+        vy_hi_mm_s=vy + vy_half,
+        depth_lo_mm=track.depth_mm - depth_half,
+        depth_hi_mm=track.depth_mm + depth_half,
+    )
+
+
+def _reason(
+    track: Track, place_sd_mm: float, heading_sd_deg: float, contact: Contact, limits: TrackLimits
+) -> Reason:
+    if track.misfit > limits.misfit:
+        return Reason.NOT_THIS_SENSOR
+    if track.way_mm < limits.way_mm:
+        return Reason.TOO_EARLY
+    unclear = place_sd_mm > limits.place_sd_mm or (
+        heading_sd_deg > limits.heading_sd_deg and contact is not Contact.STOPPED
+    )
+    if unclear or track.certain < limits.certain or track.partial > limits.partial:
+        return Reason.AMBIGUOUS
+    return Reason.NONE
+
+
+def agrees(straight: Estimate, track: Track, limits: TrackLimits) -> bool:
+    """Whether the straight slide goes where the track does."""
+    apart = (
+        np.array([straight.x_mm, straight.y_mm, straight.vx_mm_s, straight.vy_mm_s], dtype=float) - track.mean
+    )
+    # The floors of the intervals, as standard deviations: both read the same blocks.
+    floor = np.array([limits.place_mm, limits.place_mm, limits.speed_mm_s, limits.speed_mm_s])
+    spread = track.covariance + np.diag(floor**2)
+    return bool(apart @ np.linalg.solve(spread, apart) <= limits.agreement)
+
+
+def with_place(straight: Estimate, tracked: Estimate) -> Estimate:
+    """The straight slide's estimate, with intervals of place and velocity.
+
+    Across the line the offset's interval holds; along it the track's own, which the straight slide only narrows.
+    """
+    angle = math.radians(straight.direction_deg)
+    cos, sin = abs(math.cos(angle)), abs(math.sin(angle))
+    across = (straight.offset_hi_mm - straight.offset_lo_mm) / 2
+    along_x, along_y = (tracked.x_hi_mm - tracked.x_lo_mm) / 2, (tracked.y_hi_mm - tracked.y_lo_mm) / 2
+    x_half, y_half = math.hypot(across * sin, along_x * cos), math.hypot(across * cos, along_y * sin)
+    speed_half = (straight.speed_hi_mm_s - straight.speed_lo_mm_s) / 2
+    turn_half = straight.speed_mm_s * math.radians(straight.direction_hi_deg - straight.direction_lo_deg) / 2
+    vx_half, vy_half = (
+        math.hypot(speed_half * cos, turn_half * sin),
+        math.hypot(speed_half * sin, turn_half * cos),
+    )
+    return straight._replace(
+        contact=Contact.SLIDE,
+        x_lo_mm=straight.x_mm - x_half,
+        x_hi_mm=straight.x_mm + x_half,
+        y_lo_mm=straight.y_mm - y_half,
+        y_hi_mm=straight.y_mm + y_half,
+        vx_lo_mm_s=straight.vx_mm_s - vx_half,
+        vx_hi_mm_s=straight.vx_mm_s + vx_half,
+        vy_lo_mm_s=straight.vy_mm_s - vy_half,
+        vy_hi_mm_s=straight.vy_mm_s + vy_half,
+        depth_lo_mm=tracked.depth_lo_mm,
+        depth_hi_mm=tracked.depth_hi_mm,
+    )
