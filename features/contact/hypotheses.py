@@ -23,7 +23,9 @@ RESIDUAL_MM = (
 )
 ACCELERATION_MM = 12.0  # of way, over which a change of speed goes on
 MANOEUVRE_MM = 25.0  # of way, over which manoeuvres are remembered
-PEAK_SHARE = 0.003  # of the present output that the map leaves over, as in the network's refinement
+PEAK_SHARE = (
+    0.01  # of the present output: what friction's dependence on the path adds at 0.1 (rms, simulated)
+)
 MISFIT_S = 0.5  # memory of the misfit
 
 

@@ -39,7 +39,9 @@ class TrackLimits:
     partial: float = 0.3
     way_mm: float = 1.5
     stopped_mm_s: float = 0.15
-    agreement: float = 25.0
+    agreement: float = 12.0
+    straight_misfit: float = 1.5
+    straight_way_mm: float = 8.0
 
 
 def judged(
@@ -121,7 +123,9 @@ def _reason(
 
 
 def agrees(straight: Estimate, track: Track, limits: TrackLimits) -> bool:
-    """Whether the straight slide goes where the track does."""
+    """Whether the straight slide explains the output, and goes where the track does."""
+    if straight.misfit > limits.straight_misfit or track.way_mm < limits.straight_way_mm:
+        return False
     apart = (
         np.array([straight.x_mm, straight.y_mm, straight.vx_mm_s, straight.vy_mm_s], dtype=float) - track.mean
     )

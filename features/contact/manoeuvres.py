@@ -27,7 +27,7 @@ class Manoeuvres:
     prior_count, prior_mm: gamma prior of the manoeuvres' rate, 1/mm. steering: shares of a change of speed, a bend and
     both. speed: standard deviation of a change, a share of the speed; speed_mm_s: and at least this.
     acceleration: a share of the speed's square, 1/mm. curvature: 1/mm.
-    stop, back, corner, lift, whole, restart: probabilities at each branching.
+    stop, back, corner, lift: rates, 1/mm. whole, restart: probabilities at each branching.
     """
 
     prior_count: float = 0.5
@@ -37,10 +37,10 @@ class Manoeuvres:
     speed_mm_s: float = 0.1
     acceleration: float = 0.06
     curvature: float = 0.05
-    stop: float = 0.006
-    back: float = 0.003
-    corner: float = 0.004
-    lift: float = 0.003
+    stop: float = 0.012
+    back: float = 0.006
+    corner: float = 0.008
+    lift: float = 0.006
     whole: float = 0.3
     restart: float = 0.004
 
@@ -62,7 +62,8 @@ def branched(
     parent = bank.take(best)
     bank.way_mm[best] = 0.0
     rate = (p.prior_count + parent.manoeuvres) / (p.prior_mm + parent.age_mm)
-    chance = np.minimum(rate * np.maximum(parent.way_mm, 0.02), 0.6)
+    way = np.maximum(parent.way_mm, 0.02)
+    chance = np.minimum(rate * way, 0.6)
     speed = np.abs(parent.state[:, SPEED])
     change = (p.speed * speed) ** 2 + p.speed_mm_s**2
     acceleration = (p.acceleration * speed**2) ** 2 + 0.05**2
@@ -75,13 +76,13 @@ def branched(
         if bends:
             child.covariance[:, CURVATURE, CURVATURE] += p.curvature**2
         children.append(child)
-    stop = _child(parent, p.stop)
+    stop = _child(parent, np.minimum(p.stop * way, 0.1))
     _set_speed(stop, np.zeros(len(stop)), np.full(len(stop), STOPPED_MM_S))
-    back = _child(parent, p.back)
+    back = _child(parent, np.minimum(p.back * way, 0.1))
     _set_speed(back, -back.state[:, SPEED], 0.3 * speed + 0.1)
     children += [stop, back]
     for turn in CORNER_RAD:
-        corner = _child(parent, p.corner)
+        corner = _child(parent, np.minimum(p.corner * way, 0.1))
         corner.state[:, HEADING] += turn
         corner.covariance[:, HEADING, HEADING] += 0.5**2
         _set(corner, CURVATURE, np.zeros(len(corner)), np.full(len(corner), 0.02))
@@ -91,7 +92,7 @@ def branched(
         children += _restarts(slow, p.restart)
     whole = ~parent.partial
     if whole.any():
-        lift = _child(parent.take(whole), p.lift)
+        lift = _child(parent.take(whole), np.minimum(p.lift * way[whole], 0.1))
         lift.partial[:] = True
         lift.covariance[:, GAIN, GAIN] += 0.05**2
         children.append(lift)

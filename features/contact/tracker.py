@@ -10,6 +10,7 @@ from features.contact.hypotheses import (
     DEPTH,
     GAIN,
     HEADING,
+    PEAK_SHARE,
     SPEED,
     Hypotheses,
     MotionNoise,
@@ -148,7 +149,7 @@ class ContactTracker:
         variance = self._noise_v**2 / STEP_BLOCKS
         if usable is not None and not usable.all():
             variance = np.where(usable, variance, np.inf)
-        predict(self._bank, elapsed_s, self._floor_v + 0.003 * peak_v, config.noise)
+        predict(self._bank, elapsed_s, self._floor_v + PEAK_SHARE * peak_v, config.noise)
         update(self._bank, volts, variance, self._surface, elapsed_s)
         self._leave_skin()
         self._steps += 1
