@@ -99,7 +99,7 @@ def fit_cnn(
         validity=validity,
         conditioning=config.conditioning,
         summary=dict(summary),
-        contact=contact_calibration(response),
+        contact=contact_calibration(found.response),
         windows=None if found.slides else source.draw(200, torch.Generator().manual_seed(1)).labelled(),
     )
 

@@ -1,0 +1,237 @@
+"""The contact tracker: the map on the device, the filters' derivatives, tracks along known paths."""
+
+import base64
+from dataclasses import asdict, replace
+
+import numpy as np
+import pytest
+from bump_map import bump_map
+
+from features.contact.calibration import ContactCalibration
+from features.contact.hypotheses import (
+    HEADING,
+    RESIDUAL,
+    SPEED,
+    Hypotheses,
+    MotionNoise,
+    expected,
+    predict,
+    started,
+)
+from features.contact.tracker import ContactTracker, Track, TrackingConfig
+from models.response_map.contact_card import contact_calibration
+from models.response_map.map import ResponseMap
+
+BLOCK_S = 0.02
+FRICTION_MM = 0.35
+
+
+def noisy_map(**changes) -> ResponseMap:
+    response = bump_map(**changes)
+    channels = response.channels
+    return replace(
+        response, noise_v=np.full(channels, 1e-3), drift_v=np.full(channels, 5e-4), floor_v=5e-4, gain_sd=0.02
+    )
+
+
+def tracker(response: ResponseMap) -> ContactTracker:
+    card = contact_calibration(response)
+    return ContactTracker(
+        surface=card.surface(),
+        half_mm=(card.chamber_mm[0] / 2, card.chamber_mm[1] / 2),
+        block_s=BLOCK_S,
+        noise_v=np.array(card.noise_v),
+        floor_v=card.floor_v,
+        gain_sd=card.gain_sd,
+        release_v=0.0035,
+        config=TrackingConfig(),
+    )
+
+
+def volts_along(response: ResponseMap, path_mm: np.ndarray, seed: int = 0) -> np.ndarray:
+    """Blocks (m, C) V of a contact at (m, 2) mm; friction follows the motion over FRICTION_MM of way."""
+    steps = np.diff(path_mm, axis=0, prepend=path_mm[:1])
+    friction, blocks = np.zeros(2), []
+    for place, step in zip(path_mm, steps, strict=True):
+        way = float(np.hypot(*step))
+        if way:
+            friction += (1 - np.exp(-way / FRICTION_MM)) * (step / way - friction)
+        length = float(np.hypot(*friction))
+        at = (place[:1], place[1:], float(np.arctan2(friction[1], friction[0])))
+        still = (response.response(*at) + response.response(at[0], at[1], at[2] + np.pi)) / 2
+        blocks.append((still + length * (response.response(*at) - still))[0])
+    noise = np.random.default_rng(seed).normal(0.0, response.noise_v, (len(path_mm), response.channels))
+    return np.array(blocks) + noise
+
+
+def followed(response: ResponseMap, path_mm: np.ndarray, seed: int = 0) -> list[Track | None]:
+    volts, tracked = volts_along(response, path_mm, seed), tracker(response)
+    level = np.array([np.abs(volts[max(0, n - 4) : n + 1].mean(axis=0)).max() for n in range(len(volts))])
+    return [tracked.push(v, bool(touched)) for v, touched in zip(volts, level > 0.005, strict=True)]
+
+
+def line(speed_mm_s: float, y_mm: float = 6.0, half_mm: float = 29.0) -> np.ndarray:
+    x = np.arange(-half_mm, half_mm, speed_mm_s * BLOCK_S)
+    return np.stack([x, np.full_like(x, y_mm)], axis=1)
+
+
+def bank_of(response: ResponseMap, count: int = 6, seed: int = 0) -> Hypotheses:
+    generator = np.random.default_rng(seed)
+    size = RESIDUAL + response.channels
+    state = np.zeros((count, size))
+    state[:, :2] = generator.uniform(-18, 18, (count, 2))
+    state[:, HEADING], state[:, SPEED] = generator.uniform(-3, 3, count), generator.uniform(1, 5, count)
+    state[:, 4], state[:, 5], state[:, 6] = 0.3, 0.02, generator.uniform(0.9, 1.1, count)
+    heading = state[:, HEADING]
+    friction = np.stack([np.cos(heading), np.sin(heading)], axis=1)
+    sd = np.full((count, size), 1e-6)
+    return started(state, sd, friction, np.zeros(count), partial=False)
+
+
+def test_the_surface_on_the_device_is_the_map() -> None:
+    response = noisy_map()
+    generator = np.random.default_rng(1)
+    x, y = generator.uniform(-29, 29, (2, 200))
+    value = contact_calibration(response).surface().at(x, y)[:, 0]
+    for direction in (0.0, 1.0, 4.0):
+        mixed = value[:, 0] + np.cos(direction) * value[:, 1] + np.sin(direction) * value[:, 2]
+        wanted = response.response(x, y, direction)
+        # Half precision keeps a coefficient to 1 in 2000.
+        assert np.abs(mixed - wanted).max() < 1e-3 * np.abs(wanted).max()
+
+
+def test_slopes_are_those_of_the_expected_output() -> None:
+    """Central differences of the expected output by each number of the state, the friction following the heading."""
+    response = noisy_map()
+    surface = contact_calibration(response).surface()
+    bank = bank_of(response)
+    _, slopes = expected(bank, surface)
+    for n in range(bank.state.shape[1]):
+        step, sides = 1e-5, []
+        for sign in (1, -1):
+            moved = bank.take(slice(None))
+            moved.state[:, n] += sign * step
+            if n == HEADING:
+                moved.friction = np.stack([np.cos(moved.state[:, n]), np.sin(moved.state[:, n])], axis=1)
+            sides.append(expected(moved, surface)[0])
+        assert slopes[:, :, n] == pytest.approx((sides[0] - sides[1]) / (2 * step), abs=1e-6)
+
+
+def test_prediction_moves_along_an_arc() -> None:
+    bank = bank_of(noisy_map())
+    bank.state[:, 4], bank.state[:, 5] = 0.0, 0.05
+    before = bank.state.copy()
+    for _ in range(50):
+        predict(bank, 0.04, 1e-3, MotionNoise())
+    radius, turned = 1 / 0.05, 2.0 * before[:, SPEED] * 0.05
+    left = np.stack([-np.sin(before[:, HEADING]), np.cos(before[:, HEADING])], axis=1)
+    centre = before[:, :2] + radius * left
+    assert bank.state[:, HEADING] == pytest.approx(before[:, HEADING] + turned)
+    assert np.hypot(*(bank.state[:, :2] - centre).T) == pytest.approx(np.full(len(bank), radius), rel=1e-3)
+
+
+@pytest.mark.parametrize("speed_mm_s", [1.0, 4.0, 11.0])
+def test_a_straight_slide_is_followed(speed_mm_s: float) -> None:
+    path = line(speed_mm_s)
+    tracks = followed(noisy_map(), path)
+    inside = np.abs(path[:, 0]) < 12
+    late = [t for t, is_late in zip(tracks, inside & (path[:, 0] > -5), strict=True) if is_late]
+    places = path[inside & (path[:, 0] > -5)]
+    assert all(t is not None for t in late)
+    gaps = np.array([t.mean[:2] - p for t, p in zip(late, places, strict=True) if t is not None])
+    speeds = np.array([np.hypot(*t.mean[2:]) for t in late if t is not None])
+    assert np.median(np.hypot(*gaps.T)) < 0.3
+    assert np.median(np.abs(speeds / speed_mm_s - 1)) < 0.05
+
+
+def test_a_contact_that_turns_back_is_followed() -> None:
+    out = np.arange(-29.0, 6.0, 0.06)
+    x = np.concatenate([out, out[::-1]])
+    tracks = followed(noisy_map(), np.stack([x, np.full_like(x, 7.0)], axis=1))
+    back = tracks[len(out) + 120]
+    assert back is not None
+    assert back.mean[2] == pytest.approx(-3.0, abs=0.5)
+    assert back.mean[:2] == pytest.approx([x[len(out) + 120], 7.0], abs=0.6)
+
+
+def test_a_contact_that_stops_is_at_rest() -> None:
+    out = np.arange(-29.0, 4.0, 0.06)
+    x = np.concatenate([out, np.full(100, out[-1])])
+    tracks = followed(noisy_map(), np.stack([x, np.full_like(x, 6.0)], axis=1))
+    last = tracks[-1]
+    assert last is not None
+    assert np.hypot(*last.mean[2:]) < 0.15
+    assert last.mean[:2] == pytest.approx([out[-1], 6.0], abs=0.5)
+
+
+def test_a_circle_is_followed() -> None:
+    """In over the rim, then once around a circle of 8 mm radius."""
+    speed, radius = 3.0, 8.0
+    into = np.arange(-29.0, 0.0, speed * BLOCK_S)
+    turn = np.arange(0.0, 2 * np.pi, speed * BLOCK_S / radius)
+    path = np.concatenate(
+        [
+            np.stack([into, np.full_like(into, -4.0)], axis=1),
+            np.stack([radius * np.sin(turn), radius * (1 - np.cos(turn)) - 4.0], axis=1),
+        ]
+    )
+    tracks = followed(noisy_map(), path)
+    late = range(len(into) + len(turn) // 4, len(path) - 1)
+    gaps = [np.hypot(*(t.mean[:2] - path[n])) for n in late if (t := tracks[n]) is not None]
+    assert len(gaps) == len(late)
+    assert np.median(gaps) < 0.5
+
+
+def test_two_accelerometers_are_sharper_than_one_and_do_without_one() -> None:
+    places = ((5.0, 0.0), (-8.0, 3.0))
+    path = line(3.0)
+    both = noisy_map(places=places)
+    inside = np.flatnonzero(np.abs(path[:, 0]) < 15)
+
+    def error(tracks: list[Track | None]) -> float:
+        return float(np.median([np.hypot(*(tracks[n].mean[:2] - path[n])) for n in inside]))  # type: ignore[union-attr]
+
+    assert error(followed(both, path)) < error(followed(noisy_map(), path))
+    volts, halved = volts_along(both, path), tracker(both)
+    usable = np.array([True, True, False, False])
+    tracks = [halved.push(v * usable, bool(np.abs(v[:2]).max() > 0.008), usable) for v in volts]
+    assert error(tracks) < 1.0
+
+
+def test_a_release_ends_the_track() -> None:
+    path = np.concatenate([line(4.0), np.tile([[60.0, 6.0]], (60, 1))])
+    tracks = followed(noisy_map(), path)
+    assert tracks[len(path) // 2] is not None
+    assert tracks[-1] is None
+
+
+def test_the_bank_stays_small() -> None:
+    config = TrackingConfig()
+    tracks = followed(noisy_map(), line(2.0))
+    late = [t.hypotheses for t in tracks[len(tracks) // 2 :] if t is not None]
+    children = 7 + 12 + 2  # manoeuvres of one parent, restarts of a slow one
+    assert max(late) <= config.most + config.parents * children
+
+
+def test_noise_alone_starts_nothing() -> None:
+    response = noisy_map()
+    still = tracker(response)
+    noise = np.random.default_rng(2).normal(0.0, 1e-3, (500, response.channels))
+    assert all(still.push(v, False) is None for v in noise)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"knots": 3},
+        {"scale_v": 0.0},
+        {"half_mm": float("nan")},
+        {"noise_v": (1e-3,)},
+        {"coefficients": base64.b64encode(b"\x00" * 10).decode()},
+        {"coefficients": "not base64!"},
+    ],
+)
+def test_a_calibration_that_does_not_fit_is_refused(change: dict[str, object]) -> None:
+    whole = asdict(contact_calibration(noisy_map()))
+    with pytest.raises(ValueError, match=r".+"):
+        ContactCalibration(**{**whole, **change})
