@@ -212,9 +212,7 @@ def _card(table: dict[str, Any]) -> Card:
 
 
 def _contact(table: dict[str, Any]) -> ContactCalibration:
-    return ContactCalibration(
-        **{**table, **{name: tuple(table[name]) for name in ("chamber_mm", "noise_v")}}
-    )
+    return ContactCalibration(**{**table, **{name: tuple(table[name]) for name in ("chamber_mm", "noise_v")}})
 
 
 def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

@@ -44,7 +44,9 @@ def check_fields(card: "Card") -> None:
         if (limit := getattr(card.validity, name)) != math.inf:
             number(limit, f"validity: {name}", 0.0, LARGEST)
     if card.contact is not None and 3 * len(card.contact.noise_v) != 2 * len(card.channels):
-        raise ValueError(f"contact: noise_v has {len(card.contact.noise_v)} channels, the card {len(card.channels)}")
+        raise ValueError(
+            f"contact: noise_v has {len(card.contact.noise_v)} channels, the card {len(card.channels)}"
+        )
     table(card.provenance, "provenance")
     golden = table(card.golden, "golden")
     if set(golden) != {"inputs", "estimate"}:

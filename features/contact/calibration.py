@@ -43,7 +43,9 @@ class ContactCalibration:
             if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < LARGEST:
                 raise ValueError(f"contact: {value!r:.40} is no number above 0 and below {LARGEST:g}")
         if type(self.knots) is not int or not 4 <= self.knots <= MOST_KNOTS or len(self.chamber_mm) != 2:
-            raise ValueError(f"contact: knots {self.knots!r:.40}, chamber_mm {self.chamber_mm!r:.40}: out of range")
+            raise ValueError(
+                f"contact: knots {self.knots!r:.40}, chamber_mm {self.chamber_mm!r:.40}: out of range"
+            )
         if not isinstance(self.coefficients, str):
             raise ValueError("contact: coefficients are no text")
         self.surface()
