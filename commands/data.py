@@ -55,21 +55,24 @@ def import_(parser: Parser) -> Run:
         softslide import --map-template csv > map.toml
         softslide import lab/*.csv --map map.toml --out my-recordings
     """
+    from pipeline.importers.readers.registry import READERS
+
+    kinds = ", ".join(f"{kind} ({reader.title})" for kind, reader in READERS.items())
     arguments.existing(parser, "sources", "SOURCE", "files, or folders to search", nargs="*")
     arguments.existing(parser, "--map", "MAP.toml", "what the files mean: columns, units, labels")
     arguments.out(parser, "the folder of recordings to write", required=False)
     parser.add_argument(
         "--map-template",
         metavar="KIND",
-        help="print a commented map to start from: csv, parquet, hdf5, tdms, mat (both kinds), ros (1, 2, MCAP)",
+        help=f"print a commented map to start from: {kinds}",
     )
 
     def run(given: argparse.Namespace) -> None:
-        from pipeline.importers.import_map import KINDS, read_map, template
+        from pipeline.importers.import_map import read_map, template
 
         if given.map_template:
-            if given.map_template not in KINDS:
-                raise InputError(f"{given.map_template}: name one of {', '.join(KINDS)}", "map_template")
+            if given.map_template not in READERS:
+                raise InputError(f"{given.map_template}: name one of {', '.join(READERS)}", "map_template")
             print(template(given.map_template), end="")
             return
         if not (given.sources and given.map and given.out):

@@ -13,7 +13,8 @@ from lab_files import FORMATS, Format, a_sensor, slide, write_lab, write_two_top
 import softslide
 from pipeline.checks.findings import examine
 from pipeline.importers import run
-from pipeline.importers.import_map import KINDS, read_map, template
+from pipeline.importers.import_map import read_map, template
+from pipeline.importers.readers.registry import READERS
 from pipeline.importers.run import import_recordings
 from pipeline.recordings.folder import SAMPLE, read_folder
 from pipeline.sensor import Accelerometer, write_sensor
@@ -143,7 +144,7 @@ def test_what_was_finished_with_another_map_or_source_is_done_again(
     assert len(folder.load("one").time_s) == (250 if change == "map" else 300)
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", READERS)
 def test_a_template_is_a_map(tmp_path: Path, capsys, kind: str) -> None:
     assert softslide.main(["import", "--map-template", kind]) == 0
     text = capsys.readouterr().out

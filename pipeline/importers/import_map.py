@@ -7,18 +7,11 @@ from typing import Any
 
 from features.errors import InputError
 from pipeline.importers.readers.delimited import CsvLayout
+from pipeline.importers.readers.registry import READERS
 from pipeline.recordings.manifest import LABELS
 from pipeline.sensor import Sensor, read_sensor
 from pipeline.toml_tables import from_table, read_toml
 
-KINDS = {
-    "csv": (".csv", ".txt", ".tsv", ".dat"),
-    "parquet": (".parquet",),
-    "hdf5": (".h5", ".hdf5", ".hdf"),
-    "tdms": (".tdms",),
-    "mat": (".mat",),
-    "ros": (".bag", ".mcap", ".db3"),
-}
 TIME_UNITS = ("s", "ms", "us", "ns", "timestamp")
 SIGNAL_UNITS = ("V", "mV", "g", "m/s2", "counts")
 
@@ -131,7 +124,7 @@ class Map:
     sheet: Sheet | None = None
 
     def __post_init__(self) -> None:
-        _one_of("kind", self.kind, tuple(KINDS))
+        _one_of("kind", self.kind, tuple(READERS))
         _one_of("signs", self.signs, ("given", "zones"))
         try:
             groups = set(re.compile(self.pattern).groupindex)

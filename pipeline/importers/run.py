@@ -21,10 +21,11 @@ import pyarrow.parquet as pq
 from features.clock import check_clock
 from features.errors import InputError
 from pipeline.checks.zone_signs import sign_agreement, start_mm
-from pipeline.importers.import_map import KINDS, Map
+from pipeline.importers.import_map import Map
 from pipeline.importers.labels import Row, label_columns, label_row, read_sheet, recording_name
 from pipeline.importers.messages import clock_notes, inverted, mounting_notes
 from pipeline.importers.onset import INSIDE_MM, onset_s
+from pipeline.importers.readers.registry import READERS
 from pipeline.importers.resampling import Samples
 from pipeline.importers.resume import Journal, fingerprint, size_bytes
 from pipeline.importers.streams import Source, write_even
@@ -115,7 +116,7 @@ def find_sources(sources: Sequence[Path], mapping: Map) -> list[Source]:
                 )
             job.files[part] = path
     if not found:
-        kinds = ", ".join(KINDS[mapping.kind])
+        kinds = ", ".join(READERS[mapping.kind].suffixes)
         raise InputError(f"{', '.join(map(str, sources))}: no file ({kinds}) fits the map; name its folder")
     return [found[name] for name in sorted(found)]
 
@@ -126,7 +127,7 @@ def _files(source: Path, kind: str) -> list[Path]:
         return [source]
     inside = sorted(source.rglob("*"))
     bags = [path for path in inside if kind == "ros" and (path / "metadata.yaml").is_file()]
-    files = [path for path in inside if path.is_file() and path.suffix.lower() in KINDS[kind]]
+    files = [path for path in inside if path.is_file() and path.suffix.lower() in READERS[kind].suffixes]
     return bags + [path for path in files if path.parent not in bags]
 
 

@@ -12,6 +12,7 @@ from features.errors import InputError
 from pipeline.importers.import_map import Map
 from pipeline.importers.labels import label_columns, one_value
 from pipeline.importers.readers.chunk import Chunk, guarded
+from pipeline.importers.readers.registry import READERS
 from pipeline.importers.resampling import (
     ClockReport,
     Samples,
@@ -144,27 +145,6 @@ def _numbers(values: np.ndarray) -> np.ndarray:
 
 
 def _read(path: Path, columns: list[str], mapping: Map) -> Iterator[Chunk]:
-    """Opens a file with the reader of the map's kind, whose library is imported only now."""
-    if mapping.kind == "csv":
-        from pipeline.importers.readers.delimited import read_delimited
-
-        return read_delimited(path, columns, mapping.csv)
-    if mapping.kind == "parquet":
-        from pipeline.importers.readers.parquet import read_parquet
-
-        return read_parquet(path, columns)
-    if mapping.kind == "hdf5":
-        from pipeline.importers.readers.hdf5 import read_hdf5
-
-        return read_hdf5(path, columns)
-    if mapping.kind == "tdms":
-        from pipeline.importers.readers.tdms import read_tdms
-
-        return read_tdms(path, columns)
-    if mapping.kind == "mat":
-        from pipeline.importers.readers.matlab import read_matlab
-
-        return read_matlab(path, columns)
-    from pipeline.importers.readers.ros import read_ros
-
-    return read_ros(path, columns)
+    """Opens a file with the reader of the map's kind."""
+    layout = (mapping.csv,) if mapping.kind == "csv" else ()
+    return READERS[mapping.kind].read()(path, columns, *layout)
