@@ -14,7 +14,7 @@ from features.errors import InputError
 from pipeline.recordings.folder import SAMPLE
 
 DEMO_MODELS = ("interpolation", "trees", "cnn")
-# Enough for the CNN to propose where its refinement finds the rest; a full training takes four times as many.
+# Enough for proposals that the refinement converges from; a full training takes four times as many.
 DEMO_BUDGET = {"steps": 2500, "batch": 128, "average": 0.99}
 MEANS = {"direction_deg": "direction", "speed_percent": "speed", "offset_mm": "distance"}
 

@@ -105,7 +105,7 @@ def measure(scored: pd.DataFrame, verdicts: Sequence[Verdict]) -> dict[str, Any]
 
 
 def write_predictions(path: Path, table: pd.DataFrame) -> None:
-    """Writes the contract's columns: nine significant digits, true or false, empty where not estimated."""
+    """Writes the columns of docs/format.md: nine significant digits, true or false, empty where not estimated."""
     shown = table.assign(
         stroke_fraction=table["stroke_fraction"].map("{:.1f}".format),
         valid=table["valid"].map({True: "true", False: "false"}),
@@ -127,12 +127,12 @@ def _chosen(folder: Folder, splits: Sequence[str] | None) -> Folder:
 
 
 def _bundle(bundle: Path) -> dict[str, Any]:
-    """The bundle's name and card, so that a report says what it is about."""
+    """The bundle's name and card, for the report's head."""
     return {"name": bundle.name, "card": json.loads((bundle / "model.json").read_text(encoding="utf-8"))}
 
 
 def _finite(value: Any) -> Any:
-    """The same with null for every number that is not finite, since JSON knows none."""
+    """The same with null for every number that is not finite, which JSON cannot hold."""
     if isinstance(value, dict):
         return {key: _finite(inner) for key, inner in value.items()}
     if isinstance(value, list):

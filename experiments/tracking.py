@@ -1,4 +1,4 @@
-"""Each training as an MLflow run: the one room that knows of MLflow, and everything runs without it.
+"""Each training as an MLflow run. Nothing below experiments/ imports MLflow.
 
 The store is `sqlite:///mlflow.db` in the current folder, or what MLFLOW_TRACKING_URI names.
 """
@@ -20,7 +20,7 @@ import onnx
 
 from pipeline.recordings.folder import Folder
 
-# Set before the import: nothing is sent to anybody.
+# Set before the import: no usage data is sent.
 os.environ.setdefault("MLFLOW_DISABLE_TELEMETRY", "true")
 
 import mlflow
@@ -32,7 +32,7 @@ from mlflow.types import ColSpec, Schema, TensorSpec
 
 DEFAULT_STORE = "sqlite:///mlflow.db"
 EXPERIMENT = "softslide"
-# What serving the bundle needs. Named, since inferring it takes MLflow 4 to 12 s a model.
+# Requirements of the served bundle. Listed, since MLflow takes 4 to 12 s a model to infer them.
 SERVING = ("numpy", "onnxruntime", "onnx")
 
 
@@ -48,7 +48,7 @@ class Run:
         mlflow.log_metrics(dict(values), run_id=self.identifier, model_id=model)
 
     def losses(self, by_step: Mapping[int, float]) -> None:
-        """Logs the course of a training: the loss at each step."""
+        """Logs the loss at each step of a training."""
         now = int(time.time() * 1000)
         course = [Metric("loss", loss, now, step) for step, loss in by_step.items()]
         mlflow.MlflowClient().log_batch(self.identifier, course)
@@ -63,7 +63,7 @@ class Run:
 
     def data(self, folder: Folder, context: str) -> None:
         """Logs what a folder holds: its manifest as a dataset, named by the sensor."""
-        # Its place is among the parameters: MLflow takes a local path for two kinds of source, and warns.
+        # The folder's path is logged as a parameter: as a source, MLflow finds a local path ambiguous and warns.
         mlflow.log_input(from_pandas(folder.manifest.reset_index(), name=folder.sensor.name), context=context)
 
     def model(self, bundle: Path, name: str) -> str:
@@ -91,7 +91,7 @@ def tracked(
     URI; where none is given, MLFLOW_TRACKING_URI or DEFAULT_STORE.
     """
     store = store or os.environ.get("MLFLOW_TRACKING_URI") or DEFAULT_STORE
-    # A new store reports each step of its making.
+    # A new store logs each of its migrations.
     for chatty in ("alembic", "mlflow.store.db.utils", "mlflow.tracking.fluent"):
         logging.getLogger(chatty).setLevel(logging.WARNING)
     mlflow.set_tracking_uri(store)
@@ -104,7 +104,7 @@ def tracked(
 
 
 def _open_experiment(store: str) -> None:
-    """Files of a local store lie beside it: MLflow would put them into whatever the current folder is."""
+    """Files of a local store lie beside it; MLflow's own default is the current folder."""
     local = "sqlite:///"
     if store.startswith(local) and mlflow.get_experiment_by_name(EXPERIMENT) is None:
         beside = Path(store.removeprefix(local)).resolve().with_name("mlartifacts")

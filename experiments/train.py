@@ -121,7 +121,7 @@ def _fit(
 
 
 def _warn_if_lost(fitted: FittedModel) -> None:
-    """Says so where too many held-out slides have an estimate that is no better than chance."""
+    """Warns where too many held-out slides have an estimate that is no better than chance."""
     if (lost := fitted.summary.get("heldout_lost", 0.0)) > LOST:
         print(
             f"the model is lost on {lost:.0%} of the slides held out of its fit and abstains where it sees that; "
@@ -141,7 +141,7 @@ def _graph_of(bundle: Path) -> onnx.ModelProto:
 
 
 def design_of(folder: Folder, atlas: Path | None) -> Atlas | None:
-    """The atlas of the sensor's design; None if it cannot be had and there are recordings to go on.
+    """The atlas of the sensor's design; None if there is none and there are recordings to learn from.
 
     Raises:
         InputError: the atlas named is none, or of another design; or nothing else is there to learn from.
@@ -156,7 +156,7 @@ def design_of(folder: Folder, atlas: Path | None) -> Atlas | None:
 
 
 def _log_fit(run: tracking.Run, bundle: Path, folder: Folder, logged: str) -> None:
-    """What the exported bundle makes of the recordings behind it; how it does on others, `evaluate` says."""
+    """Errors of the exported bundle on the recordings that it was fitted to; `evaluate` scores it on others."""
     table = pd.concat(predictions(bundle, folder), ignore_index=True)
     scored = score(table, folder.manifest, folder.sensor)
     for name, error in summary(scored[scored["stroke_fraction"] == 1.0]).items():

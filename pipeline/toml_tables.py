@@ -50,7 +50,7 @@ def read_toml(path: Path, remedy: str = "name a TOML file") -> dict[str, Any]:
     except RecursionError:
         raise InputError(f"{path}: nested too deep; at most {DEEPEST} levels are read") from None
     except ValueError as error:  # of syntax, of encoding, or a number of thousands of digits
-        raise InputError(f"{path}: not a TOML file ({error}); mend its syntax") from None
+        raise InputError(f"{path}: not a TOML file ({error}); correct its syntax") from None
     for keys, value in _leaves(table):
         place = f"{path}: {': '.join(map(_bare, keys[:DEEPEST]))}"
         if len(keys) > DEEPEST:

@@ -8,7 +8,7 @@ from features.stream.slide_history import SlideHistory
 
 
 def output(blocks: int) -> np.ndarray:
-    """Block means (n, 6) V that wander, from a seed."""
+    """Block means (n, 6) V of a random walk, from a seed."""
     return 1.6 + 0.01 * np.random.default_rng(3).standard_normal((blocks, 6)).cumsum(axis=0)
 
 

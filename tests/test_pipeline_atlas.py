@@ -298,7 +298,7 @@ def test_default_atlas_gives_more_signal_with_more_pressure(default):
     ],
 )
 def test_default_atlas_answers_lines_it_was_not_solved_on(default, start, heading, depth, height):
-    """Root mean square and largest error in g against the solver, between lines, depths, levels, askew."""
+    """Root mean square and largest error in g against the solver, between lines, depths and levels, at any angle."""
     from pipeline.skin.lines import gravity, skin_of
 
     sensor = read_sensor(DEFAULT_SENSOR)

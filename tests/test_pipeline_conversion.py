@@ -100,7 +100,7 @@ def test_six_positions_undo_any_board(tmp_path: Path, seed: int) -> None:
         (lambda t: t.drop(columns="vy"), "'vy' is missing"),
         (lambda t: t[:5], "one row for each"),
         (lambda t: t.assign(accelerometer="a9"), "one row for each"),
-        (lambda t: t.assign(vz=1.65), "hardly answers gravity"),
+        (lambda t: t.assign(vz=1.65), "hardly responds to gravity"),
         (lambda t: t.assign(vx="?"), "no number"),
     ],
 )

@@ -1,1 +1,1 @@
-"""What making data costs, beside a foreign solver."""
+"""Benchmarks of making data, with FElupe as the reference solver."""

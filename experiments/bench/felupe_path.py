@@ -1,4 +1,4 @@
-"""The same skin, air and indenter in FElupe, stepped along the same path: what the benchmark holds the solver against.
+"""The same skin, air and indenter in FElupe, stepped along the same path: the benchmark's reference solver.
 
 FElupe brings elements, assembly, Newton's method and its linear solver; the indenter's traction, which it has not at
 quadrature points, is this project's compiled one. The board is a solid thirty thousand times as stiff.
@@ -15,7 +15,7 @@ from pipeline.skin import loads
 from pipeline.skin.mesh import Mesh
 from pipeline.skin.system import Material
 
-# Out of balance over the reaction: about the solver's own 3e-4 N.
+# Residual force over the reaction: about the solver's own tolerance, 3e-4 N.
 TOLERANCE = 1e-4
 SHORTEST_PART = 1 / 16
 
@@ -51,7 +51,7 @@ class Contact:
         forces = np.zeros_like(places)
         size = places.size
         rows, columns, values = [], [], []
-        # Faces whose nodes are all well away cannot be touched.
+        # Faces whose nodes are all far from the indenter are not in contact.
         near = np.hypot(*(places[self.elements[:, 4]] - self.centre)[:, :2].T) < self.law[0] + 8.0
         for element, area in zip(self.elements[near], self.areas[near], strict=True):
             force, block = np.zeros((3, 8, 1)), np.zeros((8, 8, 3, 3, 1))

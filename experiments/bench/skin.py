@@ -1,4 +1,4 @@
-"""What making data costs: the skin's solver beside FElupe, workers, memory, synthetic signal.
+"""Benchmarks of making data: the skin's solver beside FElupe, workers, memory, synthetic signal.
 
 Every benchmark runs on one thread and returns its figures by name; `BENCHMARKS` lists them. The environment is to say
 OMP_NUM_THREADS=1 before Python starts, so that no library takes more.
@@ -26,7 +26,7 @@ SLIDING_MPA = 1e-3
 WORKER_LINES = 6
 # Positions of the line beside FElupe: before the first it is not counted, from the second on FElupe has SciPy's solver.
 COUNTED = (6, 9, 12)
-# FElupe's seconds smooth out a busy machine; the solver's tenths do not, and are taken in the middle of several runs.
+# FElupe takes seconds, which average over a machine's load; the solver tenths, of which the median is taken.
 OWN_RUNS = 7
 SLIDES = 120
 
@@ -75,7 +75,7 @@ def solver_against_felupe() -> dict[str, float]:
 
 
 def sliding() -> dict[str, float]:
-    """Positions a core-second of one line of the article's sensor at 1 kPa, contact and friction in."""
+    """Positions a core-second of one line of the article's sensor at 1 kPa, with contact and friction."""
     sensor = read_sensor(DEFAULT_SENSOR)
     inflated = skin_of(sensor).inflate(SLIDING_MPA)
     began = time.process_time()
@@ -109,8 +109,8 @@ def two_workers() -> dict[str, float]:
 
 
 def synthetic_signal() -> dict[str, float]:
-    """Seconds of 1 kHz three-axis signal a core-second, all of the default distribution in."""
-    # Not with the module: a worker, whose memory is measured, has no use for tables and their libraries.
+    """Seconds of 1 kHz three-axis signal a core-second, with every effect of the default distribution."""
+    # Imported here: workers, whose memory is measured, do not need it.
     from pipeline.synthesis.synthesize import synthetic_slides
 
     list(synthetic_slides(2, 0))
@@ -143,13 +143,13 @@ def _peak_mb(sensor: Sensor) -> float:
     _coarse_line(sensor)
     status = Path("/proc/self/status")
     if status.exists():
-        # Not the resource usage's: a worker inherits that from the process it was forked from.
+        # From /proc: a worker inherits the peak of `getrusage` from the process it was forked from.
         return int(status.read_text().split("VmHWM:")[1].split()[0]) / 1024
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 
 
 def run_all() -> dict[str, float]:
-    """Every benchmark's figures, to four digits; says on standard error which is under way."""
+    """Every benchmark's figures, to four digits; says on standard error which one runs."""
     figures: dict[str, float] = {}
     for name, benchmark in BENCHMARKS.items():
         print(f"softslide bench: {name}", file=sys.stderr)

@@ -1,4 +1,4 @@
-"""One table with every baseline: fitted to the same calibration slides, read out alike on the same test slides.
+"""Every baseline in one table: fitted to the same calibration slides, scored on the same test slides.
 
 Writes comparison.csv, comparison.md, times.csv, efficiency.csv and figures. Below OUT each folder of recordings has
 its bundles and readouts; what an earlier run has left there, of the same configuration and data, is taken up again.
@@ -47,19 +47,19 @@ def compare(recordings: Sequence[Path], out: Path, models: Sequence[str] = MODEL
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"{out}: cannot be written ({error.strerror}); name another folder") from None
-    # At these sizes threads wait for each other more than they work.
+    # At these sizes more threads are slower.
     torch.set_num_threads(1)
     store = f"sqlite:///{out / 'mlflow.db'}"
     studies = [Study(folder, out / name, store, jobs) for folder, name in zip(recordings, names, strict=True)]
     for study in studies:
-        # Both are read before minutes are spent on either.
+        # Both are read before any work, so that bad input is found at once.
         _ = study.taught, study.scored
     found = {study.place.name: compare_on(study, models) for study in studies}
     _write(found, out)
 
 
 def compare_on(study: Study, models: Sequence[str]) -> Findings:
-    """One folder's figures. A model that its sensor does not suit is left out.
+    """One folder's figures. A model that does not support the sensor is left out.
 
     Raises:
         InputError: no model suits it.

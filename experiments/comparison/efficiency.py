@@ -1,4 +1,4 @@
-"""How near an estimator's errors come to the least that any can have: the Cramer-Rao bound of the calibrated map.
+"""Errors of estimators relative to the Cramer-Rao bound of the calibrated map.
 
 The bound is computed at each window's true line with gain and zero unknown within their spread and the depth known, and
 holds for the map and the noise that the calibration found: a sensor that repeats better than its calibration says may
@@ -15,7 +15,7 @@ from models.cnn.cramer_rao import cramer_rao
 from models.response_map.map import ResponseMap
 from pipeline.recordings.windows import LabelledWindows
 
-# Estimators of the map's line, which the bound is one of.
+# Models whose errors the map's bound applies to.
 COMPARED = ("inversion", "cnn")
 QUANTITIES = ("direction_deg", "log_speed", "offset_mm")
 DISTANCE_MM = (0.0, 5.0, 10.0, 15.0, 22.5)
@@ -25,8 +25,8 @@ SAME_DEPTH_MM = 0.02
 
 
 def bound(response: ResponseMap, block_s: float, windows: LabelledWindows) -> pd.DataFrame:
-    """One row a window of the calibration's depth: `recording`, `stroke_fraction`, and the least deviations, as
-    `<quantity>_bound`."""
+    """One row a window of the calibration's depth: `recording`, `stroke_fraction`, and the bounds,
+    standard deviations, as `<quantity>_bound`."""
     known = (np.abs(windows.depth_mm - response.depth_mm) <= SAME_DEPTH_MM) & (
         windows.stroke_fraction > EARLIEST - 0.05
     )

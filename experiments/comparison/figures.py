@@ -14,7 +14,7 @@ QUANTITIES = {
     "offset_mean_mm": "distance error, mm",
 }
 RATIOS = {"direction_deg_ratio": "direction", "log_speed_ratio": "speed", "offset_mm_ratio": "distance"}
-# A mean of fewer valid estimates than this share of the slides says little of the others: it is drawn hollow.
+# A mean over a smaller share of valid slides than this is drawn hollow.
 FEW = 0.5
 
 
@@ -88,7 +88,7 @@ def efficiency(table: pd.DataFrame) -> str:
 
 
 def _look(model: str) -> dict:
-    """The default model black and bold, the others each a colour that does not depend on who else is there."""
+    """The default model in bold black; each other model in a colour of its own, in every figure."""
     others = ("interpolation", "trees", "mlp", "gp", "minirocket", "inversion")
     if model in others:
         return {"color": COLOURS[others.index(model)], "linewidth": 1.4}
@@ -96,7 +96,7 @@ def _look(model: str) -> dict:
 
 
 def _line(ax: Axes, part: pd.DataFrame, column: str, model: str) -> None:
-    # An error of nothing at all, as of a direction that is one of four, has no place on a logarithmic scale.
+    # An error of exactly zero, as of one of four directions, cannot be shown on a logarithmic scale.
     part = part[part[column] > 0]
     ax.plot(part["stroke_fraction"], part[column], **_look(model))
     face = np.where(part["valid_share"] < FEW, "white", _look(model)["color"])

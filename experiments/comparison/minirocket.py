@@ -92,6 +92,6 @@ def environment() -> Path:
         except (OSError, subprocess.CalledProcessError) as error:
             said = (getattr(error, "stderr", None) or str(error)).strip().splitlines()[-1]
             raise InputError(f"{folder}: no environment for MiniRocket ({said}); leave it out") from None
-    # Written last: without it a half-built environment is built anew.
+    # Written last: an incomplete environment lacks it and is built again.
     built.write_text(wanted, encoding="utf-8")
     return python

@@ -1,4 +1,4 @@
-"""Every baseline fitted to one folder's calibration slides and read out on its test slides; what is done is kept."""
+"""Every baseline fitted to one folder's calibration slides and read out on its test slides; results are cached."""
 
 import json
 import time
@@ -33,16 +33,16 @@ from serve.bench.runtime import one_node
 from serve.localizer import Localizer
 
 MODELS = ("interpolation", "trees", "mlp", "gp", "minirocket", "inversion", "cnn")
-# The inversion is believed by its own deviations, which are taken at their word: 90 % of a normal distribution.
+# The inversion's intervals are its own standard deviations, for 90 % of a normal distribution.
 INVERSION_VALIDITY = Validity(misfit=20.0, direction_sd_deg=6.0, log_speed_sd=0.1)
 NORMAL = {name: Interval(HALF_WIDTH_SD, 0.0) for name in ("direction_deg", "log_speed", "offset_mm")}
-# Windows whose time is taken: of what answers within a millisecond or so, and of the inversion.
+# Windows timed: of models that take about a millisecond, and of the inversion.
 TIMED, TIMED_SLOW = 200, 20
 
 
 @dataclass(frozen=True)
 class Study:
-    """One folder's comparison: its recordings, and where what is made of them is kept.
+    """One folder's comparison: its recordings, and the folder of cached results.
 
     store: an MLflow tracking URI. jobs: recordings that a bundle reads at a time.
     """
@@ -54,29 +54,29 @@ class Study:
 
     @cached_property
     def taught(self) -> Folder:
-        """What every model is fitted to, and nothing else."""
+        """The recordings that every model is fitted to."""
         return self._labelled("calibration", "train")
 
     @cached_property
     def scored(self) -> Folder:
-        """What every model is read out on."""
+        """The recordings that every model is scored on."""
         return self._labelled("test")
 
     @cached_property
     def windows(self) -> LabelledWindows:
-        """The scored slides at each stroke fraction, as a device saw them."""
+        """The scored slides' windows at each stroke fraction, as the runtime makes them."""
         return labelled_windows(self.scored)
 
     @cached_property
     def calibrated(self) -> CalibratedMap:
-        """What lies inside the default model: the same calibration once more, without its network."""
+        """The default model's calibration without its network."""
         c = CnnConfig()
         atlas = design_of(self.taught, None)
         return calibrated_map(self.taught, atlas, c.conditioning, c.calibration, c.spread)
 
     @cached_property
     def hashes(self) -> dict[str, Any]:
-        """Of what is learnt from and what is scored."""
+        """Hash of the recordings that are learnt from and scored."""
         return {"taught": tracking.data_hashes(self.taught), "scored": tracking.data_hashes(self.scored)}
 
     def _labelled(self, *splits: str) -> Folder:
@@ -126,7 +126,7 @@ def read_out(study: Study, model: str) -> Readout:
 def kept(
     place: Path, of: dict[str, Any], make: Callable[[], tuple[pd.DataFrame, dict[str, float]]]
 ) -> tuple[pd.DataFrame, dict[str, float]]:
-    """The table and the figures that an earlier run made `of` the same and left in this place; else made now."""
+    """The table and the figures of an earlier run with the same `of`; else made now."""
     table, note, of = place / "table.parquet", place / "made.json", json.loads(json.dumps(of))
     if note.exists() and (made := json.loads(note.read_text(encoding="utf-8")))["of"] == of:
         return pd.read_parquet(table), made["figures"]
@@ -139,13 +139,13 @@ def kept(
 
 
 def map_settings() -> dict[str, Any]:
-    """What decides the calibrated map, besides the slides."""
+    """The settings of the calibrated map."""
     config = CnnConfig()
     return {name: asdict(getattr(config, name)) for name in ("conditioning", "calibration", "spread")}
 
 
 def _trained(study: Study, model: str) -> Path:
-    """The model's bundle; the one that is there, if it was made of the same configuration and data."""
+    """The model's bundle; a cached one if it was made from the same configuration and data."""
     bundle = study.place / model / "bundle"
     settings = json.loads(json.dumps(asdict(default_config(model))))
     if (bundle / "model.json").exists():

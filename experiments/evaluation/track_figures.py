@@ -78,7 +78,7 @@ def _since_touch(track: Track) -> pd.DataFrame:
 
 
 def _chosen(followed: Sequence[Track]) -> list[Track]:
-    """Best, middle and worst; what has no estimate at all is worst."""
+    """Best, middle and worst recording; one without any estimate is the worst."""
 
     def error(track: Track) -> float:
         median = summarize([track.judged])["position"]["median"]
@@ -119,7 +119,7 @@ def _against_time(ax: Axes, track: Track, column: str, unit: str) -> None:
     ax.plot(_thinned(true)["time_s"], _thinned(true)[f"true_{column}"], ".", color=_TRUE, markersize=2)
     values = said[column]
     if column == "direction_deg":
-        # Drawn beside the truth, not a whole turn away.
+        # Within 180 degrees of the truth.
         values = said["true_direction_deg"] + said["direction_error"]
     ax.plot(said["time_s"], values, ".", color=_SAID, markersize=2)
     if column == "speed_mm_s" and len(true):

@@ -1,4 +1,4 @@
-"""How well a contact is followed: a bundle's estimates, block by block, held against the truth of a recording.
+"""Scores of a followed contact: a bundle's estimates, block by block, against the truth of a recording.
 
 An estimate counts where it is *live*: valid, in state `slide`. What it says of direction, speed and offset is judged
 where the contact moves at `MOVING_MM_S` or more; the rest wherever something touches. The offset is the tangent's.
@@ -19,7 +19,7 @@ from pipeline.recordings.folder import Folder
 from pipeline.recordings.truth import truth_path
 from serve.records import record
 
-# Slower than this a contact stands, and has no direction.
+# Below this speed a contact counts as standing, without a direction.
 MOVING_MM_S = 0.2
 # An estimate is wrong where an error exceeds this many half widths of its 90 % interval, or one of the two below.
 WRONG_HALF_WIDTHS = 3.0
@@ -43,7 +43,7 @@ _COLUMNS = [f"{stem}{end}_{unit}" for stem, unit in BOUNDED for end in ("", "_lo
 
 @dataclass(frozen=True)
 class Track:
-    """One recording: what was so, and what was said of it, a row a moment of each."""
+    """One recording: its truth and its estimates, a row a moment."""
 
     name: str
     split: str
@@ -92,7 +92,7 @@ def estimate_table(records: Sequence[dict[str, Any]]) -> pd.DataFrame:
 
 
 def judge(said: pd.DataFrame, truth: pd.DataFrame, reference_mm: tuple[float, float]) -> pd.DataFrame:
-    """One row for each estimate: what it says, `true_*` at its moment, errors, and what is wrong about it.
+    """One row for each estimate: the estimate, `true_*` at its moment, errors, and whether it is wrong.
 
     said: as `estimate_table` returns it. Errors are signed but the position's, in the units of `QUANTITIES`. `*_held`
     is the share of the quantity's intervals, of one or two of them, that hold the truth: NaN where there is none.
@@ -183,7 +183,7 @@ def line(split: str, row: dict[str, Any]) -> str:
 
 
 def _true_at(time_s: np.ndarray, truth: pd.DataFrame, reference_mm: tuple[float, float]) -> pd.DataFrame:
-    """What was so at (n,) s, in the columns of `BOUNDED`; direction, speed and offset are the tangent's."""
+    """The truth at (n,) s, in the columns of `BOUNDED`; direction, speed and offset are the tangent's."""
     clock = truth["time_s"].to_numpy()
     names = ("x_mm", "y_mm", "vx_mm_s", "vy_mm_s", "depth_mm")
     true = pd.DataFrame({name: np.interp(time_s, clock, truth[name].to_numpy(float)) for name in names})
@@ -202,7 +202,7 @@ def _touching(time_s: np.ndarray, truth: pd.DataFrame) -> np.ndarray:
 
 
 def _from_middles(said: pd.DataFrame, true: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """How far the truth is from the middle of each interval, and half its width; NaN where there is none."""
+    """Distance of the truth from the middle of each interval, and the half width; NaN where there is none."""
     columns = {
         _column(stem): (said[f"{stem}_lo_{unit}"], said[f"{stem}_hi_{unit}"]) for stem, unit in BOUNDED
     }

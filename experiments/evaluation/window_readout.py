@@ -61,7 +61,7 @@ def window_predictions(predict: Predict, card: Card, folder: Folder) -> pd.DataF
 
 
 class _Noted:
-    """Stands where the runtime has its ONNX session: notes each window asked about, answers with its row if known."""
+    """In place of the runtime's ONNX session: records each window and returns its row if it is known."""
 
     def __init__(self, outputs: int) -> None:
         self.windows: dict[bytes, tuple[np.ndarray, float]] = {}

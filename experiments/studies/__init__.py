@@ -1,1 +1,1 @@
-"""Studies of one question each."""
+"""Studies, a question each."""

@@ -1,4 +1,4 @@
-"""How few recordings will do: the response map from so many calibration slides, inverted on every test slide.
+"""Accuracy with few recordings: the response map from a number of calibration slides, inverted on every test slide.
 
 No network is trained: the recordings determine the map, and its inversion by least squares (models/cnn/inversion.py)
 shows how accurate it is.

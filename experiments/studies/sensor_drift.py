@@ -1,4 +1,4 @@
-"""How much worse a bundle gets on a sensor that has drifted: recordings with a drift added, and without."""
+"""Errors of a bundle on a sensor that has drifted: recordings with a drift added, and without."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -32,7 +32,7 @@ def zero_shift(volts: np.ndarray, time_s: np.ndarray, sensor: Sensor) -> tuple[n
 
 
 def gain(volts: np.ndarray, time_s: np.ndarray, sensor: Sensor) -> tuple[np.ndarray, np.ndarray]:
-    """Every channel answers 5 % more to the same acceleration, gravity included."""
+    """Every channel's gain is 5 % higher, gravity included."""
     zero = _zero(sensor)
     return zero + GAIN * (volts - zero), time_s
 
@@ -78,7 +78,7 @@ def errors(localizer: Localizer, folder: Folder, drift: Drift) -> Iterator[dict[
 
 
 def drift(bundle: Path, recordings: Path, every: int = 1) -> dict[str, dict[str, float]]:
-    """`study` of every so manyth labelled recording of a folder's test splits.
+    """`study` of every n-th labelled recording of a folder's test splits.
 
     Raises:
         InputError: the bundle or the folder is not valid, it has no such recording, or `every` is below 1.

@@ -37,7 +37,7 @@ ERRORS, FAULT = "errors", "fault"
 
 
 def sweep(config: Path, store: str | None = None) -> str:
-    """Searches until the budget is spent; the best settings as TOML for `train --config`.
+    """Searches until the budget is used up; the best settings as TOML for `train --config`.
 
     config: as in experiments/sweep/space.py. store: as in `tracking.tracked`.
 
@@ -67,7 +67,7 @@ def sweep(config: Path, store: str | None = None) -> str:
 
 @contextmanager
 def _journal(path: Path) -> Iterator[Path]:
-    """The journal for this process alone, without the torn line that a killed one may have left.
+    """The journal for this process alone, without an incomplete last line that a killed process may have left.
 
     Raises:
         InputError: another process has it, or it cannot be written.
@@ -87,7 +87,7 @@ def _journal(path: Path) -> Iterator[Path]:
 
 
 def _study(plan: Sweep, data: Mapping[str, str], journal: Path) -> optuna.Study:
-    """The study of this very search; trials that were under way when it was stopped wait to begin again."""
+    """The study of this search; trials that were interrupted are queued again."""
     what = [
         plan.model,
         plan.settings,
@@ -98,7 +98,7 @@ def _study(plan: Sweep, data: Mapping[str, str], journal: Path) -> optuna.Study:
     name = f"{plan.model}-{hashlib.sha256(json.dumps(what, sort_keys=True).encode()).hexdigest()[:12]}"
     storage = JournalStorage(JournalFileBackend(str(journal)))
     study = optuna.create_study(storage=storage, study_name=name, load_if_exists=True)
-    # A sampler that begins anew would draw the same first trials again.
+    # A sampler with the same seed would draw the same first trials again.
     study.sampler = optuna.samplers.TPESampler(seed=len(study.trials))
     for trial in study.get_trials(states=[TrialState.RUNNING]):
         study.tell(trial.number, state=TrialState.FAIL)
@@ -107,7 +107,7 @@ def _study(plan: Sweep, data: Mapping[str, str], journal: Path) -> optuna.Study:
 
 
 def _trials(plan: Sweep, study: optuna.Study, folder: Folder, design: Atlas | None) -> Iterator[FrozenTrial]:
-    """Asks, hands out, and tells; yields each trial as it ends."""
+    """Asks for trials, runs them on workers, and reports their results; yields each trial as it ends."""
     until = time.monotonic() + plan.budget.seconds
     ended = sum(t.state is TrialState.COMPLETE or FAULT in t.user_attrs for t in study.trials)
     if ended:

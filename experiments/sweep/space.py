@@ -1,4 +1,4 @@
-"""What a sweep's TOML says: what to fit to what, how much may be spent, and which settings are searched where.
+"""A sweep's TOML: model and data, budget, and the search space of its settings.
 
 model = "trees"
 recordings = "my-recordings"                # from the folder that the command runs in, as on the line

@@ -1,4 +1,4 @@
-"""One trial of a sweep: a fit, judged on calibration lines that it was not fitted to. What a worker process imports."""
+"""One trial of a sweep: a fit, judged on held-out calibration lines. Imported by worker processes."""
 
 import math
 import os
@@ -13,7 +13,7 @@ from pipeline.recordings.folder import Folder
 
 
 def follow_parent() -> None:
-    """Ends this worker when the process that asked for its trials is gone, however that went."""
+    """Ends this worker when the parent process has ended, for whatever reason."""
     parent = os.getppid()
 
     def watch() -> None:
@@ -42,5 +42,5 @@ def held_out_errors(model: str, folder: Folder, settings: Any, atlas: Atlas | No
 
 
 def overall(errors: dict[str, float]) -> float:
-    """The errors' geometric mean: a tenth off any of them counts alike, whatever its unit."""
+    """The errors' geometric mean: an improvement of a tenth counts alike in each."""
     return math.exp(sum(math.log(max(error, 1e-9)) for error in errors.values()) / len(errors))

@@ -27,7 +27,7 @@ class Conditioning:
         its harmonics (the first null of a boxcar lies at 1 / block_s).
     rest_blocks: memory of the static output in blocks (30 s): a mean at first, then an exponential average, so that
         it follows temperature and pressure. With 3 s it ran after slow slides (experiments/LOG.md).
-    calm_v: a mean further from the static output than this, in V, moves it at a tenth of the pace.
+    calm_v: a mean further from the static output than this, in V, changes it at a tenth of the rate.
     trigger_blocks, trigger_v: a slide begins when the mean of `trigger_blocks` blocks of some V_x or V_y leaves the
         static output by `trigger_v` V (ten standard deviations of the noise).
     release_v: a slide is over when every V_x and V_y has stayed this close to the static output, in V; below

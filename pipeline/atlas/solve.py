@@ -16,6 +16,7 @@ from pipeline.atlas.line_store import LineStore, Task
 from pipeline.progress import progress_bar
 from pipeline.sensor import Sensor, check_design, design_hash, design_of, read_sensor
 from pipeline.skin.lines import (
+    Line,
     gravity,
     join_families,
     lines,
@@ -33,7 +34,7 @@ from pipeline.skin.system import State
 class Grid:
     """How finely an atlas is solved. Lengths in mm.
 
-    The step along a line is what continuation bears; lines are further apart, the response being smooth.
+    The step along a line is one that continuation converges with; lines lie further apart, as the response is smooth.
     """
 
     depth_mm: tuple[float, ...] = (0.2, 0.6, 1.2)
@@ -61,6 +62,10 @@ class Grid:
 
 COARSE = Grid(depth_mm=(0.3, 1.0), line_mm=5.0, steps_per_line=4)
 Progress = Callable[[Iterable[Any], int], Iterable[Any]]
+# Solved lines: values (n, channels) and what they cost.
+Done = dict[Task, tuple[np.ndarray, dict[str, float]]]
+# `direction_deg` of a line's axis and sense.
+HEADING_DEG = {(0, 1): 0.0, (0, -1): 180.0, (1, 1): 90.0, (1, -1): 270.0}
 
 
 def coarse(sensor: Sensor) -> Sensor:
@@ -196,7 +201,7 @@ def _solve(task: Task, call: tuple) -> tuple[Task, np.ndarray, dict[str, float]]
 
 
 def _parallel(jobs: list[tuple[Task, tuple]], workers: int, backend: str) -> Iterator[Any]:
-    """Results as they come; in this process when one worker is asked for."""
+    """Results in the order they finish; in this process when one worker is asked for."""
     if workers == 1 and backend == "loky":
         yield from (_solve(*job) for job in jobs)
         return
@@ -220,10 +225,10 @@ def _gather(
     sensor: Sensor,
     grid: Grid,
     levels: list[tuple[float, State]],
-    done: dict[Task, tuple[np.ndarray, dict[str, float]]],
+    done: Done,
     grids: tuple[np.ndarray, ...],
 ) -> Atlas:
-    """The lines' results, mirrored where symmetry allows, on one grid."""
+    """The lines' results on one grid, without the cells next to a position that was not solved."""
     x, y, line_y, line_x = grids
     channels = next(iter(done.values()))[0].shape[1]
     shape = (len(x), len(y), len(grid.depth_mm), len(levels))
@@ -232,51 +237,70 @@ def _gather(
     heights = [skin_of(sensor).height(state) for _, state in levels]
     failed = []
     for level, depth in np.ndindex(len(levels), len(grid.depth_mm)):
-        families = (
-            np.zeros((2, len(x), len(line_y), channels)),
-            np.zeros((2, len(line_x), len(y), channels)),
-        )
-        for line in lines((line_x, line_y), sensor):
-            solved, axes = representative(line, sensor)
-            values = done[level, depth, solved][0]
-            for axis in axes:
-                values = mirror(values, line, axis, sensor)
-            along = (x, y)[line.axis]
-            missing = np.isnan(values[:, 0])
-            for at in along[missing]:
-                place = (at, line.offset_mm) if line.axis == 0 else (line.offset_mm, at)
-                heading = {(0, 1): 0.0, (0, -1): 180.0, (1, 1): 90.0, (1, -1): 270.0}[line.axis, line.sense]
-                failed.append([*map(float, place), heading, grid.depth_mm[depth], heights[level]])
-                near = [np.abs(g - p) <= grid.line_mm + 1e-9 for g, p in zip((x, y), place, strict=True)]
-                valid[(*np.ix_(*near), depth, level)] = False
-            # Only so that the spline beyond the invalid cells has something to go by.
-            values = np.where(missing[:, None], 0.0, values)
-            side = (1 - line.sense) // 2
-            if line.axis == 0:
-                families[0][side][:, np.searchsorted(line_y, line.offset_mm - 1e-9)] = values
-            else:
-                families[1][side][np.searchsorted(line_x, line.offset_mm - 1e-9)] = values
-        parts[:, :, :, depth, level] = join_families(
-            (families[0][0], families[0][1]), (families[1][0], families[1][1]), grids
-        )
-    meta = {
+        solved = {
+            line: _line_values(line, level, depth, done, sensor) for line in lines((line_x, line_y), sensor)
+        }
+        parts[:, :, :, depth, level] = _on_grid(solved, grids)
+        for line, place in _not_solved(solved, x, y):
+            heading = HEADING_DEG[line.axis, line.sense]
+            failed.append([*map(float, place), heading, grid.depth_mm[depth], heights[level]])
+            near = [np.abs(g - p) <= grid.line_mm + 1e-9 for g, p in zip((x, y), place, strict=True)]
+            valid[(*np.ix_(*near), depth, level)] = False
+    statics = np.array([gravity(state.rotations) for _, state in levels])
+    pressures = np.array([p for p, _ in levels])
+    meta = _meta(sensor, grid, done, failed)
+    return Atlas(x, y, np.array(grid.depth_mm), pressures, np.array(heights), statics, parts, valid, meta)
+
+
+def _line_values(line: Line, level: int, depth: int, done: Done, sensor: Sensor) -> np.ndarray:
+    """One line's channels (n, channels), mirrored from the line that was solved instead of it; NaN where it failed."""
+    solved, axes = representative(line, sensor)
+    values = done[level, depth, solved][0]
+    for axis in axes:
+        values = mirror(values, line, axis, sensor)
+    return values
+
+
+def _not_solved(
+    solved: dict[Line, np.ndarray], x: np.ndarray, y: np.ndarray
+) -> Iterator[tuple[Line, tuple[float, float]]]:
+    """The lines' positions without an equilibrium, each as its line and its place (x, y) mm."""
+    for line, values in solved.items():
+        for at in (x, y)[line.axis][np.isnan(values[:, 0])]:
+            yield line, (at, line.offset_mm) if line.axis == 0 else (line.offset_mm, at)
+
+
+def _on_grid(solved: dict[Line, np.ndarray], grids: tuple[np.ndarray, ...]) -> np.ndarray:
+    """The mean and the friction parts (3, x, y, channels) of two crossing families of lines."""
+    x, y, line_y, line_x = grids
+    channels = next(iter(solved.values())).shape[1]
+    along_x = np.zeros((2, len(x), len(line_y), channels))
+    along_y = np.zeros((2, len(line_x), len(y), channels))
+    for line, values in solved.items():
+        # Zeros keep the splines finite; the cells that they reach are not valid.
+        values = np.where(np.isnan(values[:, :1]), 0.0, values)
+        side = (1 - line.sense) // 2
+        if line.axis == 0:
+            along_x[side][:, np.searchsorted(line_y, line.offset_mm - 1e-9)] = values
+        else:
+            along_y[side][np.searchsorted(line_x, line.offset_mm - 1e-9)] = values
+    return join_families((along_x[0], along_x[1]), (along_y[0], along_y[1]), grids)
+
+
+def _meta(sensor: Sensor, grid: Grid, done: Done, failed: list[list[float]]) -> dict[str, Any]:
+    """What an atlas says of its origin: design, mesh, grid, cost, failures."""
+    skin = skin_of(sensor)
+    return {
         "design": design_of(sensor),
         "design_hash": design_hash(sensor),
         "reach_mm": list(reach_mm(sensor)),
-        "mesh": {
-            **asdict(sensor.mesh),
-            "nodes": len(skin_of(sensor).mesh.nodes),
-            "unknowns": skin_of(sensor).system.size,
-        },
+        "mesh": {**asdict(sensor.mesh), "nodes": len(skin.mesh.nodes), "unknowns": skin.system.size},
         "grid": asdict(grid),
         "tolerance_n": TOLERANCE_N,
         "statistics": _sum_statistics([s for _, s in done.values()]),
         "rest_error_g": _rest_error(done, len(sensor.accelerometers)),
         "failed": failed,
     }
-    statics = np.array([gravity(state.rotations) for _, state in levels])
-    pressures = np.array([p for p, _ in levels])
-    return Atlas(x, y, np.array(grid.depth_mm), pressures, np.array(heights), statics, parts, valid, meta)
 
 
 def _sum_statistics(rows: list[dict[str, float]]) -> dict[str, float]:
@@ -284,7 +308,7 @@ def _sum_statistics(rows: list[dict[str, float]]) -> dict[str, float]:
     return {**total, "lines": len(rows), "deepest_mm": max(row["deepest_mm"] for row in rows)}
 
 
-def _rest_error(done: dict[Task, tuple[np.ndarray, dict[str, float]]], boards: int) -> float:
+def _rest_error(done: Done, boards: int) -> float:
     """The largest tilt in g left at either end of any line, where the skin must be at rest again."""
     ends = [values[[0, -1], : 7 * boards].reshape(2, boards, 7)[..., :3] for values, _ in done.values()]
     return float(np.nanmax(np.abs(ends)))

@@ -63,9 +63,9 @@ class Signal:
 
 @dataclass(frozen=True)
 class Board:
-    """`[boards.a0]`: how an accelerometer is mounted, and what it was calibrated to.
+    """`[boards.a0]`: how an accelerometer is mounted, and its calibration.
 
-    flip: outputs whose sign is turned, before the board is turned. turn_deg: the board's x axis seen from the
+    flip: outputs whose sign is inverted, before the rotation. turn_deg: the board's x axis seen from the
     skin's, counter-clockwise. calibration: a six-position file, beside the map.
     """
 

@@ -1,4 +1,4 @@
-"""What was done in a recording: from a fixed value, a column, the file's name or a sheet."""
+"""Labels of a recording: from a fixed value, a column, the file's name or a sheet."""
 
 from collections.abc import Mapping
 from pathlib import Path

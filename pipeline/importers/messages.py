@@ -1,4 +1,4 @@
-"""What an import did that its user should know: signs flipped and why, clocks resampled, moments moved."""
+"""Messages on an import: signs flipped and why, clocks resampled, moments of motion moved."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -8,7 +8,7 @@ import numpy as np
 from pipeline.importers.import_map import Map
 from pipeline.importers.units import nominal
 
-# Mean agreement below which the labelled slides show an output to be inverted; well-wired ones reach +0.9.
+# Mean agreement below which the labelled slides show an output to be inverted; correctly wired ones reach +0.9.
 INVERTED = -0.4
 
 

@@ -1,4 +1,4 @@
-"""When the skin begins to bend, in a recording alone: to set a stage's moments onto the DAQ's clock."""
+"""The onset of a slide, from its signal alone; it relates the stage's clock to the DAQ's."""
 
 import numpy as np
 
@@ -11,11 +11,11 @@ INSIDE_MM = 3.5
 
 
 def onset_s(recording: Recording) -> float:
-    """The moment at which the outputs leave their rest, in s of the recording; NaN if they never do.
+    """The moment at which the outputs leave their rest values, in s of the recording; NaN if they never do.
 
     The deviation is the root mean square over the outputs of 20 ms means, less their mean over the first
     half second. It counts once it stays above a fifth of its peak for a fifth of a second (drift and ripple
-    do not); the onset is where it last lay below a tenth.
+    do not stay so); the onset is where it last lay below a tenth.
     """
     rate = (len(recording.time_s) - 1) / (recording.time_s[-1] - recording.time_s[0])
     block = max(round(BLOCK_S * rate), 1)

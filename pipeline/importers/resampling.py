@@ -1,4 +1,4 @@
-"""Times as a file counts them -> an even clock at the sensor's rate, chunk by chunk.
+"""Times of a file to an even clock at the sensor's rate, chunk by chunk.
 
 A recording may come in several streams (a file for each axis, a ROS topic for each accelerometer), each
 with times of its own. Streams that share one even clock keep their samples to the last bit. Otherwise every
@@ -19,8 +19,8 @@ from pipeline.importers.import_map import Clock
 
 # Steps that deviate by less than this portion of a step count as even.
 EVEN = 0.05
-# An irregular source may have lost or repeated this portion of its samples; beyond it the rate is another
-# one.
+# Range of the mean rate over the sensor's; an irregular source may have lost or repeated samples. Outside it
+# the rate is a different one.
 RATE_RANGE = (0.8, 1.25)
 PER_SECOND = {"s": 1, "ms": 1_000, "us": 1_000_000, "ns": 1_000_000_000, "timestamp": 1_000_000_000}
 
@@ -73,7 +73,7 @@ def checked(stream: Iterator[Samples], path: Path, clock: Clock, report: ClockRe
         if broken.any():
             bad = row + int(broken.argmax()) + 1
             raise InputError(
-                f"{path}: row {bad} has a cell that is empty or no finite number; mend or drop it"
+                f"{path}: row {bad} has a cell that is empty or no finite number; correct or drop it"
             )
         steps = np.diff(time_s, prepend=last)
         at = int(np.nanargmin(steps)) if len(steps) > 1 or row else 0

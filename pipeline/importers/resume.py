@@ -1,4 +1,4 @@
-"""What an import has finished, so that one which was interrupted goes on from there."""
+"""The journal of an import's finished recordings, from which an interrupted import resumes."""
 
 import hashlib
 import json

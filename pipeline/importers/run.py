@@ -1,7 +1,7 @@
 """The import: sources and a map in, a folder of recordings out. It resumes, and two imports are identical.
 
 Finished recordings wait in a hidden folder beside the output, with a journal that says from which files and
-with which map they were made. An import that was interrupted goes on from there; bad input removes it.
+with which map they were made. An interrupted import resumes from it; bad input removes it.
 """
 
 import json
@@ -43,7 +43,7 @@ WHOLE_SAMPLES = 2_000_000
 
 @dataclass(frozen=True)
 class Imported:
-    """What an import did: the folder, how many recordings are new, and what is worth telling."""
+    """What an import did: the folder, how many recordings are new, and its messages."""
 
     out: Path
     recordings: int
@@ -193,7 +193,7 @@ def _shift_s(recording: Recording, labels: pd.Series, sensor: Sensor) -> float:
 
 
 def _finish(jobs: Sequence[Source], mapping: Map, journal: Journal, partial: Path, out: Path) -> list[str]:
-    """Turns the finished recordings into the folder; returns what is worth telling."""
+    """Turns the finished recordings into the folder; returns its messages."""
     entries = [journal.entries[job.name] for job in jobs]
     flips, notes = inverted(entries, mapping)
     notes = [*clock_notes(entries, mapping), *mounting_notes(mapping), *notes]

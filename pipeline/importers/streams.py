@@ -36,7 +36,7 @@ class Source:
 
 @dataclass
 class Reading:
-    """What is learnt of a recording while its samples pass: clock, labels' columns, first time."""
+    """Found while a recording is read: its clock, the labels' columns, the first time."""
 
     clock: ClockReport = field(default_factory=ClockReport)
     cells: dict[str, Any] = field(default_factory=dict)

@@ -1,12 +1,12 @@
-"""From what a file holds to volts: units, calibration, the board's turn and signs.
+"""File units to volts: units, calibration, the board's rotation and signs.
 
 An accelerometer that is calibrated, turned or flipped goes through g: with readings u in volts, offsets b and
-gains M (V/g) of its calibration, its board's signs S and turn R about z,
+gains M (V/g) of its calibration, its board's signs S and rotation R about z,
 
     a = R S M^-1 (u - b),    v = zero_g + sensitivity a,
 
-so that every board comes out in the axes and with the nominal figures of `sensor.toml`. One that needs none
-of this keeps its volts to the last bit.
+so that every board comes out in the axes and with the nominal figures of `sensor.toml`. The volts of
+all others are kept to the last bit.
 """
 
 from collections.abc import Callable
@@ -83,7 +83,7 @@ def _as_volts(raw: np.ndarray, signal: Signal, part: Accelerometer) -> np.ndarra
 
 
 def _board_to_skin(board: Board) -> np.ndarray:
-    """(3, 3) R S: the signs first, then the turn about z."""
+    """(3, 3) R S: the signs first, then the rotation about z."""
     angle = np.deg2rad(board.turn_deg)
     turn = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
     return turn @ np.diag([-1.0 if axis in board.flip else 1.0 for axis in "xyz"])
@@ -101,13 +101,13 @@ def read_calibration(path: Path, accelerometer: str) -> Calibration:
     from eighteen readings, by least squares.
 
     Raises:
-        InputError: no such table, a position is missing, a board that gravity hardly moves.
+        InputError: no such table, a position is missing, an axis that hardly responds to gravity.
     """
     try:
         table = pd.read_csv(path)
     except (OSError, ValueError) as error:
         raise InputError(
-            f"{path}: not a six-position table ({' '.join(str(error).split())}); mend it"
+            f"{path}: not a six-position table ({' '.join(str(error).split())}); correct it"
         ) from None
     for column in ("accelerometer", "position", "vx", "vy", "vz"):
         if column not in table:
@@ -126,5 +126,5 @@ def read_calibration(path: Path, accelerometer: str) -> Calibration:
     solution = np.linalg.lstsq(gravity, volts, rcond=None)[0]
     gain = solution[1:].T
     if np.linalg.cond(gain) > 10:
-        raise InputError(f"{path}: {accelerometer} hardly answers gravity on one axis; measure it again")
+        raise InputError(f"{path}: {accelerometer} hardly responds to gravity on one axis; measure it again")
     return Calibration(solution[0], gain)

@@ -45,7 +45,7 @@ def read_table(path: Path) -> pd.DataFrame:
         raise InputError(f"{path}: the file is empty; write a header and one row a recording") from None
     except (pd.errors.ParserError, pd.errors.ParserWarning, UnicodeDecodeError) as error:
         reason = " ".join(str(error).split())
-        raise InputError(f"{path}: not a comma-separated table ({reason}); mend it") from None
+        raise InputError(f"{path}: not a comma-separated table ({reason}); correct it") from None
     return table.apply(lambda column: column.str.strip())
 
 

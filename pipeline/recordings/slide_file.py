@@ -97,7 +97,7 @@ def _read_csv(path: Path, columns: list[str]) -> pd.DataFrame:
         raise InputError(f"{path}: the file is empty; copy or record it again") from None
     except (pd.errors.ParserError, UnicodeDecodeError) as error:
         reason = " ".join(str(error).split())[:120]
-        raise InputError(f"{path}: not a comma-separated table ({reason}); mend it") from None
+        raise InputError(f"{path}: not a comma-separated table ({reason}); correct it") from None
     _require(path, columns, list(table.columns))
     return table
 

@@ -47,7 +47,7 @@ def read_truth(path: Path) -> pd.DataFrame:
         table = pd.read_csv(path, encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError, pd.errors.ParserError, pd.errors.EmptyDataError) as error:
         raise InputError(
-            f"{path}: no comma-separated table ({' '.join(str(error).split())}); mend it"
+            f"{path}: no comma-separated table ({' '.join(str(error).split())}); correct it"
         ) from None
     for column in COLUMNS:
         if column not in table and column not in _OPTIONAL:

@@ -1,15 +1,15 @@
 """Equilibrium by a held factor with Anderson acceleration, and continuation along the indenter's line.
 
 A factorisation costs as much as several iterations, so a factor is held, over positions too, for as long as
-Anderson's mixing converges with it faster than a new one is expected to. Each line starts from the
-inflated, untouched skin and goes on in short steps: a jump would let the rod pierce the skin into an
-equilibrium that is false and looks converged. Each search begins ahead by half of what the last step changed;
-all of it would overshoot.
+Anderson acceleration converges with it faster than a new one is expected to. Each line starts from the
+inflated, untouched skin and goes on in short steps: after a jump the rod can pierce the skin and
+converge to a false equilibrium. Each search starts from the last solution plus half of the last step's change;
+the whole change overshoots.
 
-A highly inflated skin snaps as the rod passes the dome's middle: the branch it was on ends (a pivot turns
-negative) and Newton's method circles there. A damped descent of the energy then leads to the
-branch that it would snap to: steps of (K + eta M) with eta large enough for every pivot to be positive.
-What fails even so is halved.
+A highly inflated skin snaps through as the rod passes the dome's middle: the solution branch ends (a pivot becomes
+negative) and Newton's method does not converge. A damped descent of the energy then leads to the
+branch after the snap: steps of (K + eta M) with eta large enough for every pivot to be positive.
+Steps that fail nevertheless are halved.
 """
 
 import math
@@ -28,19 +28,19 @@ CAP_MM = 0.7  # no unknown moves further in one iteration
 NEW_FACTOR_COST = 7  # held-factor iterations that assembling and factoring cost
 MOST_FACTORS = 12
 CREEP_STEPS = 80
-CREEP_START_N_MM = 1e-3  # eta: per node, about a hundredth of the skin's own stiffness
+CREEP_START_N_MM = 1e-3  # eta: per node, about a hundredth of the skin's stiffness
 PIERCED = 0.6  # of the indenter's radius: deeper than any posture that holds, half way to coming out beyond
 LONGEST_STEP_MM = 1.25  # of the indenter; a longer one is a jump
 SHORTEST_STEP_MM = 0.05  # before a position is given up
 LEAD = 0.5  # of the last step's change, taken as the start of the next
 AIR_STEP_MPA = 2e-4
-BALLOON = 0.4  # of the chamber's width: a skin as high as this has passed its limit
+BALLOON = 0.4  # of the chamber's width: a skin this high is beyond its limit point
 HEIGHT_TOLERANCE_MM = 1e-3
 STATIC_TOLERANCE_N = 1e-6  # everything is measured against the untouched skin
 
 
 class NoEquilibrium(Exception):
-    """No equilibrium was found from where the search began."""
+    """No equilibrium was found from the start of the search."""
 
 
 @dataclass

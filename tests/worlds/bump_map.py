@@ -1,4 +1,4 @@
-"""A response map with a formula: a board that tilts towards the contact, with a little friction."""
+"""A response map with a formula: a board that tilts towards the contact, with slight friction."""
 
 import numpy as np
 

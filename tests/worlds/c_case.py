@@ -34,7 +34,7 @@ int main(void)
 
 
 def any_card(folder: Path) -> Card:
-    """The code has names, units and an example from it."""
+    """The card that the generated code takes names, units and an example from."""
     return read_card(write_small_bundle(folder / "b", a_sensor()) / "model.json")
 
 

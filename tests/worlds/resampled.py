@@ -1,4 +1,4 @@
-"""The same recordings as a data acquisition of another rate gives them."""
+"""The same recordings at another sample rate."""
 
 from dataclasses import replace
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Synthetic windows of a board that leans towards a contact: smooth, known in every symmetry, and instant to make."""
+"""Synthetic windows of a board that tilts towards a contact, by a formula with known symmetries."""
 
 import numpy as np
 

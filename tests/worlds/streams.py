@@ -1,4 +1,4 @@
-"""Made-up streams of one or several accelerometers: rest with noise, slides, touches. Seeded."""
+"""Generated streams of one or several accelerometers: rest with noise, slides, touches. Seeded."""
 
 import numpy as np
 

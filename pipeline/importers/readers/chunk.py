@@ -27,7 +27,7 @@ def guarded(path: Path, kind: str, chunks: Iterator[Chunk]) -> Iterator[Chunk]:
     """The chunks of a reader, with whatever a broken file makes its library raise turned into one line.
 
     Libraries that parse bytes raise anything on bytes that are broken (struct.error, KeyError, OSError, ...),
-    so nothing narrower than Exception would hold.
+    so nothing narrower than Exception is enough.
     """
     try:
         yield from chunks

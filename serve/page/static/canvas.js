@@ -18,7 +18,7 @@ export function colours() {
   return Object.fromEntries(names.map((name) => [name, style.getPropertyValue(`--${name}`).trim()]));
 }
 
-// Through the points; those with a number that is not known are passed over.
+// A line through the points; points with an unknown number are left out.
 export function stroke(context, points, colour, width = 1, dash = []) {
   context.beginPath();
   for (const [x, y] of points) context.lineTo(x, y);
@@ -29,7 +29,7 @@ export function stroke(context, points, colour, width = 1, dash = []) {
   context.setLineDash([]);
 }
 
-// A number with so many digits and a true minus sign; a dash for none.
+// A number with the given digits and a typographic minus sign; a dash if it is unknown.
 export function number(value, digits = 0) {
   if (!Number.isFinite(value)) return "–";
   const text = value.toFixed(digits);

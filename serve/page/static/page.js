@@ -1,4 +1,4 @@
-// Puts the stream on the page: numbers as frames come, pictures as often as the screen is drawn.
+// Shows the stream on the page: numbers with every frame, pictures with every redraw of the screen.
 import { number } from "./canvas.js";
 import { drawSkin } from "./skin.js";
 import { follow } from "./stream.js";
@@ -50,7 +50,7 @@ function show() {
   }
   const estimated = Number.isFinite(latest.direction_deg);
   const trust = estimated ? latest.valid ? "valid" : "abstains" : "no estimate";
-  // Only what changes is written: these lines are read aloud.
+  // Written on a change only, because screen readers read these lines aloud.
   say(byId("phase"), latest.state);
   say(byId("trust"), trust, estimated ? trust : "");
   byId("estimates").className = trust === "abstains" ? "doubtful" : "";
@@ -85,7 +85,7 @@ follow({
     drawSoon();
   },
   frame(record) {
-    // A slide's places stay until the next one begins.
+    // A slide's path stays until the next one begins.
     if (record.state === "slide" && latest?.state !== "slide") trace = [];
     if (record.state === "slide" && record.valid && Number.isFinite(record.x_mm + record.y_mm)) {
       trace.push([record.x_mm, record.y_mm]);

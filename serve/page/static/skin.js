@@ -2,7 +2,7 @@
 import { colours, number, prepared, stroke, write } from "./canvas.js";
 
 const TICK_MM = 10;
-// What is seen beyond the chamber, where slides begin and end; and the room for the axes' numbers.
+// Margins: of the skin beyond the chamber, where slides begin and end; of the axes' numbers.
 const MARGIN_MM = 7;
 const AXIS_PX = 42;
 const ARROW_MM = 9;
@@ -74,8 +74,8 @@ function boards(context, at, accelerometers, [x, y], ink) {
   stroke(context, [[across, down - 9], [across, down + 9]], ink.soft, 1.5);
 }
 
-// The line that is slid along, the contact on it, and where it goes. A model without a place along the line (x, y
-// unknown) shows the line's point nearest the reference point, without a contact.
+// The slide's line, the contact on it, and its direction. Where the model gives no position (x, y unknown), the line is
+// drawn through its point nearest to the reference point, without a contact.
 function motion(context, at, scale, sensor, reference, estimate, trace, ink) {
   const angle = estimate.direction_deg * Math.PI / 180;
   const along = [Math.cos(angle), Math.sin(angle)];
@@ -97,7 +97,7 @@ function motion(context, at, scale, sensor, reference, estimate, trace, ink) {
   }
 }
 
-// The object's footprint, to scale; what lies under it stays faintly in sight.
+// The object's footprint, to scale and translucent.
 function contact(context, [x, y], radius, ink) {
   const faint = context.globalAlpha;
   context.beginPath();

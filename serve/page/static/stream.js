@@ -1,7 +1,7 @@
-// The stream as the server sends it (serve/page/server.py): what there is to see once, then a frame for each that is asked for.
+// The stream as the server sends it (serve/page/server.py): a description once, then one frame for each request.
 const RETRY_MS = 1000;
 
-// Connects, and connects again for as long as the page is open. about(text as an object), frame(record),
+// Connects, and reconnects for as long as the page is open. about(text as an object), frame(record),
 // status(word, said): "live", "silent", "ended" or "lost".
 export function follow({ about, frame, status }, ended = false) {
   const socket = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/stream`);
@@ -23,7 +23,7 @@ export function follow({ about, frame, status }, ended = false) {
     socket.send("");
   };
   socket.onclose = ({ wasClean }) => {
-    // That nothing answers after an end is no news.
+    // After an end a closed connection is expected.
     const over = names ? wasClean : ended;
     status(over ? "ended" : "lost", over ? "the stream has ended; waiting for the next" : "no connection; trying again");
     setTimeout(follow, RETRY_MS, { about, frame, status }, over);

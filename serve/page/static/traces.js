@@ -7,11 +7,11 @@ const TOP_PX = 8;
 const BOTTOM_PX = 22;
 const TICK_PX = 60;
 const STEP_PX = 20;
-// What noise alone shows; less than this is not blown up.
+// Smallest half range of the axis, about the noise.
 const LEAST_MV = 20;
 const AXES = ["x", "y", "z"];
 
-// Keeps the frames of the last WINDOW_S; a clock that runs back begins anew.
+// Keeps the frames of the last WINDOW_S; a clock that runs back starts over.
 export class Traces {
   constructor(section, accelerometers) {
     this.rows = [];
@@ -82,7 +82,7 @@ function drawPanel(canvas, rows, first, most) {
   }
 }
 
-// Shades the time in which something slid.
+// Shades the time of the slide.
 function slides(context, rows, x, floor, colour) {
   context.fillStyle = colour;
   let begun = null;
