@@ -1,4 +1,4 @@
-"""A real bundle whose graph is one matrix product: its answers can be worked out by hand."""
+"""A bundle whose graph is one matrix product, so that its estimates can be calculated by hand."""
 
 import hashlib
 import json
