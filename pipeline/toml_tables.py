@@ -170,7 +170,7 @@ def _required(field: Field) -> bool:
 
 
 def _leaves(table: Mapping[str, Any]) -> Iterator[tuple[tuple[str, ...], Any]]:
-    """Every value that is no table or list, with its keys; without recursion, for a file may nest without end."""
+    """Every value that is no table or list, with its keys; without recursion, whatever the file's depth."""
     waiting: list[tuple[tuple[str, ...], Any]] = [((), table)]
     while waiting:
         keys, value = waiting.pop()

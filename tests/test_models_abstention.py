@@ -117,7 +117,7 @@ def test_noise_is_no_slide(localizer: Localizer, dead: bool, noise_v: float) -> 
 @pytest.mark.parametrize("cycle_s", [0.3, 3.0, 20.0])
 def test_wandering_noise_is_no_slide(localizer: Localizer, cycle_s: float) -> None:
     """Noise as slow as a slide, of a slide's size, each channel its own: two accelerometers contradict each other."""
-    signals = [wander(12.0, cycle_s, 0.06, seed) for seed in range(3)]
+    signals = [random_wave(12.0, cycle_s, 0.06, seed) for seed in range(3)]
     assert max(shares_valid(localizer, signals, dead=False)) == 0.0
 
 
@@ -150,7 +150,7 @@ def test_a_line_out_of_range_is_no_estimate(localizer: Localizer, dead: bool, of
         assert not estimates[-1].valid
 
 
-def wander(seconds: float, cycle_s: float, size_v: float, seed: int) -> np.ndarray:
+def random_wave(seconds: float, cycle_s: float, size_v: float, seed: int) -> np.ndarray:
     """(n, C) V: each channel a sum of eight sines about one cycle, begun at zero."""
     random = np.random.default_rng(seed)
     time_s = np.arange(round(seconds * RATE_HZ)) / RATE_HZ

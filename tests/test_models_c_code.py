@@ -70,7 +70,7 @@ class FewSlides(WindowSource):
 
 
 def a_network() -> Case:
-    """On windows that the network stands behind: elsewhere rounding decides between two minima."""
+    """On windows that are valid: elsewhere rounding decides between two minima."""
     torch.set_num_threads(1)
     config = NetworkConfig()
     whole = SynthesisConfig(complete=1.0, paused=0.0, midway=0.0, depth_mm=0.0)

@@ -72,8 +72,7 @@ def test_export_agrees_and_can_be_gone_on_from(trained, windows):
     with torch.no_grad():
         expected = network(**inputs).numpy()
     assert row.shape == (len(volts), len(network.outputs))
-    # A network of sixty steps starts some windows where nothing converges; what one that is trained stands behind,
-    # `write_bundle` holds to this without exception.
+    # After sixty steps of training some proposals do not converge; `write_bundle` requires this of every valid window.
     assert np.quantile(np.abs(row - expected) / np.abs(expected).max(axis=0), 0.99) < 1e-4
     again = initial_proposal(graph, 2, config)
     for a, b in zip(trained.state_dict().values(), again.state_dict().values(), strict=True):

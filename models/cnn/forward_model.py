@@ -15,7 +15,9 @@ from torch.nn import functional as F
 from models.graph.packing import rounded
 from models.response_map.map import SPACING_MM, ResponseMap
 
-BINS = 16  # of time in a window: its own in fours; what the map leaves over is alike in neighbours
+BINS = (
+    16  # of time in a window: its own in fours; residuals of finer ones are correlated (experiments/LOG.md)
+)
 STATE = 6  # numbers in the state: turn rad, log speed, offset mm, along mm, log gain, depth mm
 EDGE = 3  # zero coefficients around the map's
 # Any cubic is a sum of the cubes of t + these; ONNX Runtime cubes several times as fast as it takes other powers.

@@ -16,24 +16,25 @@ from features.window import WINDOW_BINS
 from models.cnn.forward_model import BINS, PHASES, STATE, Prediction
 from models.response_map.map import ResponseMap
 
-PEAK_SHARE = 0.003  # what the map leaves over, as a share of the slide's largest output
-FLOOR_SHARE = 0.6  # and of what it left over in calibration, most of which bins hold alike
-DOUBT = 2.0  # variance of the depth's error over the one that noise explains: 1 and 4 on two benches' held-out lines
+PEAK_SHARE = 0.003  # the map's residual, as a share of the slide's largest output
+FLOOR_SHARE = 0.6  # and of its residual in calibration, which the bins share (experiments/LOG.md)
+# Variance of the depth's error over the one that noise explains: 1 and 4 on two benches' held-out lines.
+DEPTH_VARIANCE = 2.0
 DEPTH = 5  # place of the depth in the state
 LONGEST_STEP = (0.3, 0.4, 5.0, 6.0, 0.1, 0.5)  # of each number of the state
 
 
 @dataclass(frozen=True)
 class RefinementConfig:
-    """steps: of Gauss-Newton. The last one's end is not looked at: the misfit is the one before it, and tells what
-        had not converged.
+    """steps: of Gauss-Newton. The residual is not re-evaluated after the last step: the misfit is the reduced
+        chi-square before it, which is large where the steps did not converge.
     trust: the proposal's standard deviations times this are the prior, but never less than least_prior (rad, log, mm,
-        mm): a proposal that is wrong must not hold it back.
+        mm): so that a wrong proposal can be left.
     same_depth: prior probability that a slide has the calibration's contact depth; depth_sd_mm: standard deviation
         about it of those that do not.
-    askew: standard deviation of what V_x and V_y pick up of V_z, where the device stands otherwise than it did.
-    lean_v: standard deviation of what the device's own slow turn adds to every V_x, and to every V_y, by a slide's
-        end, V; 0 for a device that stands still. An accelerometer off the skin tells it from the skin's answer.
+    askew: standard deviation of V_z's coupling into V_x and V_y after a change of the mounting's tilt.
+    lean_v: standard deviation, in V, of what a slow tilt of the sensor adds to every V_x, and to every V_y, by a
+        slide's end; 0 for a sensor that does not tilt. An accelerometer off the skin measures it separately.
     """
 
     steps: int = 3
@@ -52,9 +53,9 @@ class RefinementConfig:
 class Refinement(nn.Module):
     """Gauss-Newton on (turn, log speed, offset, along, gain, depth) against the response map.
 
-    Residuals are weighed by the inverse of their covariance: noise that falls with the number of blocks a bin holds,
-    a floor for what the map leaves over, the slow wander of each channel's zero, and what a board that stands askew
-    picks up of its own V_z (the ripple of the pressure; each a rank-one part of a channel's covariance).
+    Residuals are weighted by the inverse of their covariance: noise that falls with the number of blocks in a bin, a
+    floor for the map's own residual, the drift of each channel's zero, and V_z's coupling into V_x and V_y of a tilted
+    board (the ripple of the pressure). The last two are rank-one parts of a channel's covariance.
     """
 
     noise: Tensor
@@ -164,9 +165,9 @@ class Refinement(nn.Module):
         spread = column[..., DEPTH:, :].clamp(min=1e-8)
         off = state[..., DEPTH:, :]
         # The covariance knows nothing of the map's own error; the evidence must stand above that as well.
-        doubtful = DOUBT * spread
+        widened = DEPTH_VARIANCE * spread
         log_odds = math.log(self.same_depth / (1 - self.same_depth) * self.depth_sd_mm)
-        same = torch.sigmoid(log_odds - 0.5 * (doubtful.log() + off * off / doubtful))
+        same = torch.sigmoid(log_odds - 0.5 * (widened.log() + off * off / widened))
         gain = same * column / spread
         shift = gain * off
         variance = (covariance * self.each[:, :STATE]).sum(4, keepdim=True) - gain * column + shift * shift
@@ -182,10 +183,10 @@ class Refinement(nn.Module):
             PEAK_SHARE**2 * (tilt * tilt).amax((1, 2, 3, 4), keepdim=True) + (FLOOR_SHARE * self.floor_v) ** 2
         )
         variance = self.noise / blocks + floor
-        wander = self.drift / (variance + BINS * self.drift)
+        drifting = self.drift / (variance + BINS * self.drift)
         swing = ripple.transpose(3, 4)
         picked = self.askew**2 / (variance + self.askew**2 * (ripple @ swing))
-        return weight / variance * (self.whole - wander - picked * (swing @ ripple))
+        return weight / variance * (self.whole - drifting - picked * (swing @ ripple))
 
 
 def inverted(normal: Tensor) -> Tensor:

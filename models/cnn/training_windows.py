@@ -176,7 +176,7 @@ class WindowSource:
             1 + response.gain_sd * random.normal(random.count, 1, 1) + c.channel_gain * random.normal(*each)
         )
         blocks = (motion.seconds / self.block_s / SAMPLES).clamp(min=LEAST_BLOCK_SHARE)
-        # The static output is off by its drift at the start, and moves on by as much again.
+        # The static output is off by its drift at the start, and drifts on by as much again.
         zero = self._drift * random.normal(*each)
         zero = zero + self._drift * random.normal(*each) * (share[:, None] - ZERO_SHARE)
         zero = zero + self._map_residual(clean, path_mm, share, random)

@@ -91,7 +91,7 @@ def write_bundle(
 
 
 def believed(rows: np.ndarray, fitted: FittedModel) -> np.ndarray:
-    """Which rows (n, K) the model stands behind, by its own deviations and misfit -> (n,) bool."""
+    """Which rows (n, K) are valid by the model's own deviations and misfit -> (n,) bool."""
     limits = {name: getattr(fitted.validity, name) for name in ("misfit", "direction_sd_deg", "log_speed_sd")}
     columns = [
         rows[:, fitted.outputs.index(name)] <= limit

@@ -24,8 +24,8 @@ from pipeline.sensor import Sensor
 
 FOLDS = 4
 LEAST_ALONE = 24  # slides; fewer leave the map without an atlas full of holes
-# Times the penalties on what moves the map away from its prior: 30 is best with 12 slides, 5 with 24, 1 with a hundred
-# (experiments/LOG.md). The first is taken in doubt.
+# Factors of the penalties on the map's distance from its prior: 30 is best with 12 slides, 5 with 24, 1 with a hundred
+# (experiments/LOG.md). The first is taken where they cannot be compared.
 STIFFNESS = (30.0, 5.0, 1.0)
 FITS = 4  # at most: the lag is found in the first, what of it is left in the others
 USUAL_DEPTH_MM = 0.5  # contact depth of the article's recordings, where no slide says

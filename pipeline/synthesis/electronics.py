@@ -22,7 +22,7 @@ SUPPLY_V = 3.3
 class ElectronicsSpread:
     """By how much parts differ from `sensor.toml`: standard deviations of normal draws, or bounds of log-uniform ones.
 
-    sensitivity: relative, left over by a six-position calibration. zero_g_v: V. cross_axis: share of another axis.
+    sensitivity: relative error after a six-position calibration. zero_g_v: V. cross_axis: share of another axis.
     turn_deg: of a board about its normal as cast in. mains_g: bounds of the amplitude picked up, in g of the output;
     mains_hz: one of these. harmonic: share of the third harmonic.
     """

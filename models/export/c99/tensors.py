@@ -35,7 +35,7 @@ class Buffer:
 class Tensor:
     """index: for each entry its place in the buffer, in even steps along every axis.
 
-    What only moves entries about needs no code: the same buffer is read by another index.
+    An operator that only rearranges entries needs no code: the same buffer is read by another index.
     """
 
     buffer: Buffer
