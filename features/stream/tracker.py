@@ -17,7 +17,8 @@ from features.stream.static_output import StaticOutput
 from features.window import Window
 
 # The V_x and V_y of a slide change in more than their common strength, and by more than either of these: a share of the
-# largest output so far, and of the trigger (five times the noise of a mean over `trigger_blocks`).
+# largest output so far, and of the trigger (five times the noise of a mean over `trigger_blocks`). With half of either,
+# nearly twice as many presses pass for slides (experiments/LOG.md, of this and the constants below).
 TOUCH_CHANGE = 0.06
 TOUCH_TRIGGER = 0.5
 # A signal that is this many times the trigger `touch_blocks` after it, and has not moved by this many times
