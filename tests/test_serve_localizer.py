@@ -60,8 +60,9 @@ def test_estimates_do_not_depend_on_the_chunks(localizer: Localizer, data: st.Da
         volts[generator.random(volts.shape) < 0.02] = np.nan
         volts[1500:1580, 0] = 9.0
     if data.draw(st.booleans(), label="with a clock"):
+        jitter_s = data.draw(st.sampled_from([4e-4, 5e-3]), label="jitter")
         generator = np.random.default_rng(data.draw(st.integers(0, 99)))
-        time_s = np.arange(len(volts)) / RATE_HZ * 1.0005 + generator.uniform(0, 4e-4, len(volts)) + 100.0
+        time_s = np.arange(len(volts)) / RATE_HZ * 1.0005 + generator.uniform(0, jitter_s, len(volts)) + 100.0
         time_s[2500:] += data.draw(st.sampled_from([0.0, 0.003, 0.05, 4.0, -1.0]))
     cuts = data.draw(st.lists(st.integers(0, len(volts)), max_size=12))
     assert answers(localizer, volts, cuts, time_s) == answers(localizer, volts, [], time_s)

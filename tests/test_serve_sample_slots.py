@@ -1,5 +1,7 @@
 """The sample clock: slots tell the stamps' time, whatever a clock does, and however the stream is cut."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -25,16 +27,21 @@ def placed(time_s: np.ndarray, longest: int = 140, chunk: int = 25) -> tuple[np.
     return np.array(slots), told
 
 
-@pytest.mark.parametrize("percent", [-0.5, -0.05, 0.0, 0.05, 0.5])
+@pytest.mark.parametrize("percent", [-20.0, -10.0, -0.5, -0.05, 0.0, 0.05, 0.5, 10.0, 100.0])
 def test_slots_keep_the_time_of_a_clock_that_runs_fast_or_slow(percent: float) -> None:
     time_s = 70.0 + np.arange(20_000) / RATE_HZ / (1 + percent / 100)
     slots, told = placed(time_s)
-    early = (told - time_s) * RATE_HZ
+    used = np.isfinite(told)
+    early = (told - time_s)[used] * RATE_HZ
     assert early.max() < EARLY + 0.01
     assert early.min() > -LATE - 0.01
-    # A slow clock's samples are further apart than slots: now and then one stays empty. None is thrown away.
-    assert np.isfinite(slots).sum() == len(time_s)
-    assert np.isnan(slots).sum() == pytest.approx(max(0.0, -percent / 100) * len(time_s), abs=2)
+    # A slow clock's samples are further apart than slots: now and then one stays empty. A fast clock's are closer, and
+    # one is left out.
+    seconds = time_s[-1] - time_s[0]
+    surplus = len(time_s) - seconds * RATE_HZ
+    assert (~used).sum() == pytest.approx(max(0.0, surplus), abs=4)
+    assert np.isnan(slots).sum() == pytest.approx(max(0.0, -surplus), abs=4)
+    assert len(slots) == pytest.approx(seconds * RATE_HZ, abs=4)
 
 
 def test_lost_samples_leave_their_slots_empty() -> None:
@@ -52,3 +59,54 @@ def test_a_long_gap_and_a_clock_set_back_break_the_stream(jump_s: float) -> None
     assert np.isnan(slots[900 : 900 + 140]).all()
     assert len(slots) == 2000 + 140
     assert told == pytest.approx(time_s, abs=1e-9)
+
+
+def jittered(samples: int, rate_hz: float) -> np.ndarray:
+    """Stamps with an error of 5 ms, s.d.; some run back."""
+    return np.arange(samples) / rate_hz + np.random.default_rng(0).normal(0.0, 0.005, samples)
+
+
+def packets(samples: int, rate_hz: float, size: int = 50) -> np.ndarray:
+    """One stamp for each packet, of its last sample."""
+    return (np.arange(samples) // size + 1) * size / rate_hz
+
+
+def delayed(samples: int, rate_hz: float) -> np.ndarray:
+    """Packets that come up to 20 ms late."""
+    late = np.random.default_rng(1).uniform(0.0, 0.02, samples // 50 + 1)
+    return packets(samples, rate_hz) + late[np.arange(samples) // 50]
+
+
+@pytest.mark.parametrize("rate_hz", [900.0, 1000.0, 1100.0])
+@pytest.mark.parametrize("stamps", [jittered, packets, delayed])
+def test_uneven_stamps_give_even_slots_at_the_true_rate(stamps: Any, rate_hz: float) -> None:
+    samples = 20_000
+    slots, told = placed(stamps(samples, rate_hz))
+    settled = np.isfinite(told) & (np.arange(samples) > 1000)
+    true_s = np.arange(samples) / rate_hz
+    # What is told is later or earlier than the truth by the same all along: a packet's wait, or the largest jitter.
+    error = (told - true_s)[settled]
+    assert np.ptp(error) < 0.035
+    rate = np.polyfit(true_s[settled], told[settled], 1)[0]
+    assert rate == pytest.approx(1.0, abs=0.001)
+    # At the nominal rate hardly a slot stays empty, or a sample is left out.
+    spare = abs(1.0 - rate_hz / RATE_HZ) * samples
+    assert np.isnan(slots).sum() + np.isnan(told).sum() < spare + 0.02 * samples
+
+
+def test_samples_lost_from_packets_are_found() -> None:
+    kept = np.delete(np.arange(10_000), slice(5010, 5040))
+    slots, told = placed(((kept // 50) + 1) * 50 / RATE_HZ)
+    assert np.isnan(slots).sum() == pytest.approx(30, abs=EARLY)
+    after = kept > 5400
+    before = told[2000] - kept[2000] / RATE_HZ
+    assert told[after] - kept[after] / RATE_HZ == pytest.approx(before, abs=EARLY / RATE_HZ)
+
+
+@pytest.mark.parametrize("bad_s", [1e306, -1e306, 1e20])
+def test_a_time_beyond_all_bounds_breaks_the_stream_and_no_more(bad_s: float) -> None:
+    time_s = np.arange(2000) / RATE_HZ
+    time_s[900] = bad_s
+    slots, told = placed(time_s)
+    assert len(slots) == 2000 + 2 * 140
+    assert told[901:] == pytest.approx(time_s[901:], abs=1e-9)
