@@ -1,6 +1,7 @@
 """Lost samples and faulty accelerometers, judged a block at a time.
 
-A sample is lost where it is not a number, or outside the range of the supply; a block's mean is that of the others.
+A sample is lost where it is not a number, or at an end of the supply's range or outside it: an output never reaches
+either end, and converters and drivers write just these where they have no sample. A block's mean is that of the others.
 When a block has lost more than half of a channel's samples, the channel's last mean is used again, for a tenth of a
 second at most; after that the accelerometer is faulty. It is faulty too when one of its channels repeats the same bits
 while another channel changes: a working channel has noise.
@@ -31,7 +32,7 @@ class Judged(NamedTuple):
 class SignalWatch:
     """Judges one stream's blocks.
 
-    low_v, high_v: (C,) V, range of each channel. read: (C,) bool, the channels that a model reads; faults of the
+    low_v, high_v: (C,) V, ends of each channel's range. read: (C,) bool, the channels that a model reads; faults of the
     others are ignored.
     """
 
@@ -53,8 +54,8 @@ class SignalWatch:
         """samples: (S, C) V, one block; shares: of its first and last sample, the part within the block."""
         last = self._mean
         if (
-            np.minimum.reduce(samples, axis=None) >= self._highest_low
-            and np.maximum.reduce(samples, axis=None) <= self._lowest_high
+            np.minimum.reduce(samples, axis=None) > self._highest_low
+            and np.maximum.reduce(samples, axis=None) < self._lowest_high
         ):
             self._mean = block_mean(samples, shares)
             # The usual block, in as few calls of numpy as possible.
@@ -76,7 +77,7 @@ class SignalWatch:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Means (C,) V of the samples that are not lost, or the last means; and where the last ones were used (C,)."""
         # NaN compares false, and infinities are beyond any bound.
-        good = (samples >= self._low) & (samples <= self._high)
+        good = (samples > self._low) & (samples < self._high)
         missed = 2 * good.sum(axis=0) < len(samples)
         weight = good.astype(float)
         weight[0] *= shares[0]

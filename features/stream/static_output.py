@@ -10,6 +10,13 @@ from features.stream.conditioning import Conditioning
 KNOWN_MEMORIES = 2
 # Up to this many times `trigger_blocks`, 1 s, the estimate follows everything: it may have begun on something wrong.
 LEARNING_MEMORIES = 10
+# A stream may begin in mid-contact. While the first estimate follows everything, a trigger within this many times
+# `trigger_blocks`, 0.4 s, or after the estimate itself has moved by this share of the trigger (four standard deviations
+# of its noise, half of what a steady slope moves it by), is the contact that was there before, and no slide from rest.
+PROVEN_MEMORIES = 4
+MOVED_SHARE = 0.5
+# After that the signal has to rest for this many times `trigger_blocks`, 0.6 s: longer than a slide's extrema seem to.
+RESTED_MEMORIES = 6
 # Pace for a mean beyond `calm_v`. A slide of 0.5 mm/s takes seconds to reach the trigger; with the full pace the static
 # output rose with it by 15 mV (experiments/LOG.md).
 SLOW_PACE = 0.1
@@ -34,6 +41,10 @@ class StaticOutput:
         self._most_counted = max(conditioning.rest_blocks, LEARNING_MEMORIES * self._memory)
         self.volts = np.zeros(channels)
         self.searching = False
+        # Averaged blocks after which an output is known; more after a beginning in mid-contact.
+        self._enough = KNOWN_MEMORIES * self._memory
+        # (C,) V: the level as the average began.
+        self._begun_v = np.zeros(channels)
         # (C,) blocks in the average, and blocks in a row that the trigger's mean may be taken from.
         self._averaged = np.zeros(channels)
         self._available = np.zeros(channels)
@@ -44,12 +55,12 @@ class StaticOutput:
     @property
     def known(self) -> np.ndarray:
         """(A,): the accelerometers whose static output is known well enough to subtract it."""
-        return self._averaged[::3] >= KNOWN_MEMORIES * self._memory
+        return self._averaged[::3] >= self._enough
 
     @property
     def ready(self) -> np.ndarray:
         """(C,): the channels that may trigger: the static output is known and the last blocks were healthy."""
-        return (self._available >= self._memory) & (self._averaged >= KNOWN_MEMORIES * self._memory)
+        return (self._available >= self._memory) & (self._averaged >= self._enough)
 
     def follow_quiet(self, level_v: np.ndarray, oldest: np.ndarray) -> bool:
         """The short way of a stream that has rested for so long that counting changes nothing; False: not to be taken.
@@ -67,12 +78,32 @@ class StaticOutput:
         if dead is not None:
             self._available[dead] = 0
 
-    def follow(self, oldest: np.ndarray, distance_v: np.ndarray) -> None:
+    def moves(self, away: np.ndarray) -> bool:
+        """Whether the signal moved while the static output was learnt: the stream began in mid-contact.
+
+        away: (C,), the channels whose level is beyond the trigger.
+        """
+        counted = self._averaged[self._tilt]
+        away = away[self._tilt] & (counted > 0)
+        if not away.any() or (counted[away] >= LEARNING_MEMORIES * self._memory).any():
+            return False
+        early = counted < max(PROVEN_MEMORIES * self._memory, self._enough)
+        shift_v = np.abs(self.volts - self._begun_v)[self._tilt]
+        return bool((early | (shift_v > MOVED_SHARE * self._conditioning.trigger_v))[away].any())
+
+    def begin_again(self) -> None:
+        """Awaits a new static output, which has to rest for longer than the first."""
+        self.learn_anew()
+        self._enough = RESTED_MEMORIES * self._memory
+
+    def follow(self, oldest: np.ndarray, level_v: np.ndarray, distance_v: np.ndarray) -> None:
         """A mean at first, then an exponential average over `rest_blocks`.
 
-        oldest: (C,) V, the block that has left the trigger's mean; distance_v: (C,) V, of that mean from `volts`.
+        oldest: (C,) V, the block that has left the trigger's mean; level_v: (C,) V, that mean; distance_v: (C,) V, of
+        it from `volts`.
         """
         resting = self._available > self._memory
+        self._begun_v = np.where(self._averaged == 0, level_v, self._begun_v)
         self._averaged += resting
         # The first rise of a slow slide must not pass for drift, or the static output runs after it.
         calm = distance_v <= self._conditioning.calm_v

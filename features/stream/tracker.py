@@ -166,10 +166,12 @@ class SlideTracker:
         if static.searching:
             if static.search(level, ready & ~away):
                 self._learn_static()
+        elif static.moves(away):
+            static.begin_again()
         elif (away & ready)[self.tilt].any():
             self._begin(ready[::3])
         elif self._stop_v is None:
-            static.follow(oldest, distance)
+            static.follow(oldest, level, distance)
         else:
             self._stopped_blocks += 1
             if self._stopped_blocks > self.conditioning.longest_blocks:

@@ -1,0 +1,87 @@
+"""Signals that are not what a stream should be: clocks that run fast, packets, lost samples, a contact at the start."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from small_bundle import write_small_bundle
+from streams import RATE_HZ, a_sensor, pass_over, still, stream
+
+from features.estimate import Estimate
+from serve.localizer import Localizer
+
+SLIDE = stream(still(1.0), pass_over(3.0), still(0.8))
+
+
+@pytest.fixture(scope="module")
+def localizer(tmp_path_factory: pytest.TempPathFactory) -> Localizer:
+    folder = tmp_path_factory.mktemp("bundles") / "one"
+    return Localizer.load(write_small_bundle(folder, a_sensor(), offset_mm_per_v=50.0))
+
+
+def pushed(localizer: Localizer, volts: np.ndarray, time_s: np.ndarray | None = None) -> list[Estimate]:
+    localizer.reset()
+    return localizer.push(volts, time_s)
+
+
+def share(estimates: list[Estimate]) -> float:
+    return sum(estimate.valid for estimate in estimates) / len(estimates)
+
+
+def evenly(rate_hz: float) -> np.ndarray:
+    return np.arange(len(SLIDE)) / rate_hz
+
+
+def in_packets(rate_hz: float) -> np.ndarray:
+    return (np.arange(len(SLIDE)) // 50 + 1) * 50 / rate_hz
+
+
+def with_jitter(rate_hz: float) -> np.ndarray:
+    return evenly(rate_hz) + np.random.default_rng(3).normal(0.0, 0.005, len(SLIDE))
+
+
+@pytest.mark.parametrize("stamps", [evenly, in_packets, with_jitter])
+@pytest.mark.parametrize("rate_hz", [900.0, 1000.0, 1100.0])
+def test_a_slide_lasts_as_long_as_its_stamps_say(
+    localizer: Localizer, stamps: Callable[[float], np.ndarray], rate_hz: float
+) -> None:
+    """A clock off by 10 % used to leave the speed off by as much; packets and jitter were never valid."""
+    plain = pushed(localizer, SLIDE)
+    usual = localizer.window()
+    told = pushed(localizer, SLIDE, stamps(rate_hz))
+    window = localizer.window()
+    assert window is not None
+    assert usual is not None
+    assert share(told) > 0.9 * share(plain)
+    # A slide is cut at blocks of 20 ms.
+    assert window.elapsed_s == pytest.approx(usual.elapsed_s * RATE_HZ / rate_hz, abs=0.1)
+    assert told[-1].valid
+    assert told[-1].offset_mm == pytest.approx(plain[-1].offset_mm, abs=0.2)
+
+
+@pytest.mark.parametrize("value", [0.0, 3.3])
+def test_samples_at_the_ends_of_the_supply_are_lost_ones(localizer: Localizer, value: float) -> None:
+    """Bursts of zeros, or of full scale, are what a converter writes for nothing; they used to enter the means."""
+    lost, marked = SLIDE.copy(), SLIDE.copy()
+    for begin in np.random.default_rng(0).permutation(len(SLIDE) // 30)[:8] * 30:
+        lost[begin : begin + 30] = value
+        marked[begin : begin + 30] = np.nan
+    assert list(map(repr, pushed(localizer, lost))) == list(map(repr, pushed(localizer, marked)))
+
+
+@pytest.mark.parametrize("part", np.linspace(0.1, 0.75, 12).round(3).tolist())
+@pytest.mark.parametrize("seconds", [1.0, 3.0, 8.0])
+def test_a_stream_that_begins_in_mid_contact_says_nothing_of_it(
+    localizer: Localizer, part: float, seconds: float
+) -> None:
+    """What the static output is cannot be told while something moves; after rest the next slide is valid."""
+    begun = pass_over(seconds)[round(part * seconds * RATE_HZ) :]
+    told = pushed(localizer, stream(begun, still(2.5), pass_over(2.0), still(0.6)))
+    first = len(begun) // 20
+    assert share(told[: first + 60]) == 0.0
+    assert told[-1].valid
+
+
+def test_a_slide_after_half_a_second_of_rest_is_no_beginning_in_mid_contact(localizer: Localizer) -> None:
+    for seed in range(40):
+        assert pushed(localizer, stream(still(0.5), pass_over(1.5), still(0.6), seed=seed))[-1].valid
