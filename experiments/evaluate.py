@@ -25,6 +25,7 @@ from experiments.evaluation.tracks import Track, by_split, line, tracks, with_tr
 from features.errors import InputError
 from pipeline.progress import progress_bar
 from pipeline.recordings.folder import Folder, read_folder
+from pipeline.recordings.taught import taught_depths_mm, taught_lines
 from pipeline.staging import staged
 
 
@@ -36,9 +37,13 @@ class Evaluation:
     verdicts: tuple[Verdict, ...]
 
     @property
-    def met(self) -> bool:
-        """Whether no bound is missed; one that no recording tests is not missed."""
-        return all(verdict.met is not False for verdict in self.verdicts)
+    def untested(self) -> int:
+        """Number of bounds that nothing tests."""
+        return sum(verdict.met is None for verdict in self.verdicts)
+
+    def met(self, allow_untested: bool = False) -> bool:
+        """Whether every bound is met. One that nothing tests is not met, unless `allow_untested`."""
+        return all(verdict.met or (allow_untested and verdict.met is None) for verdict in self.verdicts)
 
     def lines(self) -> list[str]:
         """Each bound's verdict, then each split's tracks, in a line."""
@@ -56,7 +61,8 @@ def evaluate(
     Raises:
         InputError: the bundle, the folder or a recording is not what the contract says, or no such split.
     """
-    folder = _chosen(read_folder(recordings), splits)
+    whole = read_folder(recordings)
+    folder = _chosen(whole, splits)
     bounds = read_bounds()
     with staged(out) as scratch:
         rows = progress_bar(
@@ -66,13 +72,16 @@ def evaluate(
         write_predictions(scratch / "predictions.csv", table)
         followed = _followed(bundle, folder, jobs)
         scored = score(table, folder.manifest, folder.sensor)
-        verdicts = tuple(check(bound, scored) for bound in bounds)
-        metrics = measure(scored, verdicts) | {"bundle": _bundle(bundle), "sensor": folder.sensor.name}
+        taught = scored["recording"].map(taught_lines(whole.manifest)) != ""
+        unseen, depths_mm = scored[~taught], taught_depths_mm(whole.manifest)
+        verdicts = tuple(check(bound, unseen, depths_mm) for bound in bounds)
+        metrics = measure(unseen, verdicts) | {"taught_lines": _apart(scored[taught])}
+        metrics |= {"bundle": _bundle(bundle), "sensor": folder.sensor.name}
         if followed:
             metrics["tracks"] = by_split(followed)
         text = json.dumps(_finite(metrics), indent=1, allow_nan=False)
         (scratch / "metrics.json").write_text(text + "\n", encoding="utf-8")
-        write_report(scratch / "report.html", metrics, scored, followed, folder.sensor)
+        write_report(scratch / "report.html", metrics, unseen, followed, folder.sensor)
     return Evaluation(metrics, verdicts)
 
 
@@ -86,11 +95,17 @@ def _followed(bundle: Path, folder: Folder, jobs: int) -> list[Track]:
     return list(progress_bar(f"following with {bundle.name}", "recording", rows, len(names)))
 
 
+def _apart(scored: pd.DataFrame) -> dict[str, Any]:
+    """Test slides along calibration lines: their names, and a summary at the end of the stroke."""
+    names = [str(name) for name in scored["recording"].unique()]
+    return {"names": names, "end_of_stroke": summary(scored[scored["stroke_fraction"] == 1.0])}
+
+
 def measure(scored: pd.DataFrame, verdicts: Sequence[Verdict]) -> dict[str, Any]:
     """`metrics.json`: bounds, then errors overall, for each split, direction, distance and speed.
 
-    `overall` and each of `splits` hold a summary for each stroke fraction; the others are at the end of the
-    stroke.
+    scored: without slides along taught lines. `overall` and each of `splits` hold a summary for each stroke fraction;
+    the others are at the end of the stroke.
     """
     end = scored[scored["stroke_fraction"] == 1.0]
     return {

@@ -146,10 +146,12 @@ def test_twice_gives_the_same_bytes_on_one_process_or_two(bundle: Path, tmp_path
 def test_metrics_say_what_was_found(bundle: Path, tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     a_folder(tmp_path / "lab", one={}, two={"split": "test-other"})
     status, _ = evaluated(bundle, tmp_path / "lab", tmp_path / "out")
-    assert status == 0
+    assert status == 1  # nothing is tested, and so nothing is met
     metrics = json.loads((tmp_path / "out/metrics.json").read_text())
     # 14.5 mm/s is faster than the article promises anything for.
-    assert capsys.readouterr().out.count("not tested, no such recording") == len(metrics["bounds"])
+    told = capsys.readouterr()
+    assert told.out.count("not tested, no such recording") == len(metrics["bounds"])
+    assert "6 of 6 bounds are not tested" in told.err
     assert list(metrics["splits"]) == ["test", "test-other"]
     end = metrics["overall"]["1.0"]
     assert end["recordings"] == 2
@@ -165,7 +167,48 @@ def test_the_exit_status_is_the_bounds(tmp_path: Path, speed_mm_s: float, status
     """A model that is right by construction passes; one that is 10 % off in speed fails."""
     write_small_bundle(tmp_path / "b", SENSOR, direction_deg=0.0, speed_mm_s=speed_mm_s, offset_mm=3.0)
     a_folder(tmp_path / "lab", one={"speed_mm_s": 2.0, "offset_mm": 3.0})
-    assert evaluated(tmp_path / "b", tmp_path / "lab", tmp_path / "out")[0] == status
+    lab, out = tmp_path / "lab", tmp_path / "out"
+    assert evaluated(tmp_path / "b", lab, out, "--allow-untested")[0] == status
+    assert evaluated(tmp_path / "b", lab, out)[0] == 1  # the other bounds are not tested
+
+
+def test_bounds_hold_at_the_folders_own_depth(tmp_path: Path) -> None:
+    write_small_bundle(tmp_path / "b", SENSOR, direction_deg=0.0, speed_mm_s=2.2, offset_mm=3.0)
+    slide = {"speed_mm_s": 2.0, "offset_mm": 3.0}
+    calibration = {"split": "calibration", "offset_mm": 6.0, "depth_mm": 0.8}
+    a_folder(tmp_path / "deep", one=slide | {"depth_mm": 0.8}, two=calibration)
+    a_folder(tmp_path / "shallow", one=slide, two=calibration)
+    for lab, tested in (("deep", 1), ("shallow", 0)):
+        evaluated(tmp_path / "b", tmp_path / lab, tmp_path / f"out-{lab}")
+        bounds = json.loads((tmp_path / f"out-{lab}/metrics.json").read_text())["bounds"]
+        speed = next(b for b in bounds if b["name"] == "speed")
+        assert (speed["recordings"], speed["pass"]) == (tested, False if tested else None)
+
+
+def test_slides_along_taught_lines_are_scored_apart(tmp_path: Path) -> None:
+    """The slide along a calibration line is off in speed; neither the figures nor the verdicts hold it."""
+    write_small_bundle(tmp_path / "b", SENSOR, direction_deg=0.0, speed_mm_s=2.0, offset_mm=3.0)
+    a_folder(
+        tmp_path / "lab",
+        taught={"speed_mm_s": 2.5, "offset_mm": 3.02},
+        unseen={"speed_mm_s": 2.0, "offset_mm": 3.3},
+        calibration={"split": "calibration", "offset_mm": 3.0},
+    )
+    evaluated(tmp_path / "b", tmp_path / "lab", tmp_path / "out")
+    metrics = json.loads((tmp_path / "out/metrics.json").read_text())
+    assert metrics["taught_lines"]["names"] == ["taught"]
+    assert metrics["taught_lines"]["end_of_stroke"]["speed_percent"]["mean"] == pytest.approx(20.0)
+    assert metrics["end_of_stroke"]["recordings"] == 1
+    assert metrics["end_of_stroke"]["speed_percent"]["max"] == pytest.approx(0.0, abs=1e-4)
+    assert [b["recordings"] for b in metrics["bounds"] if b["name"] == "speed"] == [1]
+    assert "1 more recording" in Page((tmp_path / "out/report.html").read_text()).words
+
+
+def test_a_folder_of_taught_lines_alone_has_no_figures(bundle: Path, tmp_path: Path) -> None:
+    a_folder(tmp_path / "lab", one={}, two={"split": "calibration"})
+    status, _ = evaluated(bundle, tmp_path / "lab", tmp_path / "out")
+    metrics = json.loads((tmp_path / "out/metrics.json").read_text())
+    assert (status, metrics["end_of_stroke"]["recordings"]) == (1, 0)
 
 
 def test_splits_are_chosen_by_full_name(bundle: Path, tmp_path: Path) -> None:

@@ -247,11 +247,20 @@ def test_a_bound_is_met_just_within_it_and_missed_just_beyond(name: str, within:
     ],
 )
 def test_a_slide_outside_a_bounds_conditions_does_not_test_it(name: str, slide: dict) -> None:
-    assert check(bound(name), scored(predicted(speed_mm_s=0.1, offset_mm=99.0), s=slide)).met is None
+    table = scored(predicted(speed_mm_s=0.1, offset_mm=99.0), s=slide)
+    assert check(bound(name), table, (0.5,)).met is None
 
 
 def test_a_label_that_was_not_given_excludes_nothing() -> None:
-    assert check(bound("speed"), scored(predicted(), s={"depth_mm": math.nan})).met is True
+    assert check(bound("speed"), scored(predicted(), s={"depth_mm": math.nan}), (0.5,)).met is True
+
+
+@pytest.mark.parametrize(
+    ("depths_mm", "tests"), [((0.8,), True), ((0.3, 0.8), True), ((0.5,), False), ((), True)]
+)
+def test_a_bound_holds_at_a_calibrated_depth(depths_mm: tuple[float, ...], tests: bool) -> None:
+    verdict = check(bound("speed"), scored(predicted(), s={"depth_mm": 0.8}), depths_mm)
+    assert (verdict.met is not None) == tests
 
 
 def test_a_missing_estimate_misses_the_bound() -> None:

@@ -1,9 +1,11 @@
 """The article's bounds: read from `bounds.toml`, and held against scored predictions."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
 from experiments.evaluation.scoring import ESTIMATES, QUANTITIES, near_deg
@@ -27,7 +29,7 @@ class Bound:
     x_offset_mm: tuple[float, float] | None = None
     y_offset_mm: tuple[float, float] | None = None
     speed_mm_s: tuple[float, float] = ANY
-    depth_mm: tuple[float, float] = ANY
+    depth_off_mm: float = float("inf")
     after_travel_mm: dict[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -107,9 +109,12 @@ def read_bounds(path: Path = BOUNDS) -> tuple[Bound, ...]:
     return from_table(_Bounds, read_toml(path), str(path)).bound
 
 
-def check(bound: Bound, scored: pd.DataFrame) -> Verdict:
-    """Holds one bound against the rows of `scoring.score` that meet its conditions."""
-    rows = scored[_within(bound, scored)]
+def check(bound: Bound, scored: pd.DataFrame, depths_mm: Sequence[float] = ()) -> Verdict:
+    """Holds one bound against the rows of `scoring.score` that meet its conditions.
+
+    depths_mm: contact depths that the sensor is calibrated at; empty: not known, no slide is left out for its depth.
+    """
+    rows = scored[_within(bound, scored, depths_mm)]
     errors = rows[f"{bound.quantity}_error"]
     answered = scored[scored["direction_deg"].notna()]
     estimated = answered.empty or bool(answered[ESTIMATES[bound.quantity]].notna().any())
@@ -131,7 +136,7 @@ def check(bound: Bound, scored: pd.DataFrame) -> Verdict:
     )
 
 
-def _within(bound: Bound, scored: pd.DataFrame) -> pd.Series:
+def _within(bound: Bound, scored: pd.DataFrame, depths_mm: Sequence[float]) -> pd.Series:
     """Which rows meet the bound's conditions, as booleans."""
     distance = scored["true_offset_mm"].abs()
     on_lines = pd.Series(False, index=scored.index)
@@ -140,9 +145,11 @@ def _within(bound: Bound, scored: pd.DataFrame) -> pd.Series:
             direction = scored["true_direction_deg"]
             along = near_deg(direction, axis) | near_deg(direction, axis + 180)
             on_lines |= along & distance.between(*area)
-    for label in ("speed_mm_s", "depth_mm"):
-        value = scored[f"true_{label}"]
-        on_lines &= value.isna() | value.between(*getattr(bound, label))
+    speed, depth = scored["true_speed_mm_s"], scored["true_depth_mm"]
+    on_lines &= speed.isna() | speed.between(*bound.speed_mm_s)
+    if depths_mm:
+        off = np.abs(depth.to_numpy(float)[:, None] - np.asarray(depths_mm)).min(axis=1)
+        on_lines &= depth.isna() | (off <= bound.depth_off_mm)
     if not bound.after_travel_mm:
         return on_lines & (scored["stroke_fraction"] == 1.0)
     travelled = pd.Series(False, index=scored.index)

@@ -41,6 +41,7 @@ def write_report(
         metrics=metrics,
         verdicts=metrics["bounds"],
         end=metrics["end_of_stroke"],
+        taught=metrics["taught_lines"],
         tables=[
             ("By split", end),
             ("By direction", metrics["by_direction"]),

@@ -16,6 +16,7 @@ from pipeline.checks.measurements import Measurements, measure
 from pipeline.checks.zone_signs import line_mismatch_mm
 from pipeline.progress import progress_bar
 from pipeline.recordings.folder import Folder
+from pipeline.recordings.taught import SAME_LINE_MM, taught_lines
 from pipeline.sensor import NOISE_G_RTHZ, Accelerometer, Sensor
 
 
@@ -45,8 +46,6 @@ class Limits:
     echo: float = 0.3  # autocorrelation of the noise
     tone: float = 100.0  # power of a line over the noise floor
     equal_noise: float = 0.02  # spread of the noise between outputs, over what chance would leave
-    same_line_deg: float = 0.5
-    same_line_mm: float = 0.05
 
 
 @dataclass(frozen=True)
@@ -89,7 +88,7 @@ def examine(folder: Folder, limits: Limits | None = None) -> list[Finding]:
     findings += copies
     copied = {finding.recording for finding in copies}
     findings += _made_up([one for one in measured if one.name not in copied], folder.sensor, limits)
-    findings += _leakage(manifest, limits)
+    findings += _leakage(manifest)
     return sorted(findings, key=lambda finding: finding.level)
 
 
@@ -248,15 +247,11 @@ def _made_up(measured: Sequence[Measurements], sensor: Sensor, limits: Limits) -
         yield Finding("warning", "made up", "", "", relative, limits.equal_noise, text)
 
 
-def _leakage(manifest: pd.DataFrame, limits: Limits) -> Iterator[Finding]:
+def _leakage(manifest: pd.DataFrame) -> Iterator[Finding]:
     """Leakage: a line of the same direction and offset in a calibration and in a test split."""
-    named = manifest[manifest[["direction_deg", "offset_mm"]].notna().all(axis=1)]
-    taught = named[named["split"].str.startswith(("calibration", "train"))]
-    for name, row in named[named["split"].str.startswith("test")].iterrows():
-        angle = np.abs((taught["direction_deg"] - row["direction_deg"] + 180) % 360 - 180)
-        aside = np.abs(taught["offset_mm"] - row["offset_mm"])
-        same = taught[(angle < limits.same_line_deg) & (aside < limits.same_line_mm)]
-        if len(same):
-            text = f"mm from the line of {same.index[0]}, which is in a calibration split"
-            off = float(aside[same.index[0]])
-            yield Finding("warning", "leakage", str(name), "", off, limits.same_line_mm, text)
+    taught = taught_lines(manifest)
+    for name in manifest.index[manifest["split"].str.startswith("test")]:
+        if line := taught[name]:
+            text = f"mm from the line of {line}, which is in a calibration split: 'evaluate' scores it apart"
+            off = abs(float(manifest.at[name, "offset_mm"] - manifest.at[line, "offset_mm"]))
+            yield Finding("warning", "leakage", str(name), "", off, SAME_LINE_MM, text)

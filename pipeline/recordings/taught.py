@@ -1,0 +1,33 @@
+"""What a folder's calibration slides teach: lines that a test should not be along, and contact depths."""
+
+import numpy as np
+import pandas as pd
+
+CALIBRATION = ("calibration", "train")
+# Slides this near to each other in direction and offset run along one line: a stage repeats better than that.
+SAME_LINE_DEG = 0.5
+SAME_LINE_MM = 0.05
+SAME_DEPTH_MM = 0.01
+
+
+def taught_lines(manifest: pd.DataFrame) -> pd.Series:
+    """For each recording the calibration slide along whose line it runs, "" if there is none.
+
+    manifest: `Folder.manifest` with all splits. A calibration slide runs along its own line or an earlier one's.
+    """
+    taught = manifest[manifest["split"].str.startswith(CALIBRATION)]
+    names = []
+    for direction, offset in manifest[["direction_deg", "offset_mm"]].to_numpy(float):
+        turn = np.abs((taught["direction_deg"] - direction + 180) % 360 - 180)
+        same = (turn < SAME_LINE_DEG) & ((taught["offset_mm"] - offset).abs() < SAME_LINE_MM)
+        names.append(str(taught.index[int(same.argmax())]) if same.any() else "")
+    return pd.Series(names, index=manifest.index, dtype=object)
+
+
+def taught_depths_mm(manifest: pd.DataFrame) -> tuple[float, ...]:
+    """Contact depths of the calibration slides, ascending; without any the median of all. Empty: no depth is given."""
+    depth = manifest["depth_mm"].dropna()
+    taught = depth[manifest.loc[depth.index, "split"].str.startswith(CALIBRATION)]
+    if taught.empty:
+        return () if depth.empty else (float(depth.median()),)
+    return tuple(sorted(set(taught.tolist())))
