@@ -249,9 +249,9 @@ def _made_up(measured: Sequence[Measurements], sensor: Sensor, limits: Limits) -
 
 def _leakage(manifest: pd.DataFrame) -> Iterator[Finding]:
     """Leakage: a line of the same direction and offset in a calibration and in a test split."""
-    taught = taught_lines(manifest)
+    taught, offset_mm = taught_lines(manifest), manifest["offset_mm"].astype(float)
     for name in manifest.index[manifest["split"].str.startswith("test")]:
         if line := taught[name]:
             text = f"mm from the line of {line}, which is in a calibration split: 'evaluate' scores it apart"
-            off = abs(float(manifest.at[name, "offset_mm"] - manifest.at[line, "offset_mm"]))
+            off = abs(offset_mm[name] - offset_mm[line])
             yield Finding("warning", "leakage", str(name), "", off, SAME_LINE_MM, text)
