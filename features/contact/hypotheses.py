@@ -152,10 +152,11 @@ def predict(bank: Hypotheses, elapsed_s: float, floor_v: float, noise: MotionNoi
 
 def update(
     bank: Hypotheses, volts: np.ndarray, variance: np.ndarray, surface: ResponseSurface, elapsed_s: float
-) -> None:
+) -> float:
     """Corrects every hypothesis by one measurement and weighs it by its likelihood.
 
     volts: (C,) V, subtracted; variance: (C,) V^2 of its noise, infinite for a dead channel.
+    -> the logarithm of the measurement's predicted density, less C/2 log(2 pi).
     """
     state, count = bank.state, len(bank)
     channels = np.flatnonzero(np.isfinite(variance))
@@ -172,10 +173,13 @@ def update(
     covariance = bank.covariance - crossed @ inverse @ crossed.transpose(0, 2, 1)
     bank.covariance = 0.5 * (covariance + covariance.transpose(0, 2, 1))
     # One outlying block must not decide between hypotheses: its likelihood is cut off.
-    evidence = np.minimum(chi_square, OUTLIER) + np.log(np.linalg.det(spread))
+    evidence = np.minimum(chi_square, OUTLIER) + np.log(np.maximum(np.linalg.det(spread), 1e-300))
+    before = np.logaddexp.reduce(bank.log_weight)
     bank.log_weight -= 0.5 * evidence
+    log_density = float(np.logaddexp.reduce(bank.log_weight) - before)
     bank.log_weight -= bank.log_weight.max()
     bank.misfit += min(elapsed_s / MISFIT_S, 1.0) * (chi_square / len(channels) - bank.misfit)
+    return log_density
 
 
 OUTLIER = 60.0  # chi-square beyond which one measurement tells nothing more

@@ -22,8 +22,9 @@ class TrackLimits:
     curvature and keep only the likeliest hypotheses. place_mm, speed_mm_s, heading_deg: and never less than these.
     place_sd_mm, heading_sd_deg: largest standard deviations of a valid estimate. certain: least weight of the
     hypotheses near the best one. misfit: largest chi-square over its degrees of freedom. partial: largest weight of
-    hypotheses that the contact is still being pressed on or lifted. way_mm: least way. stopped_mm_s: a contact slower
-    than this has stopped. agreement: largest squared Mahalanobis distance of the straight slide from the track, four
+    hypotheses that the contact is still being pressed on or lifted. evidence: least logarithm of the odds of a
+    contact against a smooth signal of no known origin. way_mm: least way. stopped_mm_s: a contact slower than this has
+    stopped. agreement: largest squared Mahalanobis distance of the straight slide from the track, four
     degrees of freedom.
     """
 
@@ -37,6 +38,7 @@ class TrackLimits:
     certain: float = 0.93
     misfit: float = 2.2
     partial: float = 0.3
+    evidence: float = -2.0
     way_mm: float = 1.5
     stopped_mm_s: float = 0.15
     agreement: float = 12.0
@@ -114,6 +116,8 @@ def _reason(
         return Reason.NOT_THIS_SENSOR
     if track.way_mm < limits.way_mm:
         return Reason.TOO_EARLY
+    if track.evidence < limits.evidence:
+        return Reason.NOT_THIS_SENSOR
     unclear = place_sd_mm > limits.place_sd_mm or (
         heading_sd_deg > limits.heading_sd_deg and contact is not Contact.STOPPED
     )

@@ -36,7 +36,7 @@ class Manoeuvres:
     speed: float = 0.5
     speed_mm_s: float = 0.1
     acceleration: float = 0.06
-    curvature: float = 0.05
+    curvature: float = 0.08
     stop: float = 0.012
     back: float = 0.006
     corner: float = 0.008

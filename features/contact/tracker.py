@@ -21,6 +21,7 @@ from features.contact.hypotheses import (
 )
 from features.contact.manoeuvres import Manoeuvres, branched, merged
 from features.contact.response_surface import ResponseSurface
+from features.contact.smooth_signal import SmoothSignal
 from features.contact.touch import at_touch, onset
 
 STEP_BLOCKS = (
@@ -31,6 +32,7 @@ ONSET_BLOCKS = 12
 NEAR_MM = 2.5  # hypotheses this near the best one tell of the same place
 RELEASE_S = 0.3
 LOST_S = 0.5
+EVIDENCE_S = 4.0  # memory of the evidence for a contact
 
 
 @dataclass(frozen=True)
@@ -56,6 +58,7 @@ class Track(NamedTuple):
     """One moment. mean: (4,) x, y (mm), vx, vy (mm/s); covariance: (4, 4). certain: weight of the hypotheses near the
     best one. misfit: chi-square over its degrees of freedom. partial: weight of hypotheses that the contact is being
     pressed on or lifted. gain, depth_mm (off the map's): means; depth_sd_mm. way_mm: since the touch, at most 25.
+    evidence: logarithm of the odds of a contact against a smooth signal, forgotten over EVIDENCE_S.
     """
 
     mean: np.ndarray
@@ -68,6 +71,7 @@ class Track(NamedTuple):
     depth_sd_mm: float
     hypotheses: int
     way_mm: float
+    evidence: float = 0.0
 
 
 class ContactTracker:
@@ -91,6 +95,8 @@ class ContactTracker:
         self._surface, self._half, self._block_s, self._config = surface, half_mm, block_s, config
         self._noise_v, self._floor_v, self._gain_sd, self._release_v = noise_v, floor_v, gain_sd, release_v
         self._recent = np.zeros((ONSET_BLOCKS, len(noise_v)))
+        self._smooth = SmoothSignal(noise_v / math.sqrt(STEP_BLOCKS), STEP_BLOCKS * block_s)
+        self._evidence = 0.0
         self.reset()
 
     def reset(self) -> None:
@@ -134,7 +140,9 @@ class ContactTracker:
             self._config.touch_most,
             anywhere,
         )
+        self._smooth.reset(seen.level, seen.slope)
         self._blocks = self._steps = self._quiet = self._lost = 0
+        self._evidence = 0.0
         self._track = None if self._bank is None else read(self._bank)
 
     def _step(self, usable: np.ndarray | None) -> None:
@@ -150,14 +158,24 @@ class ContactTracker:
         if usable is not None and not usable.all():
             variance = np.where(usable, variance, np.inf)
         predict(self._bank, elapsed_s, self._floor_v + PEAK_SHARE * peak_v, config.noise)
-        update(self._bank, volts, variance, self._surface, elapsed_s)
+        gained = update(self._bank, volts, variance, self._surface, elapsed_s)
+        gained -= self._smooth.push(volts)
+        sound = np.isfinite(self._bank.log_weight) & np.isfinite(self._bank.state).all(1)
+        if not sound.all():
+            # A signal that no contact makes can drive a covariance out of the positive definite.
+            if not sound.any():
+                self._start(anywhere=True)
+                return
+            self._bank = self._bank.take(sound)
+            gained = 0.0
+        self._evidence += gained - self._evidence * elapsed_s / EVIDENCE_S
         self._leave_skin()
         self._steps += 1
         if self._steps % BRANCH_STEPS == 0:
             first = self._bank.age_mm[self._bank.log_weight.argmax()] < config.first_mm
             bank = merged(self._bank, config.first_most if first else config.most, config.log_odds)
             self._bank = branched(bank, config.parents, config.parent_odds, self._gain_sd, config.manoeuvres)
-        self._track = read(self._bank)
+        self._track = read(self._bank)._replace(evidence=self._evidence)
         self._lost = self._lost + 1 if self._track.misfit > config.lost else 0
         if self._lost * elapsed_s > LOST_S:
             self._start(anywhere=True)
@@ -169,6 +187,7 @@ class ContactTracker:
         beyond = np.maximum(np.abs(state[:, X]) - self._half[0], np.abs(state[:, Y]) - self._half[1])
         unlikely = 0.3 * np.maximum(beyond - 4.0, 0.0) + 10.0 * np.maximum(state[:, GAIN] - 1.15, 0.0) ** 2
         self._bank.log_weight -= unlikely + 0.5 * (state[:, GAIN] < 0.0)
+        self._bank.log_weight -= self._bank.log_weight.max()
 
 
 def read(bank: Hypotheses) -> Track:
