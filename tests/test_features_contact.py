@@ -18,6 +18,7 @@ from features.contact.hypotheses import (
     predict,
     started,
 )
+from features.contact.smooth_signal import SmoothSignal
 from features.contact.tracker import ContactTracker, Track, TrackingConfig
 from models.response_map.contact_card import contact_calibration
 from models.response_map.map import ResponseMap
@@ -235,3 +236,39 @@ def test_a_calibration_that_does_not_fit_is_refused(change: dict[str, object]) -
     whole = asdict(contact_calibration(noisy_map()))
     with pytest.raises(ValueError, match=r".+"):
         ContactCalibration(**{**whole, **change})
+
+
+def test_the_smooth_signal_predicts_what_it_is_made_for() -> None:
+    """A line is predicted with the noise's own density in the end; a jump costs more than any step of the line."""
+    noise, step_s = np.full(2, 1e-3), 0.04
+    smooth = SmoothSignal(noise, step_s)
+    volts = np.array([0.02, -0.01]) * step_s * np.arange(400)[:, None]
+    volts = volts + np.random.default_rng(5).normal(0.0, noise, volts.shape)
+    logs = [smooth.push(v) for v in volts]
+    ideal = -np.log(noise).sum() - 1.0
+    assert np.mean(logs[200:]) == pytest.approx(ideal, abs=0.5)
+    assert smooth.push(volts[-1] + 0.1) < min(logs[200:]) - 3
+
+
+def test_a_slide_has_more_evidence_than_a_sine_wave() -> None:
+    response = noisy_map()
+    slide = [t.evidence for t in followed(response, line(3.0)) if t is not None]
+    phase = 2 * np.pi * 0.2 * BLOCK_S * np.arange(800)
+    sine = 0.15 * np.stack([np.sin(phase), 0.5 * np.sin(phase)], axis=1)
+    sine = sine + np.random.default_rng(3).normal(0.0, 1e-3, sine.shape)
+    tracked = tracker(response)
+    tracks = [tracked.push(v, n > 10) for n, v in enumerate(sine)]
+    waves = [t.evidence for t in tracks if t is not None]
+    assert np.median(slide) > 2.0
+    assert np.median(waves) < 0.0
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_no_signal_makes_the_tracker_fail(seed: int) -> None:
+    """Jumps, walks and steps far beyond any contact: every track that is told is finite."""
+    generator = np.random.default_rng(seed)
+    tracked = tracker(noisy_map())
+    walk = np.cumsum(generator.normal(0.0, 0.05, (400, 2)), axis=0) + (generator.random((400, 1)) < 0.02) * 2.0
+    for volts in walk:
+        track = tracked.push(volts, True)
+        assert track is None or np.isfinite(track.mean).all()
