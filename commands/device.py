@@ -16,8 +16,12 @@ def predict(parser: Parser) -> Run:
     interval; null where nothing is estimated.
 
         softslide predict --model my-model slide.csv
+        softslide predict --model my-model --track path.csv > path.jsonl
     """
     arguments.model(parser)
+    parser.add_argument(
+        "--track", action="store_true", help="every estimate of each recording, one a block (20 ms)"
+    )
     arguments.existing(
         parser,
         "files",
@@ -29,7 +33,7 @@ def predict(parser: Parser) -> Run:
     def run(given: argparse.Namespace) -> None:
         from serve.predict import predict
 
-        for line in predict(given.model, given.files):
+        for line in predict(given.model, given.files, given.track):
             print(json.dumps(line, allow_nan=False), flush=True)
 
     return run

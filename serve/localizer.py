@@ -177,7 +177,15 @@ class Localizer:
         if track is None:
             estimate = straight or Estimate(time_s, tracker.state, reason=self._no_contact())
         else:
-            estimate = judged(track, time_s, tracker.state, self.card.reference_mm, self._limits)
+            assert self.card.contact is not None
+            estimate = judged(
+                track,
+                time_s,
+                tracker.state,
+                self.card.reference_mm,
+                self.card.contact.depth_mm,
+                self._limits,
+            )
             if straight is not None and straight.valid and agrees(straight, track, self._limits):
                 estimate = with_place(straight, estimate)
             elif straight is not None and straight.reason in _OF_THE_SIGNAL:

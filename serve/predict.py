@@ -1,4 +1,4 @@
-"""One estimate for each recorded file: `softslide predict`."""
+"""Estimates of recorded files: `softslide predict`."""
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -9,8 +9,10 @@ from serve.localizer import Localizer
 from serve.records import record
 
 
-def predict(bundle: Path, paths: Sequence[Path]) -> Iterator[dict[str, Any]]:
+def predict(bundle: Path, paths: Sequence[Path], track: bool = False) -> Iterator[dict[str, Any]]:
     """The estimate at the end of each recording, ready for JSON; None: not estimated.
+
+    track: every estimate, one a block.
 
     Raises:
         InputError: the bundle or a file is missing, damaged, or of another format.
@@ -20,5 +22,9 @@ def predict(bundle: Path, paths: Sequence[Path]) -> Iterator[dict[str, Any]]:
     for path in paths:
         volts = read_recording(path, card.channels, card.sample_rate_hz)
         localizer.reset()
-        localizer.feed(volts)
-        yield {"recording": path.stem, "file": str(path), **record(localizer.read())}
+        name = {"recording": path.stem, "file": str(path)}
+        if track:
+            yield from ({**name, **record(estimate)} for estimate in localizer.push(volts))
+        else:
+            localizer.feed(volts)
+            yield {**name, **record(localizer.read())}

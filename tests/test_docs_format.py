@@ -13,6 +13,7 @@ import softslide
 from experiments.evaluation import tracks
 from experiments.evaluation.readout import COLUMNS
 from features.card import Card
+from features.estimate import Estimate, Reason
 from pipeline.recordings import truth
 from pipeline.recordings.manifest import LABELS, REQUIRED
 
@@ -22,13 +23,16 @@ TEXT = (Path(__file__).parents[1] / "docs" / "format.md").read_text(encoding="ut
 def first_column(title: str) -> tuple[str, ...]:
     """The names in the first column of the table whose heading begins with the title."""
     _, rows = TEXT.split(f"| {title} |")
-    return tuple(re.findall(r"^\| `([^`]+)` \|", rows.partition("\n\n")[0], re.MULTILINE))
+    cells = re.findall(r"^\| (`[^|]+`) \|", rows.partition("\n\n")[0], re.MULTILINE)
+    return tuple(name for cell in cells for name in re.findall(r"`([^`]+)`", cell))
 
 
 def test_the_tables_list_the_codes_columns_and_fields_in_order() -> None:
     assert first_column("manifest column") == (*REQUIRED, *LABELS)
     assert first_column("prediction column") == COLUMNS
     assert first_column("truth column") == truth.COLUMNS
+    assert first_column("estimate field") == Estimate._fields
+    assert first_column("reason") == tuple(str(reason) for reason in Reason if reason)
     assert first_column("card field") == tuple(field.name for field in fields(Card))
 
 

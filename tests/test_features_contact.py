@@ -268,7 +268,9 @@ def test_no_signal_makes_the_tracker_fail(seed: int) -> None:
     """Jumps, walks and steps far beyond any contact: every track that is told is finite."""
     generator = np.random.default_rng(seed)
     tracked = tracker(noisy_map())
-    walk = np.cumsum(generator.normal(0.0, 0.05, (400, 2)), axis=0) + (generator.random((400, 1)) < 0.02) * 2.0
+    walk = (
+        np.cumsum(generator.normal(0.0, 0.05, (400, 2)), axis=0) + (generator.random((400, 1)) < 0.02) * 2.0
+    )
     for volts in walk:
         track = tracked.push(volts, True)
         assert track is None or np.isfinite(track.mean).all()

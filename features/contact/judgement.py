@@ -47,9 +47,14 @@ class TrackLimits:
 
 
 def judged(
-    track: Track, time_s: float, state: SlideState, reference_mm: tuple[float, float], limits: TrackLimits
+    track: Track,
+    time_s: float,
+    state: SlideState,
+    reference_mm: tuple[float, float],
+    map_depth_mm: float,
+    limits: TrackLimits,
 ) -> Estimate:
-    """The track as an estimate; `reason` says why it is not valid."""
+    """The track as an estimate; `reason` says why it is not valid. map_depth_mm: the calibration's contact depth."""
     x, y, vx, vy = track.mean.tolist()
     variance = np.maximum(track.covariance.diagonal(), 0.0)
     sd = np.sqrt(variance)
@@ -74,7 +79,7 @@ def judged(
     elif speed < limits.stopped_mm_s:
         contact = Contact.STOPPED
     degrees = math.degrees(heading) % 360.0
-    depth_half = limits.half_width * track.depth_sd_mm
+    depth, depth_half = map_depth_mm + track.depth_mm, limits.half_width * track.depth_sd_mm
     reason = _reason(track, math.hypot(sd[0], sd[1]), math.degrees(heading_sd), contact, limits)
     return Estimate(
         time_s=time_s,
@@ -88,7 +93,7 @@ def judged(
         offset_mm=offset,
         offset_lo_mm=offset - offset_half,
         offset_hi_mm=offset + offset_half,
-        depth_mm=track.depth_mm,
+        depth_mm=depth,
         x_mm=x,
         y_mm=y,
         valid=reason is Reason.NONE,
@@ -104,8 +109,8 @@ def judged(
         vx_hi_mm_s=vx + vx_half,
         vy_lo_mm_s=vy - vy_half,
         vy_hi_mm_s=vy + vy_half,
-        depth_lo_mm=track.depth_mm - depth_half,
-        depth_hi_mm=track.depth_mm + depth_half,
+        depth_lo_mm=depth - depth_half,
+        depth_hi_mm=depth + depth_half,
     )
 
 
