@@ -23,6 +23,8 @@ MODELS = {
     "cnn": "models.cnn.fit",
 }
 DEFAULT = "cnn"
+# Least output of a slide that is believed, in triggers: 8 mV at the default of 5.
+PEAK_TRIGGERS = 1.6
 
 
 def names() -> tuple[str, ...]:
@@ -64,7 +66,10 @@ def fit_model(
     Raises:
         InputError: no such model, nothing to fit it to, or `init` is of another kind.
     """
+    from pipeline.recordings.at_rest import conditioning_for
+
     model = _model(name)
+    config = replace(config, conditioning=conditioning_for(folder, config.conditioning))
     if model.from_design:
         fitted = model.fit(folder, config, atlas, init, progress)
     elif atlas is None and init is None:
@@ -73,7 +78,9 @@ def fit_model(
         raise InputError(
             f"{name} learns from recordings alone; leave the atlas and the bundle to start from out, or use {DEFAULT}"
         )
-    return replace(fitted, name=name)
+    peak_v = PEAK_TRIGGERS * config.conditioning.trigger_v
+    validity = replace(fitted.validity, peak_v=max(fitted.validity.peak_v, peak_v))
+    return replace(fitted, name=name, validity=validity)
 
 
 def _model(name: str) -> "Model":

@@ -6,7 +6,7 @@ folder of recordings can be simulated from the `sensor.toml` that it has.
 
 import hashlib
 import json
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -120,8 +120,12 @@ class Sensor:
     skin: Skin = Skin()
     board: Board = Board()
     mesh: MeshSize = MeshSize()
+    # Of the place where it is used, in Hz; None: found in the recordings at rest.
+    mains_hz: float | None = None
 
     def __post_init__(self) -> None:
+        if self.mains_hz not in (None, 50.0, 60.0):
+            raise ValueError(f"mains_hz is {self.mains_hz:g}; it must be 50 or 60")
         for name in ("sample_rate_hz", "skin_thickness_mm", "indenter_diameter_mm", "pressure_mpa"):
             if not getattr(self, name) > 0:
                 raise ValueError(f"{name} is {getattr(self, name)}; it must be positive")
@@ -141,6 +145,14 @@ class Sensor:
     def channels(self) -> tuple[str, ...]:
         """Column names of the voltages in order: a0_vx, a0_vy, a0_vz, a1_vx, ..."""
         return tuple(f"{a.name}_v{axis}" for a in self.accelerometers for axis in "xyz")
+
+    def scaled(self, scale: float) -> "Sensor":
+        """The sensor whose volts are `scale` times as many: `scale` of features/stream/conditioning.py is applied."""
+        parts = (
+            replace(a, sensitivity_v_per_g=scale * a.sensitivity_v_per_g, zero_g_v=scale * a.zero_g_v)
+            for a in self.accelerometers
+        )
+        return replace(self, accelerometers=tuple(parts))
 
 
 def read_sensor(path: Path) -> Sensor:
@@ -189,6 +201,8 @@ def write_sensor(path: Path, sensor: Sensor) -> None:
 
     table = asdict(sensor)
     table["accelerometer"] = table.pop("accelerometers")
+    # TOML has no null: what is not known is not written.
+    table = {key: value for key, value in table.items() if value is not None}
     path.write_text(tomli_w.dumps(table), encoding="utf-8")
 
 

@@ -52,7 +52,7 @@ class Localizer:
         # Without acceleration an output is half its supply, and no output is outside the supply.
         self._watch = SignalWatch(np.zeros(channels), 2.0 * zero, read)
         self._tracker = SlideTracker(card.conditioning, channels)
-        self._drift = DriftWatch(accelerometers)
+        self._drift = DriftWatch(accelerometers, card.conditioning.scale)
         self._lag = LagUndone(card.conditioning, 2 * len(accelerometers))
         self._contact = contact_tracker(card, self._lag.noise_gain)
         self._limits = TrackLimits()
@@ -129,7 +129,7 @@ class Localizer:
     def subtracted(self) -> np.ndarray:
         """(C,) V: the last block's mean less the static output; NaN where the static output is not known."""
         known = np.repeat(self._tracker.known & self._healthy, 3)
-        return np.where(known, self._tracker.subtracted, np.nan)
+        return np.where(known, self._tracker.subtracted / self.card.conditioning.scale, np.nan)
 
     def window(self) -> Window | None:
         """The window of the slide so far, or else of the last one."""
@@ -232,7 +232,7 @@ class Localizer:
         tracker = self._tracker
         sliding, usable = tracker.state is SlideState.SLIDE, tracker.usable
         block = self._watch.push(samples, shares)
-        tracker.push(block.mean, block.healthy)
+        tracker.push(self.card.conditioning.scale * block.mean, block.healthy)
         self._count += 1
         self._healthy = block.healthy
         self._follow_contact()

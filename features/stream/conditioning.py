@@ -23,6 +23,8 @@ class Conditioning:
 
     With noise of 5 mV a sample at 1 kHz a block mean has 1.1 mV, the mean of `trigger_blocks` 0.5 mV.
 
+    scale: what volts are multiplied by first. The constants in V below, the response map and the networks are made for
+        0.8 V/g; a sensor of 0.2 V/g has a scale of 4 (pipeline/recordings/at_rest.py).
     block_s: length of one block in s. 20 ms holds a whole period of 50 Hz mains, so that the mean cancels it and
         its harmonics (the first null of a boxcar lies at 1 / block_s).
     rest_blocks: memory of the static output in blocks (30 s): a mean at first, then an exponential average, so that
@@ -49,6 +51,7 @@ class Conditioning:
             `trigger_v`.
     """
 
+    scale: float = 1.0
     block_s: float = 0.02
     rest_blocks: int = 1500
     calm_v: float = 0.0015
@@ -150,13 +153,13 @@ def block_mean(samples: np.ndarray, shares: tuple[float, float] = WHOLE) -> np.n
 
 
 def block_means(volts: np.ndarray, conditioning: Conditioning, rate_hz: float) -> np.ndarray:
-    """Anti-alias filter and decimator: volts (n, C) V at `rate_hz` Hz -> means (m, C) V of the m whole blocks.
+    """Anti-alias filter and decimator: volts (n, C) V at `rate_hz` Hz -> means (m, C) V of the m whole blocks, scaled.
 
     Block k is the time from k `block_s` to (k + 1) `block_s` after the first sample.
     """
     blocks = Blocks(volts.shape[1], conditioning.block_samples(rate_hz))
     means = [block_mean(*block) for block in blocks.push(volts)]
-    return np.array(means).reshape(len(means), volts.shape[1])
+    return conditioning.scale * np.array(means).reshape(len(means), volts.shape[1])
 
 
 def blocks_in(samples: np.ndarray, length: float) -> np.ndarray:

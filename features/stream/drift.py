@@ -34,12 +34,16 @@ GRAVITY_CHANGE_G = 0.25
 class DriftWatch:
     """Reads the drift of one stream's sensor.
 
-    accelerometers: as in the card, each with zero_g_v in V and sensitivity_v_per_g in V/g.
+    accelerometers: as in the card, each with zero_g_v in V and sensitivity_v_per_g in V/g. scale: of the volts that
+    it is given (features/stream/conditioning.py); what it tells is in the sensor's own.
     complete: whether the first static output of every accelerometer has been noted.
     """
 
-    def __init__(self, accelerometers: Sequence[Mapping[str, Any]]) -> None:
-        self._nominal = [(float(a["zero_g_v"]), float(a["sensitivity_v_per_g"])) for a in accelerometers]
+    def __init__(self, accelerometers: Sequence[Mapping[str, Any]], scale: float = 1.0) -> None:
+        self._scale = scale
+        self._nominal = [
+            (scale * float(a["zero_g_v"]), scale * float(a["sensitivity_v_per_g"])) for a in accelerometers
+        ]
         self.reset()
 
     def reset(self) -> None:
@@ -84,4 +88,4 @@ class DriftWatch:
             shift = max(shift, abs(vx - first[3 * n]), abs(vy - first[3 * n + 1]))
             lengths += math.hypot(x, y, z)
             turns += math.degrees(math.atan2(math.hypot(x, y), z))
-        return Drift(shift, lengths / len(known), turns / len(known)) if known else UNKNOWN
+        return Drift(shift / self._scale, lengths / len(known), turns / len(known)) if known else UNKNOWN

@@ -63,12 +63,12 @@ def calibrated_map(
     Raises:
         InputError: neither an atlas nor enough slides.
     """
-    lag_known = conditioning.delayed > 0
+    lag_known, sensor = conditioning.delayed > 0, folder.sensor.scaled(conditioning.scale)
     for _ in range(FITS):
         read = conditioning
         slides = calibration_slides(folder, read)
-        candidates = _candidates(len(slides), atlas is not None, calibration, folder.sensor)
-        whole, folds = _parts(slides, atlas, folder.sensor, spread)
+        candidates = _candidates(len(slides), atlas is not None, calibration, sensor)
+        whole, folds = _parts(slides, atlas, sensor, spread)
         response, held_out, summary = _cross_validated(candidates, whole, folds)
         conditioning = read if lag_known else with_lag(read, slides, response, held_out)
         if conditioning == read:

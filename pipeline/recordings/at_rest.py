@@ -1,0 +1,90 @@
+"""The signal path that fits a sensor: from its data sheet, and from what its recordings show before the motion."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from features.angles import tilt_channels
+from features.stream.conditioning import Conditioning, block_means
+from pipeline.recordings.folder import Folder
+
+# V/g of the sensor that the constants in V are made for, the article's MMA7361L.
+REFERENCE_V_PER_G = 0.8
+# Of a tone at 60 Hz blocks of 20 ms leave 16 %: of 5 mg 0.6 mV, half the noise of a block's mean (experiments/LOG.md).
+MAINS_G = 0.005
+# Rest that tells 50 from 60 Hz apart: with a Hann window lines of 5 Hz.
+LEAST_REST_S = 0.4
+# So many recordings tell the mains and the noise.
+MOST_RECORDINGS = 24
+# The trigger stays above so many standard deviations of the mean that it is compared with: with normal noise two
+# channels reach six once in weeks of blocks, five in hours.
+TRIGGER_SD = 6.0
+USUAL = Conditioning()
+
+
+def conditioning_for(folder: Folder, conditioning: Conditioning) -> Conditioning:
+    """`conditioning` for the folder's sensor; constants that differ from the defaults were chosen, and stay.
+
+    scale brings volts to those of 0.8 V/g, so that thresholds and all that is learnt mean the same at any sensitivity.
+    block_s holds a period of 60 Hz mains where `sensor.toml` names it, or where it shows at rest.
+    Where the noise at rest is more than the thresholds allow for, they grow together.
+    """
+    sensor = folder.sensor
+    if conditioning.scale == USUAL.scale:
+        sensitivity = float(np.median([a.sensitivity_v_per_g for a in sensor.accelerometers]))
+        conditioning = replace(conditioning, scale=REFERENCE_V_PER_G / sensitivity)
+    rests = [volts * conditioning.scale for volts in _rests(folder)]
+    if conditioning.block_s == USUAL.block_s:
+        mains_hz = sensor.mains_hz or _mains_hz(rests, sensor.sample_rate_hz)
+        conditioning = replace(conditioning, block_s=1.0 / mains_hz)
+    return _above_noise(rests, sensor.sample_rate_hz, conditioning)
+
+
+def _rests(folder: Folder) -> Iterator[np.ndarray]:
+    """V_x and V_y (n, C) V before the motion of some recordings whose moments are labelled."""
+    tilt = tilt_channels(len(folder.sensor.channels))
+    known = folder.manifest["motion_start_s"].dropna()
+    for name in known.index[:: max(1, len(known) // MOST_RECORDINGS)]:
+        recording = folder.load(str(name))
+        rest = recording.volts[recording.time_s < known[name] - USUAL.block_s][:, tilt]
+        if len(rest) > LEAST_REST_S * folder.sensor.sample_rate_hz:
+            yield rest
+
+
+def _mains_hz(rests: list[np.ndarray], rate_hz: float) -> float:
+    """60 where that tone is the stronger one and its amplitude at rest above MAINS_G, else 50."""
+    if not rests or rate_hz <= 2 * 60.0:
+        return 50.0
+    power = np.mean([[_amplitude(rest, rate_hz, hz) ** 2 for hz in (50.0, 60.0)] for rest in rests], axis=0)
+    # The noise's own share: what neighbouring frequencies, free of mains, show.
+    noise = np.mean([[_amplitude(rest, rate_hz, hz) ** 2 for hz in (42.0, 55.0)] for rest in rests])
+    limit_v = MAINS_G * REFERENCE_V_PER_G
+    return 60.0 if power[1] > power[0] and power[1] - noise > limit_v**2 else 50.0
+
+
+def _amplitude(volts: np.ndarray, rate_hz: float, tone_hz: float) -> float:
+    """Largest amplitude (V) over the channels of a tone in volts (n, C), under a Hann window."""
+    weight = np.hanning(len(volts))
+    turning = weight * np.exp(-2j * np.pi * tone_hz * np.arange(len(volts)) / rate_hz)
+    return float(np.abs(turning @ (volts - volts.mean(axis=0))).max() * 2.0 / weight.sum())
+
+
+def _above_noise(rests: list[np.ndarray], rate_hz: float, conditioning: Conditioning) -> Conditioning:
+    """The same with its thresholds times what the noise at rest asks for; at least as they are."""
+    plain = replace(conditioning, scale=1.0)
+    means = [block_means(rest, plain, rate_hz) for rest in rests]
+    deviations = [np.diff(m, axis=0).std(axis=0).max() / np.sqrt(2.0) for m in means if len(m) > 5]
+    if not deviations or conditioning.trigger_v != USUAL.trigger_v:
+        return conditioning
+    level_sd = float(np.median(deviations)) / np.sqrt(conditioning.trigger_blocks)
+    times = float(TRIGGER_SD * level_sd / conditioning.trigger_v)
+    if times <= 1.0:
+        return conditioning
+    return replace(
+        conditioning,
+        trigger_v=times * conditioning.trigger_v,
+        release_v=times * conditioning.release_v,
+        calm_v=times * conditioning.calm_v,
+        still_peak_v=times * conditioning.still_peak_v,
+    )
