@@ -6,10 +6,12 @@ slow viewer sees fewer frames, not older ones.
 
 import asyncio
 import json
+import secrets
 import socket
 import struct
 import threading
 import time
+from ipaddress import ip_address
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +21,7 @@ from features.card import Card
 from features.errors import InputError
 from features.estimate import Estimate
 from features.stream.tracker import SlideState
+from serve.page.guard import HEADERS, Guard
 
 PLACE = "write PORT or HOST:PORT, port 0 for any that is free"
 # Blocks come 50 times a second; a screen needs no more than this.
@@ -27,6 +30,9 @@ FRAME_S = 1 / 40
 SILENCE_S = 1.0
 # Time that viewers have at the end to ask for the last frame.
 FAREWELL_S = 0.5
+# A browser's request has about 1 kB of headers.
+MOST_HEADER_BYTES = 1 << 14
+MOST_CONNECTIONS = 64
 STATES = tuple(SlideState)
 NUMBERS = tuple(name for name in Estimate._fields if name not in ("time_s", "state"))
 _FILES = Path(__file__).with_name("static")
@@ -48,8 +54,12 @@ class Page:
         application = self._application()
         listener = _listener(place)
         host, port = listener.getsockname()[:2]
+        # Whom this machine's own address does not keep out needs a token.
+        token = None if ip_address(host.partition("%")[0]).is_loopback else secrets.token_urlsafe(16)
         self.address = f"http://{f'[{host}]' if ':' in host else host}:{port}/"
-        self._server = _server(application)
+        if token is not None:
+            self.address += f"?token={token}"
+        self._server = _server(Guard(application, token))
         self._thread = threading.Thread(
             target=self._server.run, kwargs={"sockets": [listener]}, name="page", daemon=True
         )
@@ -71,18 +81,13 @@ class Page:
     def _application(self) -> Any:
         # uvicorn imports it too late for an error in one line.
         import websockets  # noqa: F401
-        from fastapi import FastAPI, WebSocket, WebSocketDisconnect
+        from fastapi import FastAPI, Response, WebSocket, WebSocketDisconnect
         from fastapi.staticfiles import StaticFiles
 
         application = FastAPI(openapi_url=None)
 
         @application.websocket("/stream")
         async def stream(viewer: WebSocket) -> None:
-            # A page of another origin must not read the stream through its visitor's browser.
-            origin = viewer.headers.get("origin")
-            if origin is not None and origin.partition("://")[2] != viewer.headers.get("host"):
-                await viewer.close(1008)
-                return
             await viewer.accept()
             self._viewers += 1
             try:
@@ -91,6 +96,19 @@ class Page:
                 return
             finally:
                 self._viewers -= 1
+
+        @application.get("/healthz")
+        def healthz() -> dict[str, Any]:
+            shown = self._latest
+            return {
+                "status": "ok",
+                "time_s": None if shown is None else shown[0].time_s,
+                "viewers": self._viewers,
+            }
+
+        @application.get("/model")
+        def model() -> Response:
+            return Response(self._about, media_type="application/json")
 
         application.mount("/", StaticFiles(directory=_FILES, html=True))
         return application
@@ -171,7 +189,9 @@ def _server(application: Any) -> Any:
             ws_max_size=1024,
             ws_per_message_deflate=False,
             timeout_graceful_shutdown=1,
-            # A browser must not keep the page of another release.
-            headers=[("Cache-Control", "no-cache")],
+            headers=HEADERS,
+            http="h11",
+            h11_max_incomplete_event_size=MOST_HEADER_BYTES,
+            limit_concurrency=MOST_CONNECTIONS,
         )
     )

@@ -1,0 +1,81 @@
+"""Who may read the page: a browser that asked for this machine by name, or one that has the token."""
+
+import hmac
+from http.cookies import CookieError, SimpleCookie
+from typing import Any
+from urllib.parse import parse_qs
+
+LOOPBACK = ("127.0.0.1", "localhost", "[::1]")
+COOKIE = "softslide_token"
+# A page of this server, and nothing from elsewhere: a browser runs no other script, and no other page frames it.
+HEADERS = [
+    (
+        "Content-Security-Policy",
+        "default-src 'self'; img-src 'self' data:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
+    ),
+    ("X-Content-Type-Options", "nosniff"),
+    ("Referrer-Policy", "no-referrer"),
+    ("Cross-Origin-Resource-Policy", "same-origin"),
+    # A browser must not keep the page of another release.
+    ("Cache-Control", "no-cache"),
+]
+
+
+class Guard:
+    """An ASGI application before another one.
+
+    token: None where only this machine can connect. A page elsewhere can then still have its own name resolve to this
+    machine (DNS rebinding), so the host asked for has to be one of LOOPBACK. With a token, every request has to carry
+    it: as `?token=` once, after that in a cookie.
+    """
+
+    def __init__(self, application: Any, token: str | None) -> None:
+        self._application, self._token = application, token
+
+    async def __call__(self, scope: Any, receive: Any, send: Any) -> None:
+        headers: dict[bytes, bytes] = dict(scope["headers"])
+        host, origin = headers.get(b"host", b"").decode("latin-1"), headers.get(b"origin")
+        # A page of another origin must not read the stream through its visitor's browser.
+        foreign = origin is not None and origin.decode("latin-1").partition("://")[2] != host
+        named, asked = self._token is None and _name(host) in LOOPBACK, False
+        if self._token is not None:
+            asked = _same(
+                parse_qs(scope["query_string"].decode("latin-1")).get("token", [""])[0], self._token
+            )
+            named = asked or _same(_cookie(headers.get(b"cookie", b"").decode("latin-1")), self._token)
+        if foreign or not named:
+            await _refuse(scope["type"], send)
+            return
+
+        async def answer(message: Any) -> None:
+            if asked and message["type"] == "http.response.start":
+                cookie = f"{COOKIE}={self._token}; HttpOnly; SameSite=Strict; Path=/"
+                message["headers"] = [*message["headers"], (b"set-cookie", cookie.encode())]
+            await send(message)
+
+        await self._application(scope, receive, answer)
+
+
+async def _refuse(kind: str, send: Any) -> None:
+    if kind == "websocket":
+        await send({"type": "websocket.close", "code": 1008})
+        return
+    await send({"type": "http.response.start", "status": 403, "headers": [(b"content-type", b"text/plain")]})
+    await send({"type": "http.response.body", "body": b"403: open the address that softslide serve prints\n"})
+
+
+def _name(host: str) -> str:
+    """The host without its port."""
+    return host if host.endswith("]") else host.rpartition(":")[0] or host
+
+
+def _same(given: str, wanted: str) -> bool:
+    return hmac.compare_digest(given.encode("utf-8", "replace"), wanted.encode())
+
+
+def _cookie(text: str) -> str:
+    try:
+        found = SimpleCookie(text).get(COOKIE)
+    except CookieError:
+        return ""
+    return "" if found is None else found.value

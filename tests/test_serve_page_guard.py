@@ -1,0 +1,95 @@
+"""The live page answers only whom it should, and in bounds."""
+
+import http.client
+import socket
+from contextlib import closing
+from urllib.parse import urlsplit
+
+import pytest
+from small_bundle import write_small_bundle
+from streams import a_sensor
+from test_serve_page import Serving, serving
+from websockets.exceptions import InvalidStatus
+from websockets.sync.client import connect
+
+
+@pytest.fixture(scope="module")
+def running(tmp_path_factory: pytest.TempPathFactory):  # type: ignore[no-untyped-def]
+    bundle = write_small_bundle(tmp_path_factory.mktemp("bundles") / "one", a_sensor())
+    with serving(bundle) as local:
+        yield local
+
+
+@pytest.fixture(scope="module")
+def opened(tmp_path_factory: pytest.TempPathFactory):  # type: ignore[no-untyped-def]
+    bundle = write_small_bundle(tmp_path_factory.mktemp("bundles") / "two", a_sensor())
+    with serving(bundle, "0.0.0.0:0") as everywhere:
+        yield everywhere
+
+
+def answer(running: Serving, path: str, **headers: str) -> tuple[int, http.client.HTTPMessage, bytes]:
+    port = urlsplit(running.address).port
+    assert port is not None
+    with closing(http.client.HTTPConnection("127.0.0.1", port, timeout=20)) as connection:
+        connection.request("GET", path, headers=headers)
+        with connection.getresponse() as got:
+            return got.status, got.headers, got.read()
+
+
+@pytest.mark.parametrize("path", ["/", "/healthz", "/model", "/page.js"])
+def test_a_host_of_another_name_is_refused(running: Serving, path: str) -> None:
+    """A page elsewhere whose name resolves to this machine asks for its own name."""
+    assert answer(running, path)[0] == 200
+    assert answer(running, path, Host="localhost:1")[0] == 200
+    for host in ("evil.example", "evil.example:80", "127.0.0.1.evil.example", "", "localhost.evil.example:9"):
+        assert answer(running, path, Host=host)[0] == 403, host
+
+
+def test_a_stream_for_another_host_or_origin_is_refused(running: Serving) -> None:
+    port = urlsplit(running.address).port
+    with connect(f"ws://127.0.0.1:{port}/stream", proxy=None) as view:
+        assert view.recv(timeout=20)
+    for headers in ({"Host": "evil.example"}, {"Origin": "http://evil.example"}):
+        with socket.create_connection(("127.0.0.1", port)) as raw:
+            lines = {
+                "Host": f"127.0.0.1:{port}",
+                "Upgrade": "websocket",
+                "Connection": "Upgrade",
+                "Sec-WebSocket-Key": "dGhlIHNhbXBsZSBub25jZQ==",
+                "Sec-WebSocket-Version": "13",
+            } | headers
+            text = "".join(f"{name}: {value}\r\n" for name, value in lines.items())
+            raw.sendall(f"GET /stream HTTP/1.1\r\n{text}\r\n".encode())
+            assert b" 403 " in raw.recv(4096).splitlines()[0]
+
+
+def test_answers_forbid_what_a_page_does_not_need(running: Serving) -> None:
+    headers = answer(running, "/")[1]
+    assert "default-src 'self'" in headers["Content-Security-Policy"]
+    assert headers["X-Content-Type-Options"] == "nosniff"
+
+
+def test_a_request_without_end_is_refused(running: Serving) -> None:
+    with socket.create_connection(("127.0.0.1", urlsplit(running.address).port)) as raw:
+        raw.settimeout(20)
+        try:
+            raw.sendall(b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\nX: " + b"x" * 1_000_000)
+            got = raw.recv(4096)
+        except ConnectionError:
+            got = b""
+    assert b" 200 " not in got
+    assert answer(running, "/healthz")[0] == 200
+
+
+def test_other_machines_need_the_token(opened: Serving) -> None:
+    token = urlsplit(opened.address).query
+    assert len(token) > 20
+    for path in ("/", "/model", "/?token=", "/?token=wrong", "/?token=%ff"):
+        assert answer(opened, path)[0] == 403, path
+    status, headers, _ = answer(opened, f"/?{token}")
+    assert status == 200
+    cookie = headers["Set-Cookie"].partition(";")[0]
+    assert answer(opened, "/model", Cookie=cookie)[0] == 200
+    assert answer(opened, "/model", Cookie="softslide_token=wrong")[0] == 403
+    with pytest.raises(InvalidStatus):
+        connect(f"ws://127.0.0.1:{urlsplit(opened.address).port}/stream", proxy=None)
