@@ -34,7 +34,8 @@ FAREWELL_S = 0.5
 MOST_HEADER_BYTES = 1 << 14
 MOST_CONNECTIONS = 64
 STATES = tuple(SlideState)
-NUMBERS = tuple(name for name in Estimate._fields if name not in ("time_s", "state"))
+# What a frame holds besides; the words are not shown.
+NUMBERS = tuple(name for name in Estimate._fields if name not in ("time_s", "state", "contact", "reason"))
 _FILES = Path(__file__).with_name("static")
 
 
