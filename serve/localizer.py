@@ -284,6 +284,7 @@ def contact_tracker(card: Card, noise_gain: float) -> ContactTracker | None:
         noise_v=noise_gain * np.array(contact.noise_v),
         floor_v=contact.floor_v,
         gain_sd=contact.gain_sd,
+        trigger_v=card.conditioning.trigger_v,
         release_v=card.conditioning.release_v,
         config=TrackingConfig(),
     )

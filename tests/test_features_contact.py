@@ -44,6 +44,7 @@ def tracker(response: ResponseMap) -> ContactTracker:
         noise_v=np.array(card.noise_v),
         floor_v=card.floor_v,
         gain_sd=card.gain_sd,
+        trigger_v=0.005,
         release_v=0.0035,
         config=TrackingConfig(),
     )

@@ -41,8 +41,8 @@ class TrackLimits:
     evidence: float = -2.0
     way_mm: float = 1.5
     stopped_mm_s: float = 0.15
-    agreement: float = 12.0
-    straight_misfit: float = 1.5
+    agreement: float = 10.0
+    straight_misfit: float = 2.0
     straight_way_mm: float = 8.0
 
 

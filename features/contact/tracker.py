@@ -29,6 +29,7 @@ STEP_BLOCKS = (
 )
 BRANCH_STEPS = 5
 ONSET_BLOCKS = 12
+TRIGGER_BLOCKS = 5
 NEAR_MM = 2.5  # hypotheses this near the best one tell of the same place
 RELEASE_S = 0.3
 LOST_S = 0.5
@@ -78,7 +79,8 @@ class ContactTracker:
     """One stream's tracker.
 
     surface: the calibrated response. half_mm: half the chamber's sizes. noise_v: (C,) V of one block, with the lag
-    undone. floor_v: V, the map's residual. gain_sd: from slide to slide. release_v: V, an output that is nothing.
+    undone. floor_v: V, the map's residual. gain_sd: from slide to slide. trigger_v, release_v: V, outputs that begin
+    and end a contact.
     """
 
     def __init__(
@@ -89,11 +91,13 @@ class ContactTracker:
         noise_v: np.ndarray,
         floor_v: float,
         gain_sd: float,
+        trigger_v: float,
         release_v: float,
         config: TrackingConfig,
     ) -> None:
         self._surface, self._half, self._block_s, self._config = surface, half_mm, block_s, config
-        self._noise_v, self._floor_v, self._gain_sd, self._release_v = noise_v, floor_v, gain_sd, release_v
+        self._noise_v, self._floor_v, self._gain_sd = noise_v, floor_v, gain_sd
+        self._trigger_v, self._release_v = trigger_v, release_v
         self._recent = np.zeros((ONSET_BLOCKS, len(noise_v)))
         self._smooth = SmoothSignal(noise_v / math.sqrt(STEP_BLOCKS), STEP_BLOCKS * block_s)
         self._evidence = 0.0
@@ -117,7 +121,9 @@ class ContactTracker:
         self._recent[-1] = volts
         self._filled = min(self._filled + 1, ONSET_BLOCKS)
         if self._bank is None:
-            if touched and self._filled >= 5:
+            # A slide's end is noticed later than the output is gone: no new track begins in what is left of it.
+            level = self._recent[-TRIGGER_BLOCKS:].mean(axis=0)
+            if touched and self._filled >= TRIGGER_BLOCKS and np.abs(level).max() > self._trigger_v:
                 self._start(anywhere=False)
             return self._track
         self._blocks += 1
