@@ -24,7 +24,7 @@ def check(parser: Parser) -> Run:
     parser.add_argument("--json", action="store_true", help="the findings as one JSON object")
 
     def run(given: argparse.Namespace) -> None:
-        from pipeline.checks.findings import as_json, examine
+        from pipeline.checks.findings import as_json, examine, not_checked
         from pipeline.recordings.folder import read_folder
 
         recordings = read_folder(given.folder)
@@ -35,6 +35,8 @@ def check(parser: Parser) -> Run:
         else:
             for finding in findings:
                 print(finding.line())
+            for line in not_checked(recordings.sensor):
+                print(f"not checked: {line}")
             warnings = len(findings) - len(errors)
             print(f"{len(recordings)} recordings, {len(errors)} errors, {warnings} warnings")
         if errors:

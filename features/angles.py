@@ -1,4 +1,4 @@
-"""The signed difference of two directions, and the channels that show a tilt: each defined once."""
+"""The signed difference of two directions, and the channels that show a tilt or a touch: each defined once."""
 
 from typing import TypeVar
 
@@ -17,5 +17,13 @@ def tilt_channels(channels: int) -> np.ndarray:
 
     These two follow the sine of the board's tilt under a contact. V_z follows its cosine: it hardly changes.
     """
+    return touch_channels(channels, "xy")
+
+
+def touch_channels(channels: int, axes: str) -> np.ndarray:
+    """Indices of the channels that answer to a touch among `channels` = 3 A, each sensing element's in order x, y, z.
+
+    axes: of every element, "xy" (accelerometers, see `tilt_channels`) or "xyz".
+    """
     every = np.arange(channels)
-    return every[every % 3 < 2]
+    return every[every % 3 < len(axes)]

@@ -5,6 +5,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
+from features.stream.drift import measures_gravity
+
 if TYPE_CHECKING:
     from features.card import Card
 
@@ -66,7 +68,8 @@ def _sensor(sensor: Any) -> None:
         table(accelerometer, place)
         for key in ("x_mm", "y_mm"):
             number(accelerometer.get(key), f"{place}: {key}", -MOST_MM, MOST_MM)
-        for key in ("zero_g_v", "sensitivity_v_per_g"):
+        text(accelerometer.get("kind", "accelerometer"), f"{place}: kind")
+        for key in ("zero_g_v", "sensitivity_v_per_g") if measures_gravity(accelerometer) else ():
             number(accelerometer.get(key), f"{place}: {key}", 0.0, MOST_VOLTS, above=True)
 
 

@@ -1,4 +1,4 @@
-"""A sensor as `sensor.toml` describes it: its geometry, its accelerometers, its electronics, its mechanics.
+"""A sensor as `sensor.toml` describes it: its geometry, its sensing elements, its electronics, its mechanics.
 
 The mechanics (`[skin]`, `[board]`, `[mesh]`) are optional: their defaults are the article's sensor, so that a
 folder of recordings can be simulated from the `sensor.toml` that it has.
@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from features.errors import InputError
+from features.stream.conditioning import TOUCH_AXES
 from pipeline.toml_tables import from_table, read_toml
 
 # Noise density of an accelerometer by its data sheet, g / sqrt(Hz). MMA7361L: Freescale, rev. 0, 350 ug / sqrt(Hz).
@@ -21,9 +22,22 @@ _RIM_MM = 0.5
 _BOARD_GAP_MM = 0.5
 
 
+KINDS = ("accelerometer", "magnetometer", "other")
+# What a folder's recordings are: of a real skin, of an emulator, put together from real measurements, of our simulator.
+ORIGINS = ("measured", "emulated", "assembled", "synthetic")
+
+
 @dataclass(frozen=True)
 class Accelerometer:
-    """One three-axis accelerometer cast into the skin, at (x_mm, y_mm) from the chamber's centre."""
+    """One three-axis sensing element in the skin, at (x_mm, y_mm) from the chamber's centre: an `[[accelerometer]]`.
+
+    kind: what it is. An accelerometer measures gravity and its V_x and V_y answer to a touch: contact zones, drift by
+    gravity, the solved skin and the article's interpolation apply to it alone. Of other kinds nothing but the answer
+    is assumed.
+    unit: of its three outputs; where it is no V, whatever else is called volts is in this unit.
+    touch_axes: which outputs answer to a touch, "xy" or "xyz"; of an accelerometer "xy" unless given, of others "xyz".
+    model, sensitivity_v_per_g, zero_g_v: of an accelerometer; they say nothing of other kinds.
+    """
 
     name: str
     x_mm: float
@@ -31,10 +45,24 @@ class Accelerometer:
     model: str = "MMA7361L"
     sensitivity_v_per_g: float = 0.8
     zero_g_v: float = 1.65
+    kind: str = KINDS[0]
+    unit: str = "V"
+    touch_axes: str = ""
 
     def __post_init__(self) -> None:
         if not self.sensitivity_v_per_g > 0:
             raise ValueError(f"sensitivity_v_per_g is {self.sensitivity_v_per_g}; it must be positive")
+        if self.kind not in KINDS:
+            raise ValueError(f"kind is '{self.kind}'; it must be one of {', '.join(KINDS)}")
+        if not self.touch_axes:
+            object.__setattr__(self, "touch_axes", TOUCH_AXES[0 if self.measures_gravity else 1])
+        if self.touch_axes not in TOUCH_AXES:
+            raise ValueError(f"touch_axes is '{self.touch_axes}'; it must be one of {', '.join(TOUCH_AXES)}")
+
+    @property
+    def measures_gravity(self) -> bool:
+        """Whether it reads 1 g at rest."""
+        return self.kind == KINDS[0]
 
 
 @dataclass(frozen=True)
@@ -106,7 +134,10 @@ class MeshSize:
 
 @dataclass(frozen=True)
 class Sensor:
-    """A sensor: `sensor.toml`. Lengths in mm, pressure in MPa, rate in Hz, ADC step in V."""
+    """A sensor: `sensor.toml`. Lengths in mm, pressure in MPa, rate in Hz, ADC step in V.
+
+    origin: what the recordings are, one of ORIGINS; "": not said.
+    """
 
     name: str
     sample_rate_hz: float
@@ -122,6 +153,7 @@ class Sensor:
     mesh: MeshSize = MeshSize()
     # Of the place where it is used, in Hz; None: found in the recordings at rest.
     mains_hz: float | None = None
+    origin: str = ""
 
     def __post_init__(self) -> None:
         if self.mains_hz not in (None, 50.0, 60.0):
@@ -140,6 +172,12 @@ class Sensor:
         names = [a.name for a in self.accelerometers]
         if len(set(names)) != len(names):
             raise ValueError(f"two accelerometers share a name ({', '.join(names)}); name each differently")
+        if len({(a.touch_axes, a.unit) for a in self.accelerometers}) > 1:
+            raise ValueError(
+                "the accelerometers differ in touch_axes or unit; make a folder of each, or state the same"
+            )
+        if self.origin and self.origin not in ORIGINS:
+            raise ValueError(f"origin is '{self.origin}'; it must be one of {', '.join(ORIGINS)}")
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -154,6 +192,16 @@ class Sensor:
         )
         return replace(self, accelerometers=tuple(parts))
 
+    @property
+    def touch_axes(self) -> str:
+        """Of every sensing element: the outputs that answer to a touch."""
+        return self.accelerometers[0].touch_axes
+
+    @property
+    def measures_gravity(self) -> bool:
+        """Whether every sensing element is an accelerometer."""
+        return all(a.measures_gravity for a in self.accelerometers)
+
 
 def read_sensor(path: Path) -> Sensor:
     """Reads and validates a `sensor.toml`.
@@ -166,12 +214,19 @@ def read_sensor(path: Path) -> Sensor:
 
 
 def check_design(sensor: Sensor, source: str = "sensor") -> None:
-    """What recordings can do without and mechanics cannot: every board in the chamber's skin, none in
-    another.
+    """What recordings can do without and mechanics cannot: accelerometers, each one's board in the chamber's skin, none
+    in another.
 
     Raises:
-        InputError: a board is thicker than the skin leaves room for, reaches over the chamber, or overlaps.
+        InputError: a sensing element is no accelerometer; a board is thicker than the skin leaves room for, reaches
+            over the chamber, or overlaps.
     """
+    for n, a in enumerate(sensor.accelerometers, 1):
+        if not a.measures_gravity:
+            raise InputError(
+                f"{source}: accelerometer {n}: '{a.name}' is of kind '{a.kind}'; the solved skin tilts accelerometers "
+                "alone, others are calibrated from recordings"
+            )
     width, length = sensor.board.size_mm
     if sensor.board.thickness_mm > 0.8 * sensor.skin_thickness_mm:
         raise InputError(
@@ -202,7 +257,7 @@ def write_sensor(path: Path, sensor: Sensor) -> None:
     table = asdict(sensor)
     table["accelerometer"] = table.pop("accelerometers")
     # TOML has no null: what is not known is not written.
-    table = {key: value for key, value in table.items() if value is not None}
+    table = {key: value for key, value in table.items() if value not in (None, "")}
     path.write_text(tomli_w.dumps(table), encoding="utf-8")
 
 

@@ -1,20 +1,21 @@
 """The runtime: load a bundle, push volts, read estimates. It needs numpy and ONNX Runtime alone."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import onnxruntime as ort
 
-from features.angles import tilt_channels
+from features.angles import touch_channels
 from features.card import Card
 from features.contact.judgement import TrackLimits, agrees, judged, with_place
 from features.contact.tracker import ContactTracker, Track, TrackingConfig
 from features.errors import InputError
 from features.estimate import Estimate, Reason, decode
 from features.stream.conditioning import Blocks, LagUndone
-from features.stream.drift import UNKNOWN, DriftWatch
+from features.stream.drift import UNKNOWN, DriftWatch, measures_gravity
 from features.stream.faults import BRIDGED_BLOCKS, SignalWatch
 from features.stream.tracker import SlideState, SlideTracker
 from features.vector.energy import energy_width_s
@@ -44,16 +45,14 @@ class Localizer:
         self.card = card
         self._session = session
         channels, accelerometers = len(card.channels), card.sensor["accelerometers"]
-        zero = np.repeat([float(a["zero_g_v"]) for a in accelerometers], 3)
         self._blocks = Blocks(channels, card.block_samples)
         self._clock = SampleClock(card.sample_rate_hz, round((BRIDGED_BLOCKS + 2) * card.block_samples))
         read = np.full(channels, card.input == "features")
-        read[tilt_channels(channels)] = True
-        # Without acceleration an output is half its supply, and no output is outside the supply.
-        self._watch = SignalWatch(np.zeros(channels), 2.0 * zero, read)
+        read[touch_channels(channels, card.conditioning.touch_axes)] = True
+        self._watch = SignalWatch(*output_range(accelerometers), read)
         self._tracker = SlideTracker(card.conditioning, channels)
-        self._drift = DriftWatch(accelerometers, card.conditioning.scale)
-        self._lag = LagUndone(card.conditioning, 2 * len(accelerometers))
+        self._drift = DriftWatch(accelerometers, card.conditioning.touch_axes, card.conditioning.scale)
+        self._lag = LagUndone(card.conditioning, len(self._tracker.touch))
         self._contact = contact_tracker(card, self._lag.noise_gain)
         self._limits = TrackLimits()
         self._inputs = {
@@ -217,7 +216,7 @@ class Localizer:
         if not tracker.known.any():
             self._forget_contact()
             return
-        volts = self._lag.push(tracker.subtracted[tracker.tilt])
+        volts = self._lag.push(tracker.subtracted[tracker.touch])
         usable = np.repeat(tracker.usable & self._healthy, 2)
         self._track = self._contact.push(volts, tracker.state is SlideState.SLIDE, usable)
 
@@ -288,6 +287,20 @@ def contact_tracker(card: Card, noise_gain: float) -> ContactTracker | None:
         release_v=card.conditioning.release_v,
         config=TrackingConfig(),
     )
+
+
+def output_range(elements: Sequence[Mapping[str, Any]]) -> tuple[np.ndarray, np.ndarray]:
+    """Least and largest output (C,) V of a card's sensing elements.
+
+    Without acceleration an accelerometer's output is half its supply, and no output is outside the supply. Of other
+    kinds no range is known: every finite number is an output.
+    """
+    largest = float(np.finfo(float).max)
+    ranges = [
+        (0.0, 2.0 * float(a["zero_g_v"])) if measures_gravity(a) else (-largest, largest) for a in elements
+    ]
+    low, high = np.repeat(np.array(ranges), 3, axis=0).T
+    return low, high
 
 
 def _numbers(values: np.ndarray, name: str) -> np.ndarray:

@@ -54,6 +54,7 @@ def write_report(
         units=QUANTITIES,
         worst=_worst(scored),
         emulated=metrics["sensor"] in EMULATED,
+        origin=sensor.origin,
         stroke_figure=_inline(figures.along_the_stroke(scored)),
         recording_figure=_inline(figures.recording_by_recording(scored)),
         tracks=metrics.get("tracks", {}),

@@ -15,6 +15,7 @@ import numpy as np
 ROUNDING = 1e-4
 # Shares of a block's first and last sample, where it holds whole samples alone.
 WHOLE = (1.0, 1.0)
+TOUCH_AXES = ("xy", "xyz")
 
 
 @dataclass(frozen=True)
@@ -45,10 +46,12 @@ class Conditioning:
         a shifted zero; it is given up.
     delayed, tau_s: the skin's lag as a standard linear solid: of every change the share `delayed` follows with the
         retardation time `tau_s` in s. It is undone in a slide's history; `delayed` 0: no lag is known.
+    touch_axes: of each sensing element that answer to a touch: "xy", V_x and V_y, of accelerometers; "xyz" where V_z
+        does too. The figures in V are in the sensor's own unit where that is another.
 
     Raises:
         ValueError: a value of another type, not positive or not finite; `delayed` of 1 or more; `release_v` above
-            `trigger_v`.
+            `trigger_v`; other axes.
     """
 
     scale: float = 1.0
@@ -66,10 +69,15 @@ class Conditioning:
     longest_blocks: int = 15_000
     delayed: float = 0.0
     tau_s: float = 0.15
+    touch_axes: str = TOUCH_AXES[0]
 
     def __post_init__(self) -> None:
+        if self.touch_axes not in TOUCH_AXES:
+            raise ValueError(f"touch_axes is {self.touch_axes!r}; it must be one of {', '.join(TOUCH_AXES)}")
         for field in fields(self):
             value = getattr(self, field.name)
+            if field.type is str:
+                continue
             if isinstance(value, bool) or not isinstance(value, int if field.type is int else int | float):
                 raise ValueError(f"{field.name} is {value!r}, not a number of its kind")
             if not 0 < value < math.inf and not (field.name == "delayed" and value == 0):

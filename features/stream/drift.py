@@ -3,6 +3,9 @@
 The static output of each channel is followed and subtracted. From one static vector a shifted zero, a changed mounting
 tilt and a changed gain cannot be told apart. So gain and tilt are reported and not corrected: the models allow for a
 change of gain, and a tilt of a few degrees hardly changes the response.
+
+Sensing elements of another kind (`kind` in sensor.toml) do not measure gravity: of these the shift of the zero is read,
+gain and tilt are not known.
 """
 
 import math
@@ -15,9 +18,9 @@ import numpy as np
 class Drift(NamedTuple):
     """Drift at one moment; NaN: not known.
 
-    zero_shift_v: largest change of the static output of any V_x or V_y since the stream began, V; it is subtracted.
-    gain: length of the static vector over the nominal one for 1 g. turn_deg: angle of the static vector to the
-    accelerometer's z axis, deg. Both are means over the accelerometers in use.
+    zero_shift_v: largest change of the static output of any channel that answers to a touch since the stream began, V;
+    it is subtracted. gain: length of the static vector over the nominal one for 1 g. turn_deg: angle of the static
+    vector to the accelerometer's z axis, deg. Both are means over the accelerometers in use.
     """
 
     zero_shift_v: float = math.nan
@@ -34,15 +37,20 @@ GRAVITY_CHANGE_G = 0.25
 class DriftWatch:
     """Reads the drift of one stream's sensor.
 
-    accelerometers: as in the card, each with zero_g_v in V and sensitivity_v_per_g in V/g. scale: of the volts that
-    it is given (features/stream/conditioning.py); what it tells is in the sensor's own.
+    accelerometers: as in the card; those that measure gravity have zero_g_v in V and sensitivity_v_per_g in V/g.
+    touch_axes, scale: of the volts that it is given, as in `Conditioning`; what it tells is in the sensor's own.
     complete: whether the first static output of every accelerometer has been noted.
     """
 
-    def __init__(self, accelerometers: Sequence[Mapping[str, Any]], scale: float = 1.0) -> None:
-        self._scale = scale
+    def __init__(
+        self, accelerometers: Sequence[Mapping[str, Any]], touch_axes: str = "xy", scale: float = 1.0
+    ) -> None:
+        self._scale, self._axes = scale, len(touch_axes)
         self._nominal = [
-            (scale * float(a["zero_g_v"]), scale * float(a["sensitivity_v_per_g"])) for a in accelerometers
+            (scale * float(a["zero_g_v"]), scale * float(a["sensitivity_v_per_g"]))
+            if measures_gravity(a)
+            else None
+            for a in accelerometers
         ]
         self.reset()
 
@@ -66,7 +74,10 @@ class DriftWatch:
         static_v: (C,) V; subtracted_v: (C,) V, mean of a slide's window; usable: (A,), the accelerometers to check.
         """
         static, during = static_v.tolist(), (static_v + subtracted_v).tolist()
-        for n, (zero, sensitivity) in enumerate(self._nominal):
+        for n, nominal in enumerate(self._nominal):
+            if nominal is None:
+                continue
+            zero, sensitivity = nominal
             before_g, during_g = (
                 math.dist(volts[3 * n : 3 * n + 3], (zero, zero, zero)) / sensitivity
                 for volts in (static, during)
@@ -79,13 +90,23 @@ class DriftWatch:
         """The drift now. static_v: (C,) V; usable: (A,), the accelerometers to read it from."""
         # For a few numbers, plain floats are several times faster than arrays.
         static, first = static_v.tolist(), self._first.ravel().tolist()
-        shift, lengths, turns = 0.0, 0.0, 0.0
+        shift, lengths, turns, upright = 0.0, 0.0, 0.0, 0
         known = [n for n in range(len(self._nominal)) if usable[n] and not self._awaited[n]]
         for n in known:
-            zero, sensitivity = self._nominal[n]
-            vx, vy, vz = static[3 * n : 3 * n + 3]
-            x, y, z = ((v - zero) / sensitivity for v in (vx, vy, vz))
-            shift = max(shift, abs(vx - first[3 * n]), abs(vy - first[3 * n + 1]))
+            shift = max(shift, *(abs(static[c] - first[c]) for c in range(3 * n, 3 * n + self._axes)))
+            if (nominal := self._nominal[n]) is None:
+                continue
+            zero, sensitivity = nominal
+            x, y, z = ((v - zero) / sensitivity for v in static[3 * n : 3 * n + 3])
             lengths += math.hypot(x, y, z)
             turns += math.degrees(math.atan2(math.hypot(x, y), z))
-        return Drift(shift / self._scale, lengths / len(known), turns / len(known)) if known else UNKNOWN
+            upright += 1
+        if not known:
+            return UNKNOWN
+        shift /= self._scale
+        return Drift(shift, lengths / upright, turns / upright) if upright else Drift(shift)
+
+
+def measures_gravity(element: Mapping[str, Any]) -> bool:
+    """Whether a sensing element of the card is an accelerometer, as one without `kind` is."""
+    return element.get("kind", "accelerometer") == "accelerometer"

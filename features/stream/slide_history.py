@@ -7,7 +7,7 @@ increase over its length, so that no sample is thrown away: the longer the stret
 
 import numpy as np
 
-from features.angles import tilt_channels
+from features.angles import touch_channels
 from features.stream.conditioning import Conditioning
 from features.window import WINDOW_BINS, Window
 
@@ -21,17 +21,18 @@ class SlideHistory:
     """One slide since its trigger.
 
     static_v: (C,) V, the static output as it was at the trigger.
-    usable: (A,), the accelerometers that the slide is read from; watched: indices of their V_x and V_y.
+    usable: (A,), the accelerometers that the slide is read from; watched: indices of those of
+        their channels that answer to a touch.
     blocks: number taken. peak_v: largest |subtracted output| of a watched channel so far.
     """
 
     def __init__(self, conditioning: Conditioning, static_v: np.ndarray, usable: np.ndarray) -> None:
         self._conditioning = conditioning
-        self._tilt = tilt_channels(len(static_v))
+        self._touch = touch_channels(len(static_v), conditioning.touch_axes)
         self._lag_blocks, self._creep = conditioning.lag_s / conditioning.block_s, conditioning.creep
         self.static_v = static_v.copy()
         self.usable = usable
-        self.watched = self._tilt[usable[self._tilt // 3]]
+        self.watched = self._touch[usable[self._touch // 3]]
         self.blocks = 0
         self.peak_v = 0.0
         # Of the output, V blocks; and of its creeping part z, V (Conditioning.creep).
@@ -65,7 +66,7 @@ class SlideHistory:
     def leave_out(self, dead: np.ndarray) -> None:
         """Reads the slide no longer from the accelerometers of the dead channels (C,)."""
         self.usable = self.usable & ~dead[::3]
-        self.watched = self._tilt[self.usable[self._tilt // 3]]
+        self.watched = self._touch[self.usable[self._touch // 3]]
 
     def window(self, blocks: int) -> Window:
         """The first `blocks` blocks in equal bins; zeros for accelerometers that are left out."""

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from features.angles import tilt_channels
+from features.angles import touch_channels
 from features.stream.conditioning import Conditioning
 
 # The first estimate is a plain mean over this many times `trigger_blocks`, 0.2 s: its noise is then 1 / sqrt(2) of that
@@ -36,7 +36,7 @@ class StaticOutput:
     def __init__(self, conditioning: Conditioning, channels: int) -> None:
         self._conditioning = conditioning
         self._memory = conditioning.trigger_blocks
-        self._tilt = tilt_channels(channels)
+        self._touch = touch_channels(channels, conditioning.touch_axes)
         self._quiet_v = min(conditioning.calm_v, conditioning.trigger_v)
         self._most_counted = max(conditioning.rest_blocks, LEARNING_MEMORIES * self._memory)
         self.volts = np.zeros(channels)
@@ -134,10 +134,10 @@ class StaticOutput:
         level_v: (C,) V, mean of the last blocks. near: (C,), whether it is back at the static output; that ends the
         search.
         """
-        if near[self._tilt].all():
+        if near[self._touch].all():
             self.searching = False
             return False
-        level_v = level_v[self._tilt]
+        level_v = level_v[self._touch]
         if self._anchor_v is None or np.abs(level_v - self._anchor_v).max() > self._conditioning.release_v:
             self._anchor_v, self._still_blocks = level_v, 0
         self._still_blocks += 1

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from features.angles import tilt_channels
+from features.angles import touch_channels
 from features.stream.conditioning import Conditioning
 from features.stream.slide_history import SlideHistory
 from features.stream.static_output import StaticOutput
@@ -48,12 +48,12 @@ class EndedSlide(NamedTuple):
 class SlideTracker:
     """One stream's tracker.
 
-    tilt: indices of the V_x and V_y channels, the only ones that trigger and release.
+    touch: indices of the channels that answer to a touch, the only ones that trigger and release.
     """
 
     def __init__(self, conditioning: Conditioning, channels: int) -> None:
         self.conditioning = conditioning
-        self.tilt = tilt_channels(channels)
+        self.touch = touch_channels(channels, conditioning.touch_axes)
         self.static_output = StaticOutput(conditioning, channels)
         self._every = np.ones(channels // 3, dtype=bool)
         self._recent = np.zeros((conditioning.trigger_blocks, channels))
@@ -168,7 +168,7 @@ class SlideTracker:
                 self._learn_static()
         elif static.moves(away):
             static.begin_again()
-        elif (away & ready)[self.tilt].any():
+        elif (away & ready)[self.touch].any():
             self._begin(ready[::3])
         elif self._stop_v is None:
             static.follow(oldest, level, distance)

@@ -8,7 +8,7 @@ from features.errors import InputError
 from pipeline.atlas.atlas import Atlas, check_atlas, read_atlas, write_atlas
 from pipeline.atlas.solve import COARSE, coarse, solve_atlas
 from pipeline.progress import progress_bar
-from pipeline.sensor import Sensor, design_hash
+from pipeline.sensor import Sensor, check_design, design_hash
 
 
 def atlas_of(sensor: Sensor, named: Path | None = None, workers: int = 2) -> Atlas:
@@ -20,6 +20,8 @@ def atlas_of(sensor: Sensor, named: Path | None = None, workers: int = 2) -> Atl
     Raises:
         InputError: the file named is no atlas or one of another design, or the design cannot be solved.
     """
+    if not sensor.measures_gravity:
+        check_design(sensor, sensor.name)
     if named is not None:
         atlas = read_atlas(named)
         check_atlas(atlas, sensor, str(named))

@@ -2,6 +2,10 @@
 
 An `error` is a recording, a label or a wire that is wrong; a model trained on it would learn what is
 false. A `warning` is unusual and may be right.
+
+Gravity, the data sheet's noise, mains and drift in g, and the signs of the contact zones are checked of accelerometers
+alone. Recordings that are assembled from presses hold and share samples; nothing of them is taken for clipped, copied
+or made up. `not_checked` says so.
 """
 
 from collections import Counter
@@ -84,12 +88,28 @@ def examine(folder: Folder, limits: Limits | None = None) -> list[Finding]:
         if sound:
             # A wrong wire makes every slide disagree with its labels; it is reported once, above.
             findings += _label_against_signal(one, folder.sensor, limits)
-    copies = list(_duplicates(measured, limits))
-    findings += copies
-    copied = {finding.recording for finding in copies}
-    findings += _made_up([one for one in measured if one.name not in copied], folder.sensor, limits)
+    if folder.sensor.origin != "assembled":
+        copies = list(_duplicates(measured, limits))
+        findings += copies
+        copied = {finding.recording for finding in copies}
+        findings += _made_up([one for one in measured if one.name not in copied], folder.sensor, limits)
     findings += _leakage(manifest)
     return sorted(findings, key=lambda finding: finding.level)
+
+
+def not_checked(sensor: Sensor) -> list[str]:
+    """What was left out, and why; a line each."""
+    lines = []
+    if others := [a.name for a in sensor.accelerometers if not a.measures_gravity]:
+        lines.append(
+            f"{', '.join(others)}: gravity, data-sheet noise, mains, drift and contact zones are not checked; "
+            "they apply to accelerometers alone"
+        )
+    if sensor.origin == "assembled":
+        lines.append(
+            "assembled recordings hold and share samples: clipped, copied and made-up are not checked"
+        )
+    return lines
 
 
 def as_json(folder: Folder, findings: Sequence[Finding]) -> dict[str, Any]:
@@ -100,6 +120,7 @@ def as_json(folder: Folder, findings: Sequence[Finding]) -> dict[str, Any]:
         "recordings": len(folder),
         "errors": levels.count("error"),
         "warnings": levels.count("warning"),
+        "not_checked": not_checked(folder.sensor),
         "findings": [asdict(finding) for finding in findings],
     }
 
@@ -117,36 +138,59 @@ def _signal(one: Measurements, sensor: Sensor, limits: Limits) -> Iterator[Findi
     if one.rest_s < limits.rest_s:
         yield warning("no rest", "", one.rest_s, limits.rest_s, "s of rest before the slide")
     for k, part in enumerate(sensor.accelerometers):
-        rest_g = (one.rest_v[3 * k : 3 * k + 3] - part.zero_g_v) / part.sensitivity_v_per_g
-        if (off := abs(float(np.linalg.norm(rest_g)) - 1)) > limits.gravity_g:
-            yield warning("gravity", part.name, off, limits.gravity_g, "g off the 1 g that is due at rest")
+        if part.measures_gravity:
+            rest_g = (one.rest_v[3 * k : 3 * k + 3] - part.zero_g_v) / part.sensitivity_v_per_g
+            if (off := abs(float(np.linalg.norm(rest_g)) - 1)) > limits.gravity_g:
+                yield warning(
+                    "gravity", part.name, off, limits.gravity_g, "g off the 1 g that is due at rest"
+                )
         for n in range(3 * k, 3 * k + 3):
-            yield from _output(one, n, part, sensor, limits)
+            if one.span_v[n] <= sensor.adc_step_v:
+                text = f"{part.unit} between highest and lowest"
+                yield Finding(
+                    "error",
+                    "dead",
+                    one.name,
+                    sensor.channels[n],
+                    float(one.span_v[n]),
+                    sensor.adc_step_v,
+                    text,
+                )
+                continue
+            if part.measures_gravity:
+                yield from _acceleration(one, n, part, sensor, limits)
+            if sensor.origin != "assembled":
+                yield from _output(one, n, sensor, limits)
 
 
-def _output(
+def _acceleration(
     one: Measurements, n: int, part: Accelerometer, sensor: Sensor, limits: Limits
 ) -> Iterator[Finding]:
-    """One output's signal: dead, clipped, noise, mains, drift, tones, repeats. n: its channel."""
-    channel, v_per_g = sensor.channels[n], part.sensitivity_v_per_g
+    """One output of an accelerometer, in g: noise, mains, drift. n: its channel."""
+    v_per_g = part.sensitivity_v_per_g
 
-    def find(level: str, kind: str, figure: float, limit: float, text: str) -> Finding:
-        return Finding(level, kind, one.name, channel, float(figure), float(limit), text)
+    def find(kind: str, figure: float, limit: float, text: str) -> Finding:
+        return Finding("warning", kind, one.name, sensor.channels[n], float(figure), float(limit), text)
 
-    if one.span_v[n] <= sensor.adc_step_v:
-        yield find("error", "dead", one.span_v[n], sensor.adc_step_v, "V between highest and lowest")
-        return
-    if one.rail_run[n] > limits.rail_run:
-        yield find("error", "clipped", one.rail_run[n], limits.rail_run, "equal samples at a rail")
     noise, sheet = one.noise_v_rthz[n] / v_per_g, NOISE_G_RTHZ.get(part.model)
     if sheet and noise > (limit := limits.noise_high * sheet):
-        yield find("warning", "noise", noise, limit, f"g/sqrt(Hz), more than the {part.model} has")
+        yield find("noise", noise, limit, f"g/sqrt(Hz), more than the {part.model} has")
     if sheet and noise < (limit := limits.noise_low * sheet):
-        yield find("warning", "noise", noise, limit, f"g/sqrt(Hz), less than any {part.model} has")
+        yield find("noise", noise, limit, f"g/sqrt(Hz), less than any {part.model} has")
     if (mains := one.mains_v[n] / v_per_g) > limits.mains_g:
-        yield find("warning", "mains", mains, limits.mains_g, f"g at {one.mains_hz:g} Hz")
+        yield find("mains", mains, limits.mains_g, f"g at {one.mains_hz:g} Hz")
     if (drift := abs(one.drift_v[n]) / v_per_g) > limits.drift_g:
-        yield find("warning", "drift", drift, limits.drift_g, "g between rest before and after")
+        yield find("drift", drift, limits.drift_g, "g between rest before and after")
+
+
+def _output(one: Measurements, n: int, sensor: Sensor, limits: Limits) -> Iterator[Finding]:
+    """One output's signal, whatever it measures: clipped, tones, repeats. n: its channel."""
+
+    def find(level: str, kind: str, figure: float, limit: float, text: str) -> Finding:
+        return Finding(level, kind, one.name, sensor.channels[n], float(figure), float(limit), text)
+
+    if one.rail_run[n] > limits.rail_run:
+        yield find("error", "clipped", one.rail_run[n], limits.rail_run, "equal samples at a rail")
     if one.tone_ratio[n] > limits.tone:
         text = f"times the noise floor at {one.tone_hz[n]:g} Hz: a pure tone, a machine's or a program's"
         yield find("warning", "tone", one.tone_ratio[n], limits.tone, text)
@@ -171,7 +215,7 @@ def _labels(one: Measurements, labels: pd.Series, sensor: Sensor, limits: Limits
 def _label_against_signal(one: Measurements, sensor: Sensor, limits: Limits) -> Iterator[Finding]:
     """Slides whose signs disagree with their labels: forward labelled as backward, an offset without its sign."""
     for k, part in enumerate(sensor.accelerometers):
-        for i, axis in enumerate("xy"):
+        for i, axis in enumerate("xy" if part.measures_gravity else ""):
             if one.agreement[k, i, i] < limits.slide:
                 text = "agreement with the zones due for direction and offset: another slide than labelled"
                 figure, channel = float(one.agreement[k, i, i]), f"{part.name}_v{axis}"
@@ -181,6 +225,8 @@ def _label_against_signal(one: Measurements, sensor: Sensor, limits: Limits) -> 
 def _wiring(measured: Sequence[Measurements], sensor: Sensor, limits: Limits) -> Iterator[Finding]:
     """Outputs inverted, swapped or not following, over all labelled slides; and z against gravity."""
     for k, part in enumerate(sensor.accelerometers):
+        if not part.measures_gravity:
+            continue
         upright = (
             np.array([one.rest_v[3 * k + 2] - part.zero_g_v for one in measured]) / part.sensitivity_v_per_g
         )

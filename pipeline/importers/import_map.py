@@ -13,7 +13,8 @@ from pipeline.sensor import Sensor, read_sensor
 from pipeline.toml_tables import from_table, read_toml
 
 TIME_UNITS = ("s", "ms", "us", "ns", "timestamp")
-SIGNAL_UNITS = ("V", "mV", "g", "m/s2", "counts")
+# "own": the unit that sensor.toml says; of accelerometers it is V.
+SIGNAL_UNITS = ("V", "mV", "g", "m/s2", "counts", "own")
 
 
 @dataclass(frozen=True)

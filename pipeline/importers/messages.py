@@ -21,7 +21,7 @@ def inverted(entries: Sequence[dict[str, Any]], mapping: Map) -> tuple[dict[int,
         return flips, notes
     cosines = np.array(told, dtype=float).reshape(len(told), -1, 3, 2)
     for k, part in enumerate(mapping.sensor.accelerometers):
-        for i, axis in enumerate("xy"):
+        for i, axis in enumerate("xy" if part.measures_gravity else ""):
             known = cosines[:, k, i, i][~np.isnan(cosines[:, k, i, i])]
             if len(known) < 3 or known.mean() > INVERTED:
                 continue
