@@ -53,6 +53,7 @@ def import_(parser: Parser) -> Run:
     map says (volts, g, m/s2 or counts; s, ms, us, ns or timestamps), converts
     them to volts (V) at an even sample rate (Hz), and reports which signs it
     changed and why. An interrupted import resumes; bad input leaves nothing.
+    A map with kind = "grid" puts slides together from presses on a grid.
 
         softslide import --map-template csv > map.toml
         softslide import lab/*.csv --map map.toml --out my-recordings
@@ -66,19 +67,35 @@ def import_(parser: Parser) -> Run:
     parser.add_argument(
         "--map-template",
         metavar="KIND",
-        help=f"print a commented map to start from: {kinds}",
+        help=f"print a commented map to start from: {kinds}, grid",
     )
 
     def run(given: argparse.Namespace) -> None:
-        from pipeline.importers.import_map import read_map, template
+        from pipeline.importers.import_map import is_grid, read_map, template
 
         if given.map_template:
-            if given.map_template not in READERS:
-                raise InputError(f"{given.map_template}: name one of {', '.join(READERS)}", "map_template")
+            if given.map_template not in (*READERS, "grid"):
+                raise InputError(
+                    f"{given.map_template}: name one of {', '.join(READERS)}, grid", "map_template"
+                )
             print(template(given.map_template), end="")
             return
         if not (given.sources and given.map and given.out):
             raise InputError("give SOURCE..., --map MAP.toml and --out DIR, or --map-template KIND")
+        if is_grid(given.map):
+            from pipeline.importers.grid.assemble import import_grid
+            from pipeline.importers.grid.grid_map import read_grid_map
+
+            if len(given.sources) > 1:
+                raise InputError(
+                    f"{given.sources[1]}: a grid of presses is one file; import each to a folder"
+                )
+            folder, notes = import_grid(given.sources[0], read_grid_map(given.map), given.out)
+            for note in notes:
+                print(note, file=sys.stderr)
+            counts = folder.manifest["split"].value_counts(sort=False)
+            print(f"{folder.root}: {', '.join(f'{count} {split}' for split, count in counts.items())}")
+            return
         from pipeline.importers.run import import_recordings
 
         done = import_recordings(given.sources, read_map(given.map), given.out)

@@ -217,7 +217,7 @@ class Localizer:
             self._forget_contact()
             return
         volts = self._lag.push(tracker.subtracted[tracker.touch])
-        usable = np.repeat(tracker.usable & self._healthy, 2)
+        usable = np.repeat(tracker.usable & self._healthy, len(self.card.conditioning.touch_axes))
         self._track = self._contact.push(volts, tracker.state is SlideState.SLIDE, usable)
 
     def _whole_blocks(

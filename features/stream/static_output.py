@@ -83,12 +83,12 @@ class StaticOutput:
 
         away: (C,), the channels whose level is beyond the trigger.
         """
-        counted = self._averaged[self._tilt]
-        away = away[self._tilt] & (counted > 0)
+        counted = self._averaged[self._touch]
+        away = away[self._touch] & (counted > 0)
         if not away.any() or (counted[away] >= LEARNING_MEMORIES * self._memory).any():
             return False
         early = counted < max(PROVEN_MEMORIES * self._memory, self._enough)
-        shift_v = np.abs(self.volts - self._begun_v)[self._tilt]
+        shift_v = np.abs(self.volts - self._begun_v)[self._touch]
         return bool((early | (shift_v > MOVED_SHARE * self._conditioning.trigger_v))[away].any())
 
     def begin_again(self) -> None:

@@ -173,9 +173,20 @@ def read_map(path: Path) -> Map:
     return from_table(Map, table, str(path), path=path, sensor=read_sensor(path.parent / sensor))
 
 
+def is_grid(path: Path) -> bool:
+    """Whether the map is of a grid of presses, which `pipeline.importers.grid` reads.
+
+    Raises:
+        InputError: the file is missing or no TOML.
+    """
+    return read_toml(path, "name a map, or start from a template").get("kind") == "grid"
+
+
 def template(kind: str) -> str:
     """A commented map to start from."""
     folder = Path(__file__).parent / "templates"
+    if kind == "grid":
+        return (folder / "grid.toml").read_text(encoding="utf-8")
     return "".join((folder / name).read_text(encoding="utf-8") for name in (f"{kind}.toml", "labels.toml"))
 
 

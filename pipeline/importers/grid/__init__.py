@@ -1,0 +1,1 @@
+"""Slides along a path, put together from presses on a grid of places."""

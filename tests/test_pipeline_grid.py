@@ -1,0 +1,205 @@
+"""Slides assembled from a grid of presses: each sample is one press, as measured, of the pass that the map names."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from features.angles import touch_channels
+from features.errors import InputError
+from pipeline.checks.findings import examine, not_checked
+from pipeline.importers.grid.assemble import import_grid
+from pipeline.importers.grid.grid_map import read_grid_map
+from pipeline.recordings.folder import Folder, read_folder
+from pipeline.sensor import check_design, read_sensor
+from softslide import main
+
+SIDE, PASSES = 13, 3
+SENSOR = """
+name = "a printed skin"
+sample_rate_hz = 100.0
+chamber_mm = [13.0, 13.0]
+skin_thickness_mm = 8.0
+indenter_diameter_mm = 10.0
+pressure_mpa = 0.001
+reference_mm = [0.0, 0.0]
+adc_step_v = 0.1
+[[accelerometer]]
+name = "a0"
+x_mm = 0.0
+y_mm = 0.0
+kind = "magnetometer"
+unit = "uT"
+"""
+MAP = """
+kind = "grid"
+sensor = "sensor.toml"
+pass = "pass"
+depth = "z_mm"
+surface_mm = 145.0
+[[split]]
+name = "calibration"
+passes = [0, 1]
+colour = "even"
+[[split]]
+name = "test"
+passes = [2]
+colour = "odd"
+[[split]]
+name = "track-circle"
+passes = [2]
+paths = "circles"
+count = 3
+""" + "".join(f'[channels.a0_v{axis}]\ncolumn = "m_{axis}"\nrest = "rest_{axis}"\n' for axis in "xyz")
+
+
+def write_lab(root: Path, presses: pd.DataFrame) -> Path:
+    (root / "sensor.toml").write_text(SENSOR)
+    (root / "map.toml").write_text(MAP)
+    presses.to_csv(root / "presses.csv", index=False)
+    return root / "presses.csv"
+
+
+def presses() -> pd.DataFrame:
+    """A row a press; each change is a number of its own, so that a sample tells which press it is of."""
+    random = np.random.default_rng(3)
+    number = np.arange(PASSES * SIDE * SIDE)
+    p, x, y = np.unravel_index(number, (PASSES, SIDE, SIDE))
+    table = pd.DataFrame({"pass": p, "x_mm": x - 6.0, "y_mm": y - 6.0, "z_mm": 143.0})
+    for k, axis in enumerate("xyz"):
+        table[f"m_{axis}"] = 1000.0 + 100 * number + k
+        table[f"rest_{axis}"] = np.round(random.normal(0.0, 2.0, len(table)), 1)
+    return table
+
+
+@pytest.fixture(scope="module")
+def lab(tmp_path_factory: pytest.TempPathFactory) -> tuple[pd.DataFrame, Folder]:
+    root = tmp_path_factory.mktemp("grid")
+    source = write_lab(root, presses())
+    import_grid(source, read_grid_map(root / "map.toml"), root / "out")
+    return presses(), read_folder(root / "out")
+
+
+def shown(folder: Folder, name: str, table: pd.DataFrame) -> tuple[np.ndarray, np.ndarray]:
+    """The rows of the presses that a slide's motion shows, and their times."""
+    recording, row = folder.load(name), folder.manifest.loc[name]
+    step = 1 / folder.sensor.sample_rate_hz
+    moving = (recording.time_s > row.motion_start_s - step / 2) & (
+        recording.time_s < row.motion_end_s + step / 2
+    )
+    # The first press is at the line's start: its rest is what all of the slide stands on.
+    rows = table[table["pass"] == int(row["pass"])]
+    for base in rows[["rest_x", "rest_y", "rest_z"]].to_numpy():
+        exact = (recording.volts[moving] - base - 1000.0)[:, 0] / 100
+        number = np.round(exact).astype(int)
+        if np.abs(exact - number).max() < 1e-6 and np.isin(number, rows.index).all():
+            first = table.loc[number[0], ["rest_x", "rest_y", "rest_z"]].to_numpy(float)
+            if np.allclose(first, base):
+                return number, recording.time_s[moving]
+    raise AssertionError(f"{name}: its samples are no presses of its pass")
+
+
+def test_every_sample_is_the_nearest_press_of_its_pass_and_colour(lab) -> None:
+    table, folder = lab
+    lines = folder.manifest[folder.manifest["direction_deg"].notna()]
+    for name, row in lines.iloc[::9].iterrows():
+        number, time_s = shown(folder, str(name), table)
+        press = table.iloc[number]
+        assert (press["pass"] == int(row["pass"])).all()
+        colour = (press["x_mm"] + press["y_mm"]).to_numpy() % 2
+        assert (colour == (row["split"] == "test")).all()
+        way = row.speed_mm_s * (time_s - row.motion_start_s)
+        angle = np.deg2rad(row.direction_deg)
+        x, y = row.start_x_mm + way * np.cos(angle), row.start_y_mm + way * np.sin(angle)
+        every = table[
+            (table["pass"] == int(row["pass"])) & ((table["x_mm"] + table["y_mm"]) % 2 == colour[0])
+        ]
+        least = np.hypot(every["x_mm"].to_numpy() - x[:, None], every["y_mm"].to_numpy() - y[:, None]).min(
+            axis=1
+        )
+        found = np.hypot(press["x_mm"].to_numpy() - x, press["y_mm"].to_numpy() - y)
+        np.testing.assert_allclose(found, least, atol=1e-6)
+
+
+def test_what_is_taught_is_not_asked(lab) -> None:
+    table, folder = lab
+    used = {
+        split: {n for name in rows.index for n in shown(folder, str(name), table)[0].tolist()}
+        for split, rows in folder.manifest.groupby("split")
+    }
+    assert used["calibration"]
+    assert used["test"]
+    assert not used["calibration"] & (used["test"] | used["track-circle"])
+    assert not [f for f in examine(folder) if f.kind == "leakage"]
+
+
+def test_lines_take_all_sixteen_lattice_directions(lab) -> None:
+    _, folder = lab
+    for split in ("calibration", "test"):
+        directions = folder.manifest.loc[folder.manifest["split"] == split, "direction_deg"].unique()
+        assert len(directions) == 16
+
+
+def test_labels_and_truth_say_where_the_contact_is(lab) -> None:
+    _, folder = lab
+    line = folder.manifest[folder.manifest["split"] == "test"].iloc[0]
+    assert line.depth_mm == 2.0
+    angle = np.deg2rad(line.direction_deg)
+    assert line.offset_mm == pytest.approx(-np.sin(angle) * line.start_x_mm + np.cos(angle) * line.start_y_mm)
+    circle = folder.load("track-circle-0000")
+    assert circle.truth is not None
+    on = circle.truth[circle.truth["contact"] == 1]
+    middle = on[["x_mm", "y_mm"]].mean()
+    radius = np.hypot(on["x_mm"] - middle["x_mm"], on["y_mm"] - middle["y_mm"])
+    assert np.ptp(radius) < 0.05 * radius.mean() + 0.2
+    assert np.hypot(on["vx_mm_s"], on["vy_mm_s"]).std() < 1e-3
+
+
+def test_the_folder_says_what_it_is_and_check_is_silent(lab) -> None:
+    _, folder = lab
+    assert folder.sensor.origin == "assembled"
+    assert [f.line() for f in examine(folder)] == []
+    assert any("accelerometers alone" in line for line in not_checked(folder.sensor))
+
+
+def test_a_slide_that_lacks_a_press_is_left_out_and_told(tmp_path: Path) -> None:
+    table = presses().drop(index=SIDE * SIDE // 2)  # the middle of pass 0
+    source = write_lab(tmp_path, table)
+    folder, notes = import_grid(source, read_grid_map(tmp_path / "map.toml"), tmp_path / "out")
+    assert any("calibration: left out" in note for note in notes)
+    assert json.loads((tmp_path / "out" / "import.json").read_text())["notes"] == notes
+    assert all(np.isfinite(folder.load(str(name)).volts).all() for name in folder.manifest.index[::20])
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (lambda t: t.drop(columns="m_z"), "column 'm_z' is missing"),
+        (lambda t: pd.concat([t, t.iloc[:1]]), "comes twice in pass 0"),
+        (lambda t: t.assign(x_mm=t["x_mm"].where(t.index != 5, -5.5)), "off the grid"),
+        (
+            lambda t: t.assign(m_x=t["m_x"].where(t.index != 7, np.nan)),
+            "row 8, column m_x is no finite number",
+        ),
+        (lambda t: t[t["pass"] < 2], "no pass 2"),
+    ],
+)
+def test_a_bad_grid_is_refused_in_one_line(tmp_path: Path, capsys, change, told: str) -> None:
+    source = write_lab(tmp_path, change(presses()))
+    status = main(
+        ["import", str(source), "--map", str(tmp_path / "map.toml"), "--out", str(tmp_path / "out")]
+    )
+    assert status == 2
+    assert told in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_magnetometer_answers_on_three_axes_and_is_no_design(tmp_path: Path) -> None:
+    write_lab(tmp_path, presses())
+    sensor = read_sensor(tmp_path / "sensor.toml")
+    assert sensor.touch_axes == "xyz"
+    assert touch_channels(3, sensor.touch_axes).tolist() == [0, 1, 2]
+    with pytest.raises(InputError, match="magnetometer"):
+        check_design(sensor)
