@@ -5,12 +5,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from features.angles import tilt_channels
+from features.angles import touch_channels
 from features.stream.conditioning import Conditioning, block_means
 from pipeline.recordings.folder import Folder
 
 # V/g of the sensor that the constants in V are made for, the article's MMA7361L.
 REFERENCE_V_PER_G = 0.8
+# Standard deviation (V) of a block's mean that they are made for; outputs in another unit are scaled to it.
+REFERENCE_NOISE_V = 1.1e-3
 # Of a tone at 60 Hz blocks of 20 ms leave 16 %: of 5 mg 0.6 mV, half the noise of a block's mean (experiments/LOG.md).
 MAINS_G = 0.005
 # Rest that tells 50 from 60 Hz apart: with a Hann window lines of 5 Hz.
@@ -26,12 +28,17 @@ USUAL = Conditioning()
 def conditioning_for(folder: Folder, conditioning: Conditioning) -> Conditioning:
     """`conditioning` for the folder's sensor; constants that differ from the defaults were chosen, and stay.
 
-    scale brings volts to those of 0.8 V/g, so that thresholds and all that is learnt mean the same at any sensitivity.
+    touch_axes are the sensor's. scale brings volts to those of 0.8 V/g, and outputs of another kind to the same noise
+    at rest, so that thresholds and all that is learnt mean the same at any sensitivity and in any unit.
     block_s holds a period of 60 Hz mains where `sensor.toml` names it, or where it shows at rest.
     Where the noise at rest is more than the thresholds allow for, they grow together.
     """
     sensor = folder.sensor
-    if conditioning.scale == USUAL.scale:
+    conditioning = replace(conditioning, touch_axes=sensor.touch_axes)
+    if conditioning.scale == USUAL.scale and not sensor.measures_gravity:
+        noise = _block_noise(list(_rests(folder)), sensor.sample_rate_hz, conditioning)
+        conditioning = replace(conditioning, scale=REFERENCE_NOISE_V / noise if noise > 0 else USUAL.scale)
+    elif conditioning.scale == USUAL.scale:
         sensitivity = float(np.median([a.sensitivity_v_per_g for a in sensor.accelerometers]))
         conditioning = replace(conditioning, scale=REFERENCE_V_PER_G / sensitivity)
     rests = [volts * conditioning.scale for volts in _rests(folder)]
@@ -42,12 +49,12 @@ def conditioning_for(folder: Folder, conditioning: Conditioning) -> Conditioning
 
 
 def _rests(folder: Folder) -> Iterator[np.ndarray]:
-    """V_x and V_y (n, C) V before the motion of some recordings whose moments are labelled."""
-    tilt = tilt_channels(len(folder.sensor.channels))
+    """Outputs (n, C) V that answer to a touch, before the motion of some recordings whose moments are labelled."""
+    touch = touch_channels(len(folder.sensor.channels), folder.sensor.touch_axes)
     known = folder.manifest["motion_start_s"].dropna()
     for name in known.index[:: max(1, len(known) // MOST_RECORDINGS)]:
         recording = folder.load(str(name))
-        rest = recording.volts[recording.time_s < known[name] - USUAL.block_s][:, tilt]
+        rest = recording.volts[recording.time_s < known[name] - USUAL.block_s][:, touch]
         if len(rest) > LEAST_REST_S * folder.sensor.sample_rate_hz:
             yield rest
 
@@ -72,12 +79,9 @@ def _amplitude(volts: np.ndarray, rate_hz: float, tone_hz: float) -> float:
 
 def _above_noise(rests: list[np.ndarray], rate_hz: float, conditioning: Conditioning) -> Conditioning:
     """The same with its thresholds times what the noise at rest asks for; at least as they are."""
-    plain = replace(conditioning, scale=1.0)
-    means = [block_means(rest, plain, rate_hz) for rest in rests]
-    deviations = [np.diff(m, axis=0).std(axis=0).max() / np.sqrt(2.0) for m in means if len(m) > 5]
-    if not deviations or conditioning.trigger_v != USUAL.trigger_v:
+    if conditioning.trigger_v != USUAL.trigger_v:
         return conditioning
-    level_sd = float(np.median(deviations)) / np.sqrt(conditioning.trigger_blocks)
+    level_sd = _block_noise(rests, rate_hz, conditioning) / np.sqrt(conditioning.trigger_blocks)
     times = float(TRIGGER_SD * level_sd / conditioning.trigger_v)
     if times <= 1.0:
         return conditioning
@@ -88,3 +92,11 @@ def _above_noise(rests: list[np.ndarray], rate_hz: float, conditioning: Conditio
         calm_v=times * conditioning.calm_v,
         still_peak_v=times * conditioning.still_peak_v,
     )
+
+
+def _block_noise(rests: list[np.ndarray], rate_hz: float, conditioning: Conditioning) -> float:
+    """Standard deviation (V) of a block's mean in the noisiest channel, median over rests (n, C) V; 0 without any."""
+    plain = replace(conditioning, scale=1.0)
+    means = [block_means(rest, plain, rate_hz) for rest in rests]
+    deviations = [np.diff(m, axis=0).std(axis=0).max() / np.sqrt(2.0) for m in means if len(m) > 5]
+    return float(np.median(deviations)) if deviations else 0.0
