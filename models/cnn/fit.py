@@ -72,8 +72,12 @@ def fit_cnn(
     init: an exported graph to start from (a warm start). progress: told the step and the loss, every 50 steps.
 
     Raises:
-        InputError: neither enough slides nor an atlas, or `init` holds another network.
+        InputError: neither enough slides nor an atlas, `init` holds another network, or V_z answers to a touch.
     """
+    if folder.sensor.touch_axes != "xy":
+        raise InputError(
+            f"{folder.sensor.name}: cnn maps V_x and V_y alone; write touch_axes = 'xy' in sensor.toml, or use trees"
+        )
     # At this size threads wait for each other more than they work.
     torch.set_num_threads(1)
     found = calibrated_map(folder, atlas, config.conditioning, config.calibration, config.spread)
