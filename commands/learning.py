@@ -34,6 +34,7 @@ def train(parser: Parser) -> Run:
     Uses the splits whose names begin with calibration or train and no other.
     The run is kept in sqlite:///mlflow.db, or where MLFLOW_TRACKING_URI says.
     A folder without labelled recordings trains cnn from the sensor's design.
+    Says how many recordings were used, and why the others were not.
 
         softslide train --recordings my-recordings --out my-model
         softslide train --recordings my-recordings --model trees --out my-trees
@@ -50,6 +51,7 @@ def train(parser: Parser) -> Run:
         help=f"{', '.join(registry.names()[:-1])} or {registry.names()[-1]} (default: %(default)s)",
     )
     arguments.existing(parser, "--config", "FILE", "TOML with changes to the model's defaults")
+    parser.add_argument("--design-alone", action="store_true", help="use no recording, the design alone")
     arguments.out(parser, "where the bundle goes", metavar="BUNDLE")
 
     def run(given: argparse.Namespace) -> None:
@@ -62,6 +64,7 @@ def train(parser: Parser) -> Run:
             atlas=given.atlas,
             init=given.init,
             config=given.config,
+            design_alone=given.design_alone,
         )
         print(f"softslide train: run {done.run.identifier} in {done.run.store}", file=sys.stderr)
         print(done.bundle)

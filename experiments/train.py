@@ -3,7 +3,7 @@
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +12,7 @@ import pandas as pd
 
 from experiments import tracking
 from experiments.configuration import configured
+from experiments.data_use import report_use
 from experiments.evaluation import figures
 from experiments.evaluation.readout import predictions
 from experiments.evaluation.scoring import score, summary
@@ -22,6 +23,12 @@ from models.registry import default_config, fit_model, uses_design
 from pipeline.atlas.atlas import Atlas
 from pipeline.atlas.library import atlas_of
 from pipeline.progress import progress_bar
+from pipeline.recordings.derived_labels import (
+    LINE,
+    recordings_to_learn_from,
+    why_not_labelled,
+    with_derived_labels,
+)
 from pipeline.recordings.folder import Folder, read_folder
 from pipeline.recordings.windows import labelled_windows
 from pipeline.staging import check_replaceable
@@ -51,19 +58,22 @@ def train(
     init: Path | None = None,
     config: Path | None = None,
     change: Callable[[Any], Any] = lambda default: default,
+    design_alone: bool = False,
     store: str | None = None,
 ) -> Training:
     """Fits one model to the splits that begin with `calibration` or `train`, and exports it.
 
     atlas: what the sensor's design says, from `softslide simulate`; without one, and without labelled
     recordings, the default sensor's. init: a bundle to start from (warm start). config: TOML over the model's defaults;
-    change: applied to the defaults before it. store: as in `tracking.tracked`.
+    change: applied to the defaults before it. design_alone: uses no recording. store: as in `tracking.tracked`.
 
     Raises:
-        InputError: what is read is not what the contract says, or there is nothing to train on.
+        InputError: what is read is not as docs/format.md says, there is nothing to train on, or no recording that has
+            labels can be used and the design alone was not asked for.
         ParityError: the exported graph and the original disagree; nothing is written.
     """
-    folder = read_folder(recordings).select("calibration", "train").labelled()
+    chosen = read_folder(recordings).select("calibration", "train")
+    folder = _learnable(chosen, design_alone)
     settings = configured(change(default_config(model)), config)
     start = None if init is None else _graph_of(init)
     check_replaceable(out, BUNDLE_FILES)
@@ -82,6 +92,8 @@ def train(
     with _tracked(model, folder, provenance, store) as run:
         fitted, losses = _fit(model, folder, settings, design, start)
         _warn_if_lost(fitted)
+        if not design_alone:
+            report_use(chosen, folder, fitted)
         windows = fitted.windows or labelled_windows(folder, fitted.conditioning)
         parity = write_bundle(fitted, folder.sensor, windows, provenance, out)
         logged = run.model(out, model)
@@ -90,6 +102,25 @@ def train(
         if len(folder):
             _log_fit(run, out, folder, logged)
     return Training(out, fitted, run, logged)
+
+
+def _learnable(chosen: Folder, design_alone: bool) -> Folder:
+    """The recordings to learn from.
+
+    Raises:
+        InputError: some have labels and none can be used.
+    """
+    if design_alone:
+        return replace(chosen, manifest=chosen.manifest.iloc[:0])
+    folder = recordings_to_learn_from(chosen)
+    some = chosen.manifest[list(LINE)].notna().any(axis=1)
+    if not len(folder) and some.any():
+        name, why = next(iter(why_not_labelled(with_derived_labels(chosen)).items()))
+        raise InputError(
+            f"{chosen.root}: none of {int(some.sum())} labelled recordings can be used ({name}: {why}); "
+            "add the labels, or train from the design alone"
+        )
+    return folder
 
 
 @contextmanager

@@ -23,6 +23,7 @@ class FittedModel:
     summary: figures of the fit, for the record.
     windows: what export is checked on where there are no recordings; None: the recordings' own.
     contact: what contacts are tracked with; None: the model knows straight slides alone.
+    untimed: how many slides had their onset fitted. left_out: why a recording was not learnt from, by name.
     """
 
     name: str
@@ -36,6 +37,8 @@ class FittedModel:
     summary: dict[str, float] = field(default_factory=dict)
     windows: LabelledWindows | None = None
     contact: ContactCalibration | None = None
+    untimed: int = 0
+    left_out: dict[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

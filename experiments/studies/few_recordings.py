@@ -15,9 +15,9 @@ from models.cnn.fit import CnnConfig
 from models.cnn.inversion import Inversion
 from models.held_out import signed_errors
 from models.response_map.select import calibrated_map
-from models.response_map.slides import calibration_slides
 from pipeline.atlas.atlas import Atlas
 from pipeline.atlas.library import atlas_of
+from pipeline.recordings.derived_labels import recordings_to_learn_from
 from pipeline.recordings.folder import Folder, read_folder
 from pipeline.recordings.windows import LabelledWindows, labelled_windows
 
@@ -47,8 +47,8 @@ def study(
     if draws < 1:
         raise InputError(f"{draws}: take at least one", "draws")
     config = CnnConfig()
-    taught = folder.select("calibration", "train").labelled()
-    names = [slide.recording for slide in calibration_slides(taught, config.conditioning)]
+    taught = recordings_to_learn_from(folder)
+    names = list(taught.manifest.index)
     scored = folder.select(*splits).labelled()
     if not len(scored):
         raise InputError(f"{folder.root}: no labelled slide of a split {' or '.join(splits)}*; name another")

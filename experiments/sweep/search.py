@@ -30,6 +30,7 @@ from experiments.train import design_of
 from features.errors import InputError
 from pipeline.atlas.atlas import Atlas
 from pipeline.progress import progress_bar
+from pipeline.recordings.derived_labels import recordings_to_learn_from
 from pipeline.recordings.folder import Folder, read_folder
 
 # A user attribute of a trial: its errors by quantity; or why it has none.
@@ -45,7 +46,7 @@ def sweep(config: Path, store: str | None = None) -> str:
         InputError: what is read is not what it should be, another sweep uses the journal, or no trial succeeded.
     """
     plan = read_sweep(config)
-    folder = read_folder(plan.recordings).select("calibration", "train").labelled()
+    folder = recordings_to_learn_from(read_folder(plan.recordings))
     if not len(folder):
         raise InputError(f"{plan.recordings}: no labelled calibration slides to hold lines out of")
     design = design_of(folder, plan.atlas) if plan.model == "cnn" or plan.atlas else None

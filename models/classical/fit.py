@@ -60,6 +60,11 @@ def feature_model(config: Callable[[], Any], fit: Fit) -> Model:
             validity=Validity(offset_mm=offset_reach_mm(windows)),
             conditioning=settings.conditioning,
             summary=summary,
+            left_out={
+                str(name): "no output reaches the trigger"
+                for name in folder.manifest.index
+                if name not in windows.recording
+            },
         )
 
     return Model(config, fitted)

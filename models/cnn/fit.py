@@ -90,7 +90,7 @@ def fit_cnn(
     network = _network(proposal, found.response, config)
     intervals, validity, summary = UNCALIBRATED, UNCALIBRATED_VALIDITY, found.summary
     if found.held_out:
-        held = _held_out(folder, found, proposal, config)
+        held = _held_out(found.folder, found, proposal, config)
         intervals, validity = _judge(*held)
         summary = summary | {f"heldout_{k}": v for k, v in _errors(*held).items()}
     return FittedModel(
@@ -105,6 +105,8 @@ def fit_cnn(
         summary=dict(summary),
         contact=contact_calibration(found.response),
         windows=None if found.slides else source.draw(200, torch.Generator().manual_seed(1)).labelled(),
+        untimed=found.untimed,
+        left_out=found.left_out,
     )
 
 

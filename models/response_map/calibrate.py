@@ -43,7 +43,8 @@ class CalibrationConfig:
 
     smooth_mean, smooth_friction: penalties on second differences, per V^2, for data in units of one block's noise.
     near_prior: penalty on the distance from an atlas's prior, likewise.
-    gain_sd, shift_sd_mm: priors on each slide's own gain and place.
+    gain_sd, shift_sd_mm: priors on each slide's own gain and place. untimed_sd_mm: on the place of a slide whose
+        labels do not tell it, about the first guess of onset.py.
     iterations: alternations of splines and slides.
     """
 
@@ -52,6 +53,7 @@ class CalibrationConfig:
     near_prior: float = 0.01
     gain_sd: float = 0.03
     shift_sd_mm: float = 0.1
+    untimed_sd_mm: float = 2.0
     iterations: int = 4
 
     def stiffened(self, times: float) -> "CalibrationConfig":
@@ -92,7 +94,7 @@ def calibrate(
     gains, shifts = np.ones(len(slides)), np.zeros(len(slides))
     speeds = np.array([s.speed_mm_s.max() for s in slides])
     rms, means = np.empty(len(slides)), np.empty((len(slides), response.channels))
-    keep = np.ones(len(slides), dtype=bool)
+    keep, timed = np.ones(len(slides), dtype=bool), np.array([s.timed for s in slides])
     for _ in range(config.iterations):
         kept = [slide for slide, k in zip(slides, keep, strict=True) if k]
         response = _fit_splines(
@@ -105,8 +107,8 @@ def calibrate(
         # A slide with wrong labels must not bend the map: it stands out by its residual.
         keep = rms < OUTLIER * np.median(rms)
         gains /= np.mean(gains[keep])
-        # A shift that grows with the speed is a lag.
-        lag = float(response.lag_s + _slope(speeds[keep], shifts[keep]))
+        # A shift that grows with the speed is a lag, where the labels say when the slide was where.
+        lag = float(response.lag_s + _slope(speeds[keep & timed], shifts[keep & timed]))
         shifts -= (lag - response.lag_s) * speeds
         response = replace(response, lag_s=lag)
     peaks = np.array([np.abs(s.volts).max() for s in slides])
@@ -127,7 +129,7 @@ def calibrate(
 
 def _slope(speeds: np.ndarray, shifts: np.ndarray) -> float:
     """Slope of shift over speed, s; 0 where few slides or nearly equal speeds do not tell."""
-    return np.polyfit(speeds, shifts, 1)[0] if np.ptp(speeds) > 1 and len(speeds) > 8 else 0.0
+    return np.polyfit(speeds, shifts, 1)[0] if len(speeds) > 8 and np.ptp(speeds) > 1 else 0.0
 
 
 def _deviation(errors: np.ndarray, prior_sd: float) -> np.ndarray:
@@ -158,6 +160,7 @@ def fit_slide(
     """A slide's gain and shift given the map, by Gauss-Newton with priors, from the gain and shift given."""
     assert response.noise_v is not None
     noise = float(np.hypot(np.median(response.noise_v) / np.sqrt(slide.blocks), LEAST_RESIDUAL_V))
+    shift_sd_mm = config.shift_sd_mm if slide.timed else config.untimed_sd_mm
 
     def model(at: float) -> np.ndarray:
         x, y = slide.place(at, response.lag_s)
@@ -168,10 +171,10 @@ def fit_slide(
         h = SHIFT_STEP_MM
         slope = gain * (model(shift_mm + h) - model(shift_mm - h)) / (2 * h)
         jacobian = np.stack([volts.ravel(), slope.ravel()], axis=1) / noise
-        jacobian = np.vstack([jacobian, np.diag([1 / config.gain_sd, 1 / config.shift_sd_mm])])
+        jacobian = np.vstack([jacobian, np.diag([1 / config.gain_sd, 1 / shift_sd_mm])])
         residuals = np.append(
             (slide.volts - gain * volts).ravel() / noise,
-            [(1 - gain) / config.gain_sd, -shift_mm / config.shift_sd_mm],
+            [(1 - gain) / config.gain_sd, -shift_mm / shift_sd_mm],
         )
         step = np.linalg.lstsq(jacobian, residuals, rcond=None)[0]
         gain, shift_mm = gain + step[0], shift_mm + step[1]

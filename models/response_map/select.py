@@ -17,8 +17,10 @@ from models.response_map.calibrate import CalibrationConfig, blank_map, calibrat
 from models.response_map.from_atlas import SensorSpread, prior_map
 from models.response_map.lag import with_lag
 from models.response_map.map import ResponseMap
+from models.response_map.onset import Onsets, moved, with_onsets
 from models.response_map.slides import CalibrationSlide, calibration_slides
 from pipeline.atlas.atlas import Atlas
+from pipeline.recordings.derived_labels import USUAL_DEPTH_MM
 from pipeline.recordings.folder import Folder
 from pipeline.sensor import Sensor
 
@@ -28,7 +30,6 @@ LEAST_ALONE = 24  # slides; fewer leave the map without an atlas full of holes
 # (experiments/LOG.md). The first is taken where they cannot be compared.
 STIFFNESS = (30.0, 5.0, 1.0)
 FITS = 4  # at most: the lag is found in the first, what of it is left in the others
-USUAL_DEPTH_MM = 0.5  # contact depth of the article's recordings, where no slide says
 
 Maps = list[tuple[ResponseMap, np.ndarray]]
 
@@ -40,6 +41,8 @@ class CalibratedMap:
     response: fitted to all slides. held_out: for honest errors, maps fitted without some lines, each with the names of
     those lines' recordings. conditioning: of the signal that it is a map of, the lag undone. slides: how many there
     were. summary: figures of the fit; `from_atlas` is 1 where the candidate chosen starts from an atlas.
+    folder: the recordings with the motion of every slide used, fitted where the labels do not tell it (untimed of
+    them). left_out: why a recording is not among the slides, by name.
     """
 
     response: ResponseMap
@@ -47,6 +50,9 @@ class CalibratedMap:
     conditioning: Conditioning
     slides: int
     summary: dict[str, float]
+    folder: Folder
+    untimed: int
+    left_out: dict[str, str]
 
 
 def calibrated_map(
@@ -61,12 +67,14 @@ def calibrated_map(
     A lag that `conditioning` already names is taken as it is.
 
     Raises:
-        InputError: neither an atlas nor enough slides.
+        InputError: neither an atlas nor enough slides, or none of the folder's recordings can be used.
     """
+    onsets = with_onsets(folder, atlas, conditioning, spread, calibration)
     lag_known, sensor = conditioning.delayed > 0, folder.sensor.scaled(conditioning.scale)
     for _ in range(FITS):
         read = conditioning
-        slides = calibration_slides(folder, read)
+        slides = calibration_slides(onsets.folder, read, onsets.fitted)
+        left_out = _left_out(onsets, slides)
         candidates = _candidates(len(slides), atlas is not None, calibration, sensor)
         whole, folds = _parts(slides, atlas, sensor, spread)
         response, held_out, summary = _cross_validated(candidates, whole, folds)
@@ -74,7 +82,27 @@ def calibrated_map(
         if conditioning == read:
             break
     lag = {"delayed": read.delayed, "tau_s": read.tau_s}
-    return CalibratedMap(response, held_out, read, len(slides), summary | lag)
+    untimed = [slide for slide in slides if not slide.timed]
+    shifts = {slide.recording: fit_slide(slide, response, calibration).shift_mm for slide in untimed}
+    placed = moved(onsets.folder, shifts)
+    return CalibratedMap(response, held_out, read, len(slides), summary | lag, placed, len(untimed), left_out)
+
+
+def _left_out(onsets: Onsets, slides: list[CalibrationSlide]) -> dict[str, str]:
+    """Why each recording that is not among the slides is not, by name.
+
+    Raises:
+        InputError: none is.
+    """
+    used = {slide.recording for slide in slides}
+    names = [str(name) for name in onsets.folder.manifest.index if name not in used]
+    left_out = {name: onsets.left_out.get(name, "no rest before its motion") for name in names}
+    if names and not used:
+        raise InputError(
+            f"{onsets.folder.root}: none of {len(names)} labelled recordings can be used "
+            f"({names[0]}: {left_out[names[0]]}); mend them, or train from the design alone"
+        )
+    return left_out
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,6 @@
 """Labelled slides as the calibration reads them: short stretches of a known line, with their mean output."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -33,6 +33,7 @@ class CalibrationSlide:
     volts: (m, C) V, subtracted, C tilt channels a0_vx, a0_vy, a1_vx, ...
     blocks: how many blocks a stretch averages; step_s: the same as a time.
     rest_noise_v: (C,) V, standard deviation of one block's mean at rest.
+    timed: the labels tell where the contact was when; else the place along the line is a first guess.
     """
 
     recording: str
@@ -45,6 +46,7 @@ class CalibrationSlide:
     blocks: int
     step_s: float
     rest_noise_v: np.ndarray
+    timed: bool = True
 
     @property
     def line_offset_mm(self) -> float:
@@ -60,11 +62,16 @@ class CalibrationSlide:
         )
 
 
-def calibration_slides(folder: Folder, conditioning: Conditioning) -> list[CalibrationSlide]:
-    """The folder's fully labelled slides; those that lack a label of LABELS or a rest before them are left out."""
+def calibration_slides(
+    folder: Folder, conditioning: Conditioning, untimed: frozenset[str] = frozenset()
+) -> list[CalibrationSlide]:
+    """The folder's fully labelled slides; those that lack a label of LABELS or a rest before them are left out.
+
+    untimed: recordings whose place along the line is a first guess.
+    """
     rows = folder.manifest.dropna(subset=list(LABELS)).iterrows()
     slides = (_slide(folder, str(name), row, conditioning) for name, row in rows)
-    return [slide for slide in slides if slide is not None]
+    return [replace(s, timed=s.recording not in untimed) for s in slides if s is not None]
 
 
 def _slide(folder: Folder, name: str, row: Any, conditioning: Conditioning) -> CalibrationSlide | None:
@@ -82,15 +89,15 @@ def _slide(folder: Folder, name: str, row: Any, conditioning: Conditioning) -> C
         time_s[moving] - row.motion_start_s, row.travel_mm, row.speed_mm_s, duration_s
     )
     volts = without_lag(blocks, conditioning)[moving] - rest.mean(axis=0)
-    count = max(1, round(STRETCH_MM / row.speed_mm_s / conditioning.block_s))
+    count = stretch_blocks(row.speed_mm_s, conditioning.block_s)
     return CalibrationSlide(
         recording=name,
         start_mm=(float(row.start_x_mm), float(row.start_y_mm)),
         direction_rad=float(np.deg2rad(row.direction_deg)),
         depth_mm=float(row.depth_mm),
-        travelled_mm=_means(travelled, count),
-        speed_mm_s=_means(speed, count),
-        volts=_means(volts, count),
+        travelled_mm=means(travelled, count),
+        speed_mm_s=means(speed, count),
+        volts=means(volts, count),
         blocks=count,
         step_s=count * conditioning.block_s,
         # Differences of neighbours: a slow drift of the zero is no noise.
@@ -98,7 +105,12 @@ def _slide(folder: Folder, name: str, row: Any, conditioning: Conditioning) -> C
     )
 
 
-def _means(values: np.ndarray, count: int) -> np.ndarray:
+def stretch_blocks(speed_mm_s: float, block_s: float) -> int:
+    """How many blocks a stretch of STRETCH_MM averages."""
+    return max(1, round(STRETCH_MM / speed_mm_s / block_s))
+
+
+def means(values: np.ndarray, count: int) -> np.ndarray:
     """Means over each `count` of the first axis; what does not fill a last one is dropped."""
     whole = len(values) // count * count
     return values[:whole].reshape(-1, count, *values.shape[1:]).mean(axis=1)

@@ -1,0 +1,55 @@
+"""What `train` made of a folder's recordings, said on standard error: a line for each reason."""
+
+import sys
+
+import pandas as pd
+
+from models.fitted_model import FittedModel
+from pipeline.recordings.derived_labels import why_not_labelled, with_derived_labels
+from pipeline.recordings.folder import Folder
+
+EXAMPLES = 3  # recordings named for each reason
+
+
+def report_use(chosen: Folder, folder: Folder, fitted: FittedModel) -> None:
+    """Says how many recordings were used, and of those that were not, why not.
+
+    chosen: those of the calibration splits. folder: what the model was fitted to.
+    """
+    left_out = why_not_labelled(with_derived_labels(chosen)) | fitted.left_out
+    print(f"learnt from {len(chosen) - len(left_out)} of {len(chosen)} recordings", file=sys.stderr)
+    for line in (*_left_out(left_out), *_assumed(chosen, folder, fitted)):
+        print(line, file=sys.stderr)
+
+
+def _left_out(left_out: dict[str, str]) -> list[str]:
+    reasons: dict[str, list[str]] = {}
+    for name, reason in left_out.items():
+        reasons.setdefault(reason, []).append(name)
+    return [f"left out {len(names)}: {reason} ({_some(names)})" for reason, names in reasons.items()]
+
+
+def _assumed(chosen: Folder, folder: Folder, fitted: FittedModel) -> list[str]:
+    """What is not as labelled in the recordings used."""
+    lines = []
+    if fitted.untimed:
+        lines.append(
+            f"fitted the onset of {fitted.untimed}: no start_x_mm, start_y_mm, motion_start_s or motion_end_s; "
+            "the skin's lag and a common delay of all slides cannot be told from such labels"
+        )
+    table = chosen.manifest.loc[folder.manifest.index]
+    if (absent := table["depth_mm"].isna()).any():
+        depths = folder.manifest["depth_mm"][absent].unique()
+        lines.append(f"no depth_mm in {int(absent.sum())}: taken as {depths[0]:g} mm")
+    for label, unit in (("pressure_mpa", "MPa"), ("skin_height_mm", "mm")):
+        if label in table:
+            numbers = pd.to_numeric(table[label], errors="coerce").dropna()
+            if numbers.nunique() > 1:
+                lines.append(
+                    f"{label} from {numbers.min():g} to {numbers.max():g} {unit}: one response map for all of them"
+                )
+    return lines
+
+
+def _some(names: list[str]) -> str:
+    return ", ".join(names[:EXAMPLES]) + (", ..." if len(names) > EXAMPLES else "")
