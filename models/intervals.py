@@ -12,6 +12,7 @@ import numpy as np
 from features.card import Interval
 
 COVERAGE = 0.9
+LEAST_FLOOR = 1e-3  # of the largest error: the middle of the floors that are tried
 GROUPS = 5  # of equally many windows, by their deviation
 
 
@@ -32,7 +33,10 @@ def conformal_interval(
         raise ValueError("no held-out errors to calibrate an interval on")
     count = len(errors) if slide is None else len(np.unique(slide))
     rank = min(math.ceil(coverage * (1 + 1 / count) * len(errors) - 1e-9), len(errors)) - 1
-    floors = max(float(np.median(errors)), 1e-9) * np.geomspace(0.02, 5.0, 60)
+    # A model that is mostly right to the last bit has a median of 0.
+    floors = max(float(np.median(errors)), LEAST_FLOOR * float(errors.max()), 1e-9) * np.geomspace(
+        0.02, 5.0, 60
+    )
     groups = np.array_split(np.argsort(sd, kind="stable"), min(GROUPS, len(errors)))
     best: tuple[float, Interval] | None = None
     for floor in floors:

@@ -122,3 +122,44 @@ def test_an_output_never_replaces_a_folder_with_other_files(
     assert softslide.main([str(word) for word in command]) == 2
     assert "holds other files (thesis.tex)" in capsys.readouterr().err
     assert (tmp_path / "thesis.tex").read_text() == "years of work"
+
+
+def _relabelled(lab: Path, root: Path, **labels: str) -> Path:
+    """A copy of the lab's folder with these labels in its first two calibration recordings, or in all for `all_`."""
+    shutil.copytree(lab, root)
+    table = pd.read_csv(root / "manifest.csv", dtype=str)
+    taught = table.index[table["split"].str.startswith("calibration")]
+    for name, value in labels.items():
+        rows = taught if name.startswith("all_") else taught[:2]
+        table.loc[rows, name.removeprefix("all_")] = value
+    table.to_csv(root / "manifest.csv", index=False)
+    return root
+
+
+def test_it_says_what_it_did_not_use_and_what_it_took_for_granted(
+    lab: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = _relabelled(lab, tmp_path / "lab", direction_deg="", pressure_mpa="0.04")
+    third = read_folder(folder).select("calibration").manifest.index[2]
+    table = pd.read_csv(folder / "manifest.csv", dtype=str).set_index("recording")
+    table.loc[third, ["depth_mm", "pressure_mpa"]] = ["", "0.03"]
+    table.to_csv(folder / "manifest.csv")
+    names = read_folder(folder).select("calibration").manifest.index
+    command = ["train", "--recordings", folder, "--model", "interpolation", "--out", tmp_path / "out"]
+    assert softslide.main([str(word) for word in command]) == 0
+    lines = capsys.readouterr().err.splitlines()
+    assert f"learnt from {len(names) - 2} of {len(names)} recordings" in lines
+    assert f"left out 2: no direction_deg ({names[0]}, {names[1]})" in lines
+    assert "no depth_mm in 1: taken as 0.5 mm" in lines
+    assert "pressure_mpa from 0.03 to 0.035 MPa: one response map for all of them" in lines
+
+
+def test_labels_of_which_none_can_be_used_are_refused(
+    lab: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = _relabelled(lab, tmp_path / "lab", all_direction_deg="")
+    assert softslide.main(["train", "--recordings", str(folder), "--out", str(tmp_path / "out")]) == 2
+    err = capsys.readouterr().err
+    assert err.count("\n") == 1
+    assert "no direction_deg" in err
+    assert not (tmp_path / "out").exists()
