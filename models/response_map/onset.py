@@ -52,7 +52,8 @@ def with_onsets(
     if known.all():
         return Onsets(folder, frozenset(), {})
     depth_mm = float(folder.manifest["depth_mm"].median())
-    response = None if atlas is None else prior_map(atlas, folder.sensor, [], depth_mm, spread)[0]
+    sensor = folder.sensor.scaled(conditioning.scale)
+    response = None if atlas is None else prior_map(atlas, sensor, [], depth_mm, spread)[0]
     table, left_out = folder.manifest.copy(), {}
     for name in folder.manifest.index[~known]:
         row, recording = folder.manifest.loc[name], folder.load(name)
@@ -87,12 +88,13 @@ def _refined(
     config: CalibrationConfig,
 ) -> Folder:
     """The onsets fitted to the design's map, and its parameters to the slides, in turn."""
+    sensor = folder.sensor.scaled(conditioning.scale)
     for _ in range(ROUNDS):
         slides = calibration_slides(folder, conditioning, fitted)
         if not slides:
             return folder
         depth_mm = float(np.median([slide.depth_mm for slide in slides]))
-        response, _ = prior_map(atlas, folder.sensor, slides, depth_mm, spread)
+        response, _ = prior_map(atlas, sensor, slides, depth_mm, spread)
         response = replace(response, lag_s=0.0) if len(fitted) == len(slides) else response
         shifts = {
             slide.recording: fit_slide(slide, response, config).shift_mm
