@@ -74,8 +74,8 @@ def moved(folder: Folder, shift_mm: dict[str, float]) -> Folder:
     """Slides set back along their lines by so much: the moments of motion stay, the place at them changes."""
     table = folder.manifest.copy()
     for name, shift in shift_mm.items():
-        along, _ = _axes(table.loc[name])
-        table.loc[name, ["start_x_mm", "start_y_mm"]] -= shift * along
+        a = np.deg2rad(float(table["direction_deg"][name]))
+        table.loc[name, ["start_x_mm", "start_y_mm"]] -= shift * np.array([np.cos(a), np.sin(a)])
     return replace(folder, manifest=table)
 
 
