@@ -2,7 +2,7 @@
 
 Split conformal prediction on the ratio |error| / sqrt(sd^2 + floor^2): its 90 % quantile over held-out windows is the
 interval's scale, whatever the errors' distribution. The floor, the part of the error that the model does not know of,
-is the one that spreads this coverage most evenly over confident and doubtful windows.
+is the one that spreads this coverage most evenly over windows of small and of large deviation.
 """
 
 import math

@@ -61,7 +61,7 @@ def fit_model(
     """Fits the model to the folder's labelled recordings.
 
     atlas: the sensor's design, and init: the graph of a bundle of the same model to start from, for models that use
-    them (`uses_design`). progress: told the step and the loss, now and then.
+    them (`uses_design`). progress: called with the step and the loss, now and then.
 
     Raises:
         InputError: no such model, nothing to fit it to, or `init` is of another kind.

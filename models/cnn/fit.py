@@ -69,7 +69,7 @@ def fit_cnn(
     """Calibrates the map on the folder's labelled slides and trains the network on it.
 
     folder: its calibration splits. atlas: of the sensor's design; None: from recordings alone.
-    init: an exported graph to start from (a warm start). progress: told the step and the loss, every 50 steps.
+    init: an exported graph to start from (a warm start). progress: called with the step and the loss, every 50 steps.
 
     Raises:
         InputError: neither enough slides nor an atlas, `init` holds another network, or V_z answers to a touch.

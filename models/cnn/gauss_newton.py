@@ -100,7 +100,7 @@ class Refinement(nn.Module):
         # In doubles: partial strokes leave the normal matrix nearly singular.
         for name, value in buffers.items():
             self.register_buffer(name, torch.tensor(value, dtype=torch.float64))
-        self.block_s, self.floor_v, self.askew = block_s, response.floor_v, config.askew
+        self.block_s, self.floor_v, self.cross_axis_sd = block_s, response.floor_v, config.askew
         self.depth_mm = response.depth_mm
         self.depth_sd_mm, self.same_depth = config.depth_sd_mm, config.same_depth
         self.knows_depth = bool(np.any(response.depth_slope))
@@ -150,9 +150,9 @@ class Refinement(nn.Module):
         """What the device's own slow turn takes from the rows' products: it leans all boards alike, a number for each
         axis, whose worth is not asked for."""
         along = inverse @ self.lean
-        told = (self.lean * along).sum((1, 3), keepdim=True)
+        known = (self.lean * along).sum((1, 3), keepdim=True)
         leaning = (rows @ along).sum(1, keepdim=True)
-        return (leaning @ (leaning / (1.0 + told)).transpose(3, 4)).sum(2, keepdim=True)
+        return (leaning @ (leaning / (1.0 + known)).transpose(3, 4)).sum(2, keepdim=True)
 
     def _same_depth(self, state: Tensor, covariance: Tensor) -> tuple[Tensor, Tensor]:
         """Averages two hypotheses: the calibration's depth, or one of its own. -> state, its variance.
@@ -185,7 +185,7 @@ class Refinement(nn.Module):
         variance = self.noise / blocks + floor
         drifting = self.drift / (variance + BINS * self.drift)
         swing = ripple.transpose(3, 4)
-        picked = self.askew**2 / (variance + self.askew**2 * (ripple @ swing))
+        picked = self.cross_axis_sd**2 / (variance + self.cross_axis_sd**2 * (ripple @ swing))
         return weight / variance * (self.whole - drifting - picked * (swing @ ripple))
 
 

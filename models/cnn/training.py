@@ -36,7 +36,7 @@ def train_proposal(
 
     Seeded: the same configuration gives the same weights on the same machine.
 
-    start: a network to start from. progress: told the step and the loss, now and then.
+    start: a network to start from. progress: called with the step and the loss, now and then.
     """
     torch.manual_seed(config.seed)
     generator = torch.Generator().manual_seed(config.seed)

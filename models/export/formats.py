@@ -26,7 +26,6 @@ from pipeline.recordings.windows import LabelledWindows, labelled_windows
 from pipeline.staging import staged
 from serve.bundle import open_bundle, open_session
 
-SHAPES = ("int8", "ort", "c")
 # What int8 may add to any mean error before it is refused.
 WORSE = 1.1
 

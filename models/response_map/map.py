@@ -22,7 +22,7 @@ class ResponseMap:
     """A sensor's response, calibrated or not.
 
     coefficients: (3, K, K, C) V, spline coefficients of M, Fx, Fy; C tilt channels a0_vx, a0_vy, a1_vx, ...
-    depth_slope: (K, K, C) V/mm, spline coefficients of D; zero where no atlas told it.
+    depth_slope: (K, K, C) V/mm, spline coefficients of D; zero without an atlas.
     chamber_mm: sizes of the chamber along x and y; over its rim the skin lies on the base and shows nothing.
     reference_mm: the point that offsets are measured from.
     depth_mm: d0, the depth of the recordings that M was fitted to.
