@@ -14,7 +14,14 @@ __version__ = "0.2.0"
 
 # The extra that a subcommand needs beyond the base install. Device commands need one for some of their options only,
 # which the package that is missing tells: so does a package of another extra than the subcommand's own.
-COMMAND_EXTRA = {"check": "io", "import": "io", "synthesize": "io", "predict": "io", "serve": "io"}
+COMMAND_EXTRA = {
+    "check": "io",
+    "import": "io",
+    "synthesize": "io",
+    "predict": "io",
+    "serve": "io",
+    "record": "io",
+}
 PACKAGE_EXTRA = {
     **dict.fromkeys(("fastapi", "serial", "uvicorn", "websockets"), "live"),
     **dict.fromkeys(("dask", "distributed"), "cluster"),
@@ -55,14 +62,16 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def parser() -> argparse.ArgumentParser:
     """The whole command line."""
-    from commands import data, device, learning, studies
+    from commands import data, device, lab, learning, studies
     from commands.arguments import add_commands
 
     top = argparse.ArgumentParser(prog="softslide", description=(__doc__ or "").partition("\n")[0])
     top.add_argument(
         "--version", action="version", version=f"softslide {__version__}", help="show the version and exit"
     )
-    add_commands(top, (*learning.COMMANDS, *device.COMMANDS, *data.COMMANDS, *studies.COMMANDS))
+    add_commands(
+        top, (*learning.COMMANDS, *device.COMMANDS, *data.COMMANDS, *lab.COMMANDS, *studies.COMMANDS)
+    )
     return top
 
 

@@ -199,12 +199,13 @@ CALLS = {
     "export": ["--model", SAMPLE, "--to", "ort", "--out", "out"],
     "compare": ["--recordings", SAMPLE, "--out", "out"],
     "few": ["--recordings", SAMPLE],
+    "record": ["--source", "udp://:9", "--plan", SAMPLE / "manifest.csv", "--out", "out"],
     "drift": ["--model", SAMPLE, "--recordings", SAMPLE],
     "bench": [],
     "predict": ["--model", "BUNDLE", "slide.parquet"],
     "serve": ["--model", "BUNDLE", "--source", "-", "--page", "0"],
 }
-EXTRAS = {"check": "io", "import": "io", "synthesize": "io", "predict": "io", "serve": "live"}
+EXTRAS = {"check": "io", "import": "io", "synthesize": "io", "predict": "io", "record": "io", "serve": "live"}
 
 
 @pytest.mark.parametrize("command", COMMANDS)

@@ -17,6 +17,7 @@ import numpy as np
 import pandas as pd
 
 from pipeline.checks.measurements import Measurements, measure
+from pipeline.checks.rail_run import MOST_AT_RAIL
 from pipeline.checks.zone_signs import line_mismatch_mm
 from pipeline.progress import progress_bar
 from pipeline.recordings.folder import Folder
@@ -30,7 +31,7 @@ class Limits:
 
     longest_step: float = 1.1  # samples
     rate: float = 0.0005  # of the sensor's rate
-    rail_run: int = 5  # equal samples at the highest or lowest reading
+    rail_run: int = MOST_AT_RAIL  # equal samples at the highest or lowest reading
     noise_high: float = 2.0  # times the data sheet
     noise_low: float = 0.3  # times the data sheet
     mains_g: float = 0.01  # amplitude

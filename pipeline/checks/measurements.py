@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 from scipy.signal import welch
 
+from pipeline.checks.rail_run import rail_run
 from pipeline.checks.zone_signs import sign_agreement
 from pipeline.recordings.folder import Recording
 from pipeline.sensor import Sensor
@@ -75,7 +76,7 @@ def measure(recording: Recording, labels: pd.Series, sensor: Sensor) -> Measurem
         rate_hz=(len(time_s) - 1) / (time_s[-1] - time_s[0]),
         longest_step=float(np.diff(time_s).max() * rate),
         span_v=np.ptp(volts, axis=0),
-        rail_run=np.array([_rail_run(column) for column in volts.T]),
+        rail_run=np.array([rail_run(column) for column in volts.T]),
         noise_v_rthz=np.sqrt(floor),
         mains_hz=mains_hz,
         mains_v=mains_v,
@@ -108,19 +109,6 @@ def _landmarks(volts: np.ndarray) -> np.ndarray:
     for n, factor in enumerate(odd):
         hashes += mixed[n : n + count] * factor
     return np.unique(hashes[(hashes >> np.uint64(58)) == 0])
-
-
-def _rail_run(column: np.ndarray) -> int:
-    """The longest run of samples equal to the highest or the lowest reading; 0 if all are equal."""
-    if column.min() == column.max():
-        return 0
-    longest = 0
-    for rail in (column.min(), column.max()):
-        at = np.flatnonzero(column == rail)
-        breaks = np.flatnonzero(np.diff(at) > 1)
-        edges = np.concatenate([[-1], breaks, [len(at) - 1]])
-        longest = max(longest, int(np.diff(edges).max()))
-    return longest
 
 
 def _spectrum(volts: np.ndarray, rate_hz: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

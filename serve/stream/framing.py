@@ -13,13 +13,14 @@ Chunk = tuple[np.ndarray, np.ndarray | None]
 _LINE_BYTES = 1 << 16
 
 
-def framing_of(form: str, channels: int, strict: bool = True) -> "Framing":
+def framing_of(form: str, channels: int, strict: bool = True, midway: bool = False) -> "Framing":
     """A reader of bytes in pieces of any size; it keeps an unfinished sample for the next piece.
 
     form: csv, lines of the channels' volts with or without a time in s before them, where a first line of names and
-    empty lines are skipped; or f32, little-endian float32, one for each channel. strict: as in `Lines`.
+    empty lines are skipped; or f32, little-endian float32, one for each channel. strict, midway: as in `Lines`; frames
+    have no mark of where they begin, so that a stream of them must be read from its beginning.
     """
-    return Lines(channels, strict) if form == "csv" else Frames(channels)
+    return Lines(channels, strict, midway) if form == "csv" else Frames(channels)
 
 
 class Framing(Protocol):
@@ -53,13 +54,18 @@ class Lines:
     """Lines of comma-separated numbers. The first valid one decides whether a time comes before the volts.
 
     strict: a line that is no sample is an error; otherwise it is skipped, as a lost sample.
+    midway: the stream may be joined in the middle of a line, which is then dropped: the rest of one could pass for
+    a sample.
     """
 
-    def __init__(self, channels: int, strict: bool) -> None:
-        self._channels, self._strict = channels, strict
+    def __init__(self, channels: int, strict: bool, midway: bool = False) -> None:
+        self._channels, self._strict, self._midway = channels, strict, midway
         self._rest, self._line, self._size = b"", 0, 0
 
     def read(self, data: bytes) -> Iterator[Chunk]:
+        if self._midway:
+            _, end, data = data.partition(b"\n")
+            self._midway = not end
         *lines, self._rest = (self._rest + data).split(b"\n")
         if len(self._rest) > _LINE_BYTES:
             raise InputError(f"line {self._line + 1} does not end; send one sample a line, or float32 frames")

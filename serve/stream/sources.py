@@ -36,21 +36,29 @@ def open_source(name: str, card: Card, form: str, fast: bool) -> Source:
     Raises:
         InputError: no such source, or a package that it needs is missing.
     """
-    channels = len(card.channels)
+    if name == "-" or "://" in name:
+        return open_live(name, len(card.channels), form)
+    volts = read_recording(Path(name), card.channels, card.sample_rate_hz)
+    return _played(volts, card, fast)
+
+
+def open_live(name: str, channels: int, form: str) -> Source:
+    """A source of so many channels that is no file.
+
+    Raises:
+        InputError: as `open_source`.
+    """
     if name == "-":
         return _bytes_from(sys.stdin.buffer, framing_of(form, channels))
     if name.startswith("udp://"):
         return _datagrams(name, form, channels)
     if name.startswith("serial://"):
-        return _serial(name, framing_of(form, channels, strict=False))
+        return _serial(name, framing_of(form, channels, strict=False, midway=True))
     if name.startswith("ros2://"):
         from serve.stream.ros import samples
 
         return samples(name.removeprefix("ros2://"), channels)
-    if "://" in name:
-        raise InputError(f"{name}: unknown kind; {KINDS}", "source")
-    volts = read_recording(Path(name), card.channels, card.sample_rate_hz)
-    return _played(volts, card, fast)
+    raise InputError(f"{name}: unknown kind; {KINDS}", "source")
 
 
 def _bytes_from(stream: BinaryIO, framing: Framing) -> Source:

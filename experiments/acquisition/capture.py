@@ -1,0 +1,141 @@
+"""One slide from a live source: samples with an even clock, or the reason why not."""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from experiments.acquisition.listener import Listener, joined
+from features.angles import tilt_channels
+from features.clock import RATE_TOLERANCE, check_clock
+from features.errors import InputError
+from pipeline.checks.rail_run import MOST_AT_RAIL, rail_run
+from pipeline.recordings.folder import Recording
+from pipeline.sensor import Sensor
+from serve.stream.framing import Chunk
+
+POLL_S = 0.05
+# Samples arrive in bundles: of a stream without times, the moments of the first and the last are known this well.
+ARRIVAL_S = 0.5
+BLOCK_S = 0.02  # the localizer's; a level is the mean over one
+FAINT = 6.0  # times the rest's deviation: a peak below it is no contact
+NOT_BACK = 0.3  # share of the peak that the output is off its rest by at the end; the lag's remainder is less
+
+
+class Lost(Exception):
+    """A slide that cannot be kept. The message says why."""
+
+
+@dataclass(frozen=True)
+class Phases:
+    """Of a recording, in s: rest before the motion, time to start the stage in, motion, rest after it."""
+
+    rest_s: float
+    start_s: float
+    motion_s: float
+
+    @property
+    def whole_s(self) -> float:
+        """The whole recording's duration."""
+        return self.rest_s + self.start_s + self.motion_s + self.rest_s
+
+
+def capture(
+    listener: Listener,
+    sensor: Sensor,
+    name: str,
+    phases: Phases,
+    timeout_s: float,
+    show: Callable[[float, float], None],
+) -> Recording:
+    """Records for `phases.whole_s` from now on.
+
+    timeout_s: silence that counts as a pulled cable. show: told the s recorded and the present level (V).
+
+    Raises:
+        Lost: the source went silent or was opened anew, samples are missing or no numbers, or their rate is wrong.
+    """
+    listener.take()
+    begun_s, opened, chunks, count = time.monotonic(), listener.opened, list[Chunk](), 0
+    rate, level = sensor.sample_rate_hz, Level(phases.rest_s * sensor.sample_rate_hz)
+    while count < phases.whole_s * rate:
+        time.sleep(POLL_S)
+        new = listener.take()
+        if listener.opened != opened or listener.trouble or listener.silent_s > timeout_s:
+            raise Lost(listener.trouble or f"nothing has come for {timeout_s:g} s")
+        chunks += new
+        count += sum(len(volts) for volts, _ in new)
+        show(count / rate, level.of(new))
+    volts, time_s = joined(chunks, len(sensor.channels))
+    if not np.isfinite(volts).all():
+        raise Lost("a sample is no finite number; see what the source sends")
+    if time_s is None:
+        took_s = time.monotonic() - begun_s
+        if abs(count / rate - took_s) > ARRIVAL_S + RATE_TOLERANCE * took_s:
+            raise Lost(
+                f"{count} samples came in {took_s:.1f} s, sensor.toml says {rate:g} Hz; samples were lost, or the "
+                "rate is another"
+            )
+        time_s = np.arange(count) / rate
+    else:
+        time_s = time_s - time_s[0]
+        try:
+            check_clock(Path(name), time_s, rate)
+        except InputError as error:
+            raise Lost(str(error).removeprefix(f"{name}: ")) from None
+    return Recording(name, time_s, volts)
+
+
+class Level:
+    """How far the tilt outputs are from where they were in the first `samples`."""
+
+    def __init__(self, samples: float) -> None:
+        self._samples, self._count, self._mean = samples, 0, np.zeros(1)
+
+    def of(self, chunks: list[Chunk]) -> float:
+        """The largest deviation (V) of these chunks' means; 0 where there are none."""
+        for volts, _ in chunks:
+            tilt = volts[:, tilt_channels(volts.shape[1])]
+            if self._count < self._samples:
+                self._mean = (self._mean * self._count + tilt.sum(axis=0)) / (self._count + len(tilt))
+                self._count += len(tilt)
+        return float(np.abs(tilt.mean(axis=0) - self._mean).max()) if chunks else 0.0
+
+
+def deviation_v(volts: np.ndarray, rate_hz: float, rest_s: float) -> tuple[np.ndarray, np.ndarray]:
+    """What the tilt outputs of samples (n, C) V deviate by from their mean over the rest before: blocks (m, 2 A) V.
+
+    And the rest's own standard deviation between blocks (2 A,) V.
+    """
+    size = max(1, round(BLOCK_S * rate_hz))
+    count = len(volts) // size
+    blocks = volts[: count * size, tilt_channels(volts.shape[1])].reshape(count, size, -1).mean(axis=1)
+    rest = blocks[: max(1, int(rest_s / BLOCK_S))]
+    return blocks - rest.mean(axis=0), rest.std(axis=0)
+
+
+def remarks(recording: Recording, sensor: Sensor, phases: Phases) -> list[str]:
+    """What the operator should know of a slide before keeping it: how strong it is, and what looks wrong."""
+    away, rest_sd = deviation_v(recording.volts, sensor.sample_rate_hz, phases.rest_s)
+    peaks = np.abs(away).max(axis=0)
+    strongest = int(peaks.argmax())
+    channel = sensor.channels[tilt_channels(len(sensor.channels))[strongest]]
+    faint = FAINT * rest_sd[strongest]
+    told = [
+        f"{recording.time_s[-1]:.1f} s, {len(recording.volts)} samples, peak {1e3 * peaks[strongest]:.1f} mV "
+        f"({channel}), rest within {1e3 * rest_sd.max():.1f} mV"
+    ]
+    if peaks[strongest] < faint:
+        told.append(f"no contact shows: the peak is less than {FAINT:g} times the rest's deviation")
+    elif np.abs(away[-5:].mean(axis=0)).max() > NOT_BACK * peaks[strongest]:
+        told.append(
+            "the output does not come back to rest: the object is still on the skin, or the rest is short"
+        )
+    for name, column in zip(sensor.channels, recording.volts.T, strict=True):
+        if column.min() == column.max():
+            told.append(f"{name} does not change at all: is it connected?")
+        elif rail_run(column) > MOST_AT_RAIL:
+            told.append(f"{name} is clipped")
+    return told

@@ -1,0 +1,178 @@
+"""`softslide record`: walks through a plan, slide by slide, into a folder of recordings.
+
+Each slide is written when it is kept, so that the folder is whole at any time and the same command goes on where an
+earlier one stopped. A slide during which the source was gone or lost samples is not kept, and recorded again.
+"""
+
+import math
+import time
+from collections.abc import Callable
+from contextlib import closing
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import pandas as pd
+
+from experiments.acquisition.capture import POLL_S, Level, Lost, Phases, capture, remarks
+from experiments.acquisition.listener import Listener
+from experiments.acquisition.operator import Operator, level_bar
+from experiments.acquisition.plan_file import read_plan
+from features.errors import CheckFailed, InputError
+from pipeline.recordings.folder import Folder, Recording
+from pipeline.recordings.growing_folder import add_recording, open_growing
+from pipeline.sensor import Sensor, read_sensor
+from serve.stream.sources import open_live
+
+LIVE = ("serial://", "udp://", "ros2://")
+ATTEMPTS = 3  # at a slide that fails with nobody to ask
+RAMP_S = 1.0  # a stage's ramps come on top of way over speed; `softslide check` allows as much
+
+
+@dataclass(frozen=True)
+class Times:
+    """In s. rest: before and after each motion. start: to start the stage in. timeout: silence that counts as a pulled
+    cable. wait: for the source to come back."""
+
+    rest: float = 3.0
+    start: float = 3.0
+    timeout: float = 2.0
+    wait: float = 600.0
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            if not getattr(self, field.name) > 0:
+                raise InputError(f"{getattr(self, field.name):g}: give a positive time in s", field.name)
+
+
+def record(
+    source: str, plan: Path, out: Path, sensor: Path | None, form: str, times: Times, yes: bool
+) -> tuple[Folder, int]:
+    """Records the slides of a plan that the folder `out` does not hold yet. Returns the folder, and how many are left.
+
+    source: serial://, udp:// or ros2://, as in serve/stream/sources.py. sensor: a sensor.toml; None: the folder's own.
+    form: csv or f32, of the bytes that come in. yes: asks nothing.
+
+    Raises:
+        InputError: the source, the plan, the sensor or the folder is wrong, or the source did not come back.
+        CheckFailed: a slide failed ATTEMPTS times with nobody to ask.
+    """
+    if not source.startswith(LIVE):
+        raise InputError(f"{source}: name a live one, {', '.join(f'{kind}...' for kind in LIVE)}", "source")
+    folder = open_growing(out, None if sensor is None else read_sensor(sensor))
+    slides = read_plan(plan, folder.sensor)
+    operator = Operator(yes)
+    if done := int(slides.index.isin(folder.manifest.index).sum()):
+        operator.say(f"{out}: {done} of {len(slides)} slides are recorded; going on")
+    channels = len(folder.sensor.channels)
+    with closing(Listener(lambda: open_live(source, channels, form))) as listener:
+        for place, (name, labels) in enumerate(slides.iterrows(), 1):
+            if name in folder.manifest.index:
+                continue
+            operator.say(f"[{place}/{len(slides)}] {name}: {_described(labels)}")
+            try:
+                slide = _slide(str(name), labels, listener, folder.sensor, operator, times, source)
+            except _Stopped:
+                break
+            if slide is not None:
+                folder = add_recording(folder, slide, {str(k): v for k, v in labels.items()})
+                operator.say(f"kept: {folder.root}, {len(folder)} recordings")
+    return folder, int((~slides.index.isin(folder.manifest.index)).sum())
+
+
+class _Stopped(Exception):
+    """The operator stops."""
+
+
+def _described(labels: pd.Series) -> str:
+    """A slide in words: what the stage is set to."""
+    text = (
+        f"from x {labels.start_x_mm:g}, y {labels.start_y_mm:g} mm, direction {labels.direction_deg:g} deg, "
+        f"{labels.travel_mm:g} mm at {labels.speed_mm_s:g} mm/s"
+    )
+    return text if math.isnan(labels.depth_mm) else f"{text}, depth {labels.depth_mm:g} mm"
+
+
+def _slide(
+    name: str,
+    labels: pd.Series,
+    listener: Listener,
+    sensor: Sensor,
+    operator: Operator,
+    times: Times,
+    source: str,
+) -> Recording | None:
+    """One slide that the operator keeps; None if it is skipped.
+
+    Raises:
+        _Stopped: the operator stops.
+        InputError, CheckFailed: as `record`.
+    """
+    phases = Phases(times.rest, times.start, labels.travel_mm / labels.speed_mm_s + RAMP_S)
+    failed = 0
+    while True:
+        _wait(listener, operator, times, source)
+        if _answer(operator, "Set the stage. Enter records, s skips, q stops:", listener, sensor) == "s":
+            return None
+        try:
+            slide = capture(listener, sensor, name, phases, times.timeout, _shower(operator, phases))
+        except Lost as reason:
+            failed += 1
+            operator.say(f"{name} is not kept: {reason}")
+            if operator.absent and failed == ATTEMPTS:
+                raise CheckFailed(f"{name} failed {ATTEMPTS} times: {reason}; what is kept stays") from None
+            continue
+        for remark in remarks(slide, sensor, phases):
+            operator.say(f"  {remark}")
+        answer = _answer(
+            operator, "Keep it? Enter keeps, a records again, s skips, q stops:", listener, sensor
+        )
+        if answer != "a":
+            return None if answer == "s" else slide
+
+
+def _answer(operator: Operator, question: str, listener: Listener, sensor: Sensor) -> str:
+    level = Level(sensor.sample_rate_hz)
+    answer = operator.ask(question, lambda: level_bar(level.of(listener.take())))
+    if answer == "q":
+        raise _Stopped
+    return answer
+
+
+def _wait(listener: Listener, operator: Operator, times: Times, source: str) -> None:
+    """Returns once samples come.
+
+    Raises:
+        InputError: none came within times.wait.
+    """
+    begun_s, told = time.monotonic(), ""
+    while listener.trouble or listener.silent_s > times.timeout:
+        reason = listener.trouble or "nothing comes"
+        if reason != told:
+            operator.say(f"waiting for {source}: {reason}")
+            told = reason
+        if time.monotonic() - begun_s > times.wait:
+            raise InputError(
+                f"{source}: nothing came for {times.wait:g} s; what is recorded is kept, run the same command to go on"
+            )
+        time.sleep(POLL_S)
+
+
+def _shower(operator: Operator, phases: Phases) -> Callable[[float, float], None]:
+    """Tells the operator what to do as a recording goes on, with the level."""
+    ends = (
+        (phases.rest_s, "rest: hands off"),
+        (phases.rest_s + phases.start_s, "go: start the stage now"),
+        (phases.whole_s - phases.rest_s, "motion"),
+        (math.inf, "rest: hands off until the end"),
+    )
+    said: list[str] = []
+
+    def show(recorded_s: float, level_v: float) -> None:
+        end, phase = next((end, phase) for end, phase in ends if recorded_s < end)
+        if phase not in said:
+            said.append(phase)
+            operator.say(f"  {phase}")
+        left_s = min(end, phases.whole_s) - recorded_s
+        operator.show(f"  {level_bar(level_v)}  {max(left_s, 0.0):4.0f} s")
+
+    return show

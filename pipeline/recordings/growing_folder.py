@@ -1,0 +1,69 @@
+"""A folder of recordings that grows by one recording at a time and is whole after each."""
+
+import os
+from pathlib import Path
+
+import pandas as pd
+
+from features.errors import InputError
+from pipeline.recordings.folder import Folder, Recording, read_folder
+from pipeline.recordings.manifest import LABELS, REQUIRED, check_manifest, write_manifest
+from pipeline.recordings.slide_file import write_slide
+from pipeline.sensor import Sensor, read_sensor, write_sensor
+
+
+def open_growing(root: Path, sensor: Sensor | None) -> Folder:
+    """The folder as it stands, to be gone on with; a new one, without recordings, where there is none.
+
+    sensor: of the new folder; None: the one that the folder names.
+
+    Raises:
+        InputError: the folder is of another sensor, is none, or is new and no sensor is given.
+    """
+    root = Path(root)
+    if (root / "manifest.csv").exists():
+        folder = read_folder(root)
+        if sensor is not None and sensor != folder.sensor:
+            raise InputError(
+                f"{root / 'sensor.toml'}: another sensor than the one given; name a new folder, or that sensor"
+            )
+        return folder
+    kept = root / "sensor.toml"
+    if kept.exists():
+        # An earlier run ended before its first recording.
+        if sensor is not None and sensor != read_sensor(kept):
+            raise InputError(f"{kept}: another sensor than the one given; name a new folder, or that sensor")
+        sensor = read_sensor(kept)
+    if sensor is None:
+        raise InputError("give the sensor.toml of the new folder", "sensor")
+    try:
+        (root / "slides").mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{root}: cannot be written ({error.strerror}); name another folder") from None
+    write_sensor(kept, sensor)
+    columns = [name for name in (*REQUIRED, *LABELS) if name != "recording"]
+    return Folder(root, sensor, pd.DataFrame(columns=columns, index=pd.Index([], name="recording")))
+
+
+def add_recording(folder: Folder, recording: Recording, labels: dict[str, object]) -> Folder:
+    """The folder with one more recording, written: its slide first, whole or not at all, then the manifest likewise.
+
+    labels: `split` and any of the manifest's columns.
+
+    Raises:
+        InputError: a label that a manifest may not hold, or a name that the folder has already.
+    """
+    name = recording.name
+    row = {"recording": name, "file": f"slides/{name}.parquet", **labels}
+    path = folder.root / "manifest.csv"
+    before = folder.manifest.reset_index().astype(object)
+    table = pd.concat([before, pd.DataFrame([row], dtype=object)], ignore_index=True)
+    manifest = check_manifest(table, folder.sensor, path)
+    slide = folder.root / str(row["file"])
+    beside = slide.with_suffix(".part")
+    write_slide(beside, recording.time_s, recording.volts, folder.sensor.channels)
+    os.replace(beside, slide)
+    beside = path.with_suffix(".part")
+    write_manifest(beside, manifest)
+    os.replace(beside, path)
+    return Folder(folder.root, folder.sensor, manifest)

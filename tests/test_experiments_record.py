@@ -1,0 +1,371 @@
+"""`softslide record`: a second process sends; cables are pulled; the folder is whole at any time."""
+
+import os
+import pty
+import signal
+import socket
+import subprocess
+import sys
+import textwrap
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+from streams import a_sensor
+
+import softslide
+from experiments.acquisition.capture import Phases, remarks
+from experiments.acquisition.plan_file import read_plan
+from features.errors import InputError
+from pipeline.recordings.folder import Recording, read_folder
+from pipeline.recordings.growing_folder import add_recording, open_growing
+from pipeline.sensor import write_sensor
+
+RATE_HZ = 1000.0
+# The sensor that the sender below plays: rest for a second, then a bump, over and over; with the device's own time.
+SENDER = textwrap.dedent(
+    """
+    import sys, time, random, math
+    def lines(rate_hz=1000, bundle=20, seed=0):
+        noise, n, begun = random.Random(seed), 0, time.monotonic()
+        while True:
+            rows = []
+            for _ in range(bundle):
+                bump = 0.15 * math.sin(math.pi * n / 500) ** 2 if n % 1500 > 1000 else 0.0
+                volts = [1.65 + bump, 1.65 - bump, 2.45]
+                rows.append(f"{n / rate_hz:.4f}," + ",".join(f"{v + noise.gauss(0, 0.005):.4f}" for v in volts))
+                n += 1
+            time.sleep(max(0.0, begun + n / rate_hz - time.monotonic()))
+            yield ("\\n".join(rows) + "\\n").encode()
+    """
+)
+UDP = SENDER + textwrap.dedent(
+    """
+    import socket
+    mouth = socket.socket(type=socket.SOCK_DGRAM)
+    for data in lines(seed=int(sys.argv[2])):
+        mouth.sendto(data, ("127.0.0.1", int(sys.argv[1])))
+    """
+)
+TIMES = ("--rest", "0.6", "--start", "0.2", "--timeout", "0.5")
+
+
+def free_port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+@contextmanager
+def sending(port: int, seed: int = 0) -> Iterator[subprocess.Popen]:
+    with subprocess.Popen([sys.executable, "-c", UDP, str(port), str(seed)]) as sender:
+        try:
+            yield sender
+        finally:
+            sender.kill()
+
+
+@pytest.fixture
+def lab(tmp_path: Path) -> Path:
+    """A sensor.toml and a plan of three short slides."""
+    write_sensor(tmp_path / "sensor.toml", a_sensor())
+    (tmp_path / "plan.csv").write_text(
+        "recording,split,direction_deg,speed_mm_s,offset_mm,start_x_mm,start_y_mm,travel_mm,depth_mm\n"
+        "one,calibration,0,40,-5,-29,-5,8,0.5\n"
+        "two,calibration,90,40,0,0,-29,8,0.5\n"
+        "three,test,180,40,-5,29,5,8,0.5\n"
+    )
+    return tmp_path
+
+
+def command(lab: Path, source: str, *more: str) -> list[str]:
+    options = [
+        "--plan",
+        str(lab / "plan.csv"),
+        "--sensor",
+        str(lab / "sensor.toml"),
+        "--out",
+        str(lab / "out"),
+    ]
+    return [sys.executable, str(softslide.__file__), "record", "--source", source, *options, *TIMES, *more]
+
+
+def test_a_second_process_sends_and_the_folder_passes_the_check(
+    lab: Path, capsys: pytest.CaptureFixture
+) -> None:
+    port = free_port()
+    with sending(port):
+        done = subprocess.run(
+            command(lab, f"udp://:{port}", "--yes"), capture_output=True, text=True, timeout=240, check=True
+        )
+    assert done.stdout == f"{lab / 'out'}: 3 recordings\n"
+    folder = read_folder(lab / "out")
+    assert list(folder.manifest.index) == ["one", "two", "three"]
+    assert list(folder.manifest["split"]) == ["calibration", "calibration", "test"]
+    assert folder.manifest["motion_start_s"].isna().all()
+    for name in folder.manifest.index:
+        recording = folder.load(name)
+        # Rest twice, the time to start in, way over speed, and the ramps.
+        assert recording.time_s[-1] == pytest.approx(0.6 + 0.2 + 0.2 + 1.0 + 0.6, abs=0.05)
+        assert recording.time_s[0] == 0.0
+    # The play is no skin: what is asked here is that the folder itself is in order.
+    assert softslide.main(["check", str(lab / "out"), "--json"]) == 0
+    assert '"errors": 0' in capsys.readouterr().out
+
+
+def test_answers_skip_repeat_and_stop_and_a_second_run_goes_on(lab: Path) -> None:
+    port = free_port()
+    with sending(port):
+        answers = "\na\n\n\ns\nq\n"  # one: record, again, record, keep; two: skip; three: stop
+        first = subprocess.run(
+            command(lab, f"udp://:{port}"),
+            input=answers,
+            capture_output=True,
+            text=True,
+            timeout=240,
+            check=True,
+        )
+        assert first.stdout == f"{lab / 'out'}: 1 recordings, 2 of the plan are left\n"
+        assert first.stderr.count("Keep it?") == 2
+        kept = (lab / "out" / "slides" / "one.parquet").read_bytes()
+        second = subprocess.run(
+            command(lab, f"udp://:{port}", "--yes"), capture_output=True, text=True, timeout=240, check=True
+        )
+    assert "1 of 3 slides are recorded" in second.stderr
+    assert list(read_folder(lab / "out").manifest.index) == ["one", "two", "three"]
+    assert (lab / "out" / "slides" / "one.parquet").read_bytes() == kept
+
+
+def test_a_source_that_falls_silent_in_a_slide_is_waited_for(lab: Path) -> None:
+    port = free_port()
+    with subprocess.Popen(
+        command(lab, f"udp://:{port}", "--yes"), stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as running:
+        assert running.stderr is not None
+        said = []
+
+        def until(text: str) -> None:
+            while not said or text not in said[-1]:
+                line = running.stderr.readline()
+                assert line, said
+                said.append(line)
+
+        with sending(port):
+            until("[2/3]")
+            until("rest: hands off")
+        until("two is not kept: nothing has come for 0.5 s")
+        until("waiting for")
+        assert list(read_folder(lab / "out").manifest.index) == ["one"]
+        with sending(port, seed=1):
+            out, _ = running.communicate(timeout=240)
+    assert running.returncode == 0
+    assert "3 recordings" in out
+    assert len(read_folder(lab / "out")) == 3
+
+
+def test_a_source_that_stays_away_is_an_error_and_what_is_recorded_stays(lab: Path) -> None:
+    port = free_port()
+    with subprocess.Popen(
+        command(lab, f"udp://:{port}", "--yes", "--wait", "1"), stderr=subprocess.PIPE, text=True
+    ) as running:
+        assert running.stderr is not None
+        with sending(port):
+            while "[2/3]" not in running.stderr.readline():
+                pass
+        _, error = running.communicate(timeout=240)
+    assert running.returncode == 2
+    assert "run the same command to go on" in error.splitlines()[-1]
+    assert list(read_folder(lab / "out").manifest.index) == ["one"]
+
+
+class Cable:
+    """A pseudo-terminal behind a link, as a serial adapter behind /dev/serial/by-id; sends until it is pulled."""
+
+    def __init__(self, link: Path, seed: int) -> None:
+        self._link, self._seed = link, seed
+        self._ours, self._theirs = pty.openpty()
+        os.set_blocking(self._ours, False)
+        link.symlink_to(os.ttyname(self._theirs))
+        self._halt = threading.Event()
+        self._thread = threading.Thread(target=self._send)
+        self._thread.start()
+
+    def _send(self) -> None:
+        space: dict = {}
+        exec(SENDER, space)
+        # A port is joined in the middle of a line.
+        os.write(self._ours, b".65,2.45\n")
+        for data in space["lines"](seed=self._seed):
+            if self._halt.is_set():
+                return
+            # What nobody reads is lost, as on a wire.
+            with suppress(BlockingIOError):
+                os.write(self._ours, data)
+
+    def pull(self) -> None:
+        self._halt.set()
+        self._thread.join()
+        self._link.unlink()
+        os.close(self._theirs)
+        os.close(self._ours)
+
+
+def test_a_serial_cable_pulled_in_mid_slide_costs_that_slide_alone(lab: Path) -> None:
+    pytest.importorskip("serial")
+    link = lab / "port"
+    cable = Cable(link, seed=0)
+    with subprocess.Popen(
+        command(lab, f"serial://{link}?115200", "--yes"),
+        stderr=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    ) as running:
+        assert running.stderr is not None
+        said: list[str] = []
+        try:
+            while not said or "[2/3]" not in said[-1]:
+                said.append(running.stderr.readline())
+                assert said[-1], said
+            while "rest: hands off" not in said[-1]:
+                said.append(running.stderr.readline())
+                assert said[-1], said
+        finally:
+            cable.pull()
+        while "waiting for" not in said[-1]:
+            said.append(running.stderr.readline())
+            assert said[-1], said
+        time.sleep(0.7)
+        cable = Cable(link, seed=1)
+        try:
+            out, _ = running.communicate(timeout=240)
+        finally:
+            cable.pull()
+    assert any("two is not kept" in line for line in said)
+    assert running.returncode == 0
+    assert "3 recordings" in out
+    assert len(read_folder(lab / "out")) == 3
+
+
+def test_an_interrupted_run_leaves_a_whole_folder(lab: Path) -> None:
+    port = free_port()
+    # What is started in the background is deaf to Ctrl-C, and hands that on.
+    heard = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)
+    with (
+        sending(port),
+        subprocess.Popen(
+            command(lab, f"udp://:{port}", "--yes"), stderr=subprocess.PIPE, text=True, preexec_fn=heard
+        ) as running,
+    ):
+        assert running.stderr is not None
+        while "[2/3]" not in running.stderr.readline():
+            assert running.poll() is None
+        running.send_signal(signal.SIGINT)
+        assert running.wait(120) == 130
+        running.stderr.read()
+    assert list(read_folder(lab / "out").manifest.index) == ["one"]
+    assert not list((lab / "out").rglob("*.part"))
+
+
+def test_lost_samples_are_told_by_the_rate(lab: Path) -> None:
+    port = free_port()
+    # At half the rate without times every second sample is missing.
+    slow = UDP.replace("lines(seed", "lines(rate_hz=500, seed").replace('f"{n / rate_hz:.4f}," + ', "")
+    with subprocess.Popen([sys.executable, "-c", slow, str(port), "0"]) as sender:
+        done = subprocess.run(
+            command(lab, f"udp://:{port}", "--yes"), capture_output=True, text=True, timeout=240
+        )
+        sender.kill()
+    assert done.returncode == 1
+    assert "failed 3 times" in done.stderr.splitlines()[-1]
+    assert "1000 Hz" in done.stderr
+    assert not (lab / "out" / "manifest.csv").exists()
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        ["--source", "slide.csv"],
+        ["--source", "-"],
+        ["--source", "udp://:9", "--rest", "0"],
+        ["--source", "udp://:9", "--wait", "-1"],
+    ],
+    ids=str,
+)
+def test_bad_usage_is_an_error_of_one_line(
+    lab: Path, options: list[str], capsys: pytest.CaptureFixture
+) -> None:
+    given = ["--plan", str(lab / "plan.csv"), "--sensor", str(lab / "sensor.toml"), "--out", str(lab / "out")]
+    assert softslide.main(["record", *options, *given]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"softslide record: {options[-2]}")
+
+
+def test_a_plan_says_what_a_stage_needs(lab: Path) -> None:
+    plan = lab / "plan.csv"
+    plan.write_text("direction_deg,speed_mm_s,start_x_mm,start_y_mm,travel_mm\n0,2,-29,0,58\n90,2,0,-29,58\n")
+    read = read_plan(plan, a_sensor())
+    assert list(read.index) == ["p01", "p02"]
+    assert set(read["split"]) == {"calibration"}
+    plan.write_text("direction_deg,speed_mm_s,start_x_mm,start_y_mm,travel_mm\n0,2,-29,0,58\n90,,0,-29,58\n")
+    with pytest.raises(InputError, match=r"row 2 \(p02\), speed_mm_s is empty"):
+        read_plan(plan, a_sensor())
+    plan.write_text("direction_deg,speed_mm_s,start_x_mm,start_y_mm,travel_mm\n400,2,-29,0,58\n")
+    with pytest.raises(InputError, match=r"row 1 \(p01\), direction_deg"):
+        read_plan(plan, a_sensor())
+
+
+def a_recording(name: str, seconds: float = 2.0) -> Recording:
+    time_s = np.arange(round(seconds * RATE_HZ)) / RATE_HZ
+    volts = np.random.default_rng(len(name)).normal(1.65, 0.005, (len(time_s), 3))
+    return Recording(name, time_s, volts)
+
+
+def test_a_folder_grows_by_whole_recordings(tmp_path: Path) -> None:
+    folder = open_growing(tmp_path / "f", a_sensor())
+    assert len(folder) == 0
+    folder = add_recording(folder, a_recording("a"), {"split": "calibration", "direction_deg": 90.0})
+    folder = add_recording(folder, a_recording("bb"), {"split": "test"})
+    again = open_growing(tmp_path / "f", None)
+    assert list(again.manifest.index) == ["a", "bb"]
+    assert again.manifest.at["a", "direction_deg"] == 90.0
+    assert np.array_equal(again.load("bb").volts, a_recording("bb").volts)
+    # A name that is there already, or a label that cannot be, changes nothing.
+    before = {path: path.read_bytes() for path in (tmp_path / "f").rglob("*") if path.is_file()}
+    for name, labels in (("a", {"split": "test"}), ("c", {"split": "test", "direction_deg": 400.0})):
+        with pytest.raises(InputError):
+            add_recording(again, a_recording(name), labels)
+    assert {path: path.read_bytes() for path in (tmp_path / "f").rglob("*") if path.is_file()} == before
+
+
+def test_a_folder_of_another_sensor_is_not_gone_on_with(tmp_path: Path) -> None:
+    folder = open_growing(tmp_path / "f", a_sensor())
+    with pytest.raises(InputError, match="another sensor"):
+        open_growing(tmp_path / "f", a_sensor(2))
+    add_recording(folder, a_recording("a"), {"split": "test"})
+    with pytest.raises(InputError, match="another sensor"):
+        open_growing(tmp_path / "f", a_sensor(2))
+    with pytest.raises(InputError, match="sensor give the"):
+        open_growing(tmp_path / "new", None)
+
+
+def test_the_operator_is_told_what_looks_wrong() -> None:
+    phases = Phases(0.5, 0.2, 0.8)
+    time_s = np.arange(2000) / RATE_HZ
+    noise = np.random.default_rng(3).normal(0.0, 0.002, (2000, 3))
+    bump = np.where((time_s > 0.8) & (time_s < 1.3), 0.1, 0.0)[:, None]
+
+    def told(volts: np.ndarray) -> str:
+        return "\n".join(remarks(Recording("x", time_s, volts), a_sensor(), phases)[1:])
+
+    assert told(1.65 + bump + noise) == ""
+    assert "no contact" in told(1.65 + noise)
+    assert "does not come back" in told(1.65 + noise + np.where(time_s > 0.8, 0.1, 0.0)[:, None])
+    dead = 1.65 + bump + noise
+    dead[:, 1] = 1.65
+    assert "a0_vy does not change" in told(dead)
+    assert "a0_vx is clipped" in told(np.minimum(1.65 + bump + noise, [1.7, 9.0, 9.0]))
