@@ -1,9 +1,91 @@
-"""Subcommands at the bench: record."""
+"""Subcommands at the bench: plan, record."""
 
 import argparse
+import math
+from pathlib import Path
 
 from commands import arguments
 from commands.arguments import Parser, Run
+from features.errors import InputError
+
+
+def plan(parser: Parser) -> Run:
+    """which slides to record
+
+    Chooses the slides after which a calibrated response map misleads the
+    estimates least: Bayesian design on the sensor's own map, over lines in all
+    directions (deg), offsets (mm) and speeds (mm/s). Writes a CSV for the
+    stage and for 'record', the most useful slide first, in the manifest's
+    columns: start and travel in mm, direction in deg, speed in mm/s. Prints
+    what the map is expected to add to the errors in direction (deg), speed (%)
+    and distance (mm), over the skin, without any slide and with these.
+
+        softslide plan --sensor sensor.toml --slides 12 --out plan.csv --picture plan.svg
+        softslide plan --sensor my-recordings/sensor.toml --slides 12 --out plan.csv \\
+            --candidates my-recordings/manifest.csv
+    """
+    arguments.existing(parser, "--sensor", "sensor.toml", "the design", required=True)
+    parser.add_argument(
+        "--slides", type=int, default=12, metavar="N", help="how many slides (default: %(default)s)"
+    )
+    arguments.atlas(parser, "from 'simulate' (default: the shipped one for its design, else solved coarsely)")
+    arguments.existing(
+        parser,
+        "--candidates",
+        "manifest.csv",
+        "choose among the calibration and train slides of a manifest (default: lines in all directions)",
+    )
+    parser.add_argument(
+        "--directions",
+        type=float,
+        nargs="+",
+        default=[15.0 * n for n in range(24)],
+        metavar="DEG",
+        help="that the stage can move in, deg (default: every 15)",
+    )
+    parser.add_argument(
+        "--speeds",
+        type=float,
+        nargs="+",
+        default=[1.0, 2.0, 4.0],
+        metavar="MM_S",
+        help="that the stage can move at, mm/s (default: 1 2 4)",
+    )
+    parser.add_argument(
+        "--depth", type=float, default=0.5, metavar="MM", help="contact depth, mm (default: %(default)s)"
+    )
+    arguments.out(parser, "the CSV to write", metavar="plan.csv")
+    parser.add_argument(
+        "--picture", type=Path, metavar="plan.svg", help="draw the plan too: .svg, .png or .pdf"
+    )
+
+    def run(given: argparse.Namespace) -> None:
+        from experiments.acquisition.plan import plan
+        from experiments.acquisition.plan_file import write_plan
+
+        if given.picture and given.picture.suffix not in (".svg", ".png", ".pdf"):
+            raise InputError(f"{given.picture}: name a .svg, .png or .pdf", "picture")
+        table, figures, sensor = plan(
+            given.sensor,
+            given.slides,
+            given.atlas,
+            given.candidates,
+            given.directions,
+            given.speeds,
+            given.depth,
+        )
+        write_plan(given.out, table)
+        if given.picture:
+            from experiments.acquisition.plan_picture import draw_plan
+
+            draw_plan(table, sensor, given.picture)
+        for name, (direction, speed, offset) in (("no slide", figures.before), ("these", figures.deviations)):
+            print(
+                f"{name}: {math.degrees(direction):.2f} deg, {100 * speed:.2f} %, {offset:.3f} mm expected from the map"
+            )
+        print(given.out)
+
+    return run
 
 
 def record(parser: Parser) -> Run:
@@ -64,4 +146,4 @@ def record(parser: Parser) -> Run:
     return run
 
 
-COMMANDS = (record,)
+COMMANDS = (plan, record)

@@ -50,6 +50,7 @@ def few(parser: Parser) -> Run:
     end of the stroke in degrees (deg), percent (%) and mm.
 
         softslide few --recordings my-recordings --slides 4 12
+        softslide few --recordings my-recordings --plan plan.csv
     """
     arguments.recordings(parser, "a folder of one sensor")
     parser.add_argument(
@@ -63,6 +64,9 @@ def few(parser: Parser) -> Run:
     parser.add_argument(
         "--draws", type=int, default=3, metavar="N", help="random draws of each (default: %(default)s)"
     )
+    arguments.existing(
+        parser, "--plan", "plan.csv", "from 'plan --candidates': take its recordings instead of random draws"
+    )
     parser.add_argument(
         "--split",
         nargs="+",
@@ -74,7 +78,7 @@ def few(parser: Parser) -> Run:
     def run(given: argparse.Namespace) -> None:
         from experiments.studies.few_recordings import few
 
-        for row in few(given.recordings, given.slides, given.draws, given.split):
+        for row in few(given.recordings, given.slides, given.draws, given.split, given.plan):
             print(json.dumps(row), flush=True)
 
     return run

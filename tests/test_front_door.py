@@ -199,6 +199,7 @@ CALLS = {
     "export": ["--model", SAMPLE, "--to", "ort", "--out", "out"],
     "compare": ["--recordings", SAMPLE, "--out", "out"],
     "few": ["--recordings", SAMPLE],
+    "plan": ["--sensor", SAMPLE / "sensor.toml", "--out", "out"],
     "record": ["--source", "udp://:9", "--plan", SAMPLE / "manifest.csv", "--out", "out"],
     "drift": ["--model", SAMPLE, "--recordings", SAMPLE],
     "bench": [],

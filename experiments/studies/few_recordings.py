@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 
 from features.errors import InputError
 from models.cnn.fit import CnnConfig
@@ -19,19 +20,23 @@ from pipeline.atlas.atlas import Atlas
 from pipeline.atlas.library import atlas_of
 from pipeline.recordings.derived_labels import recordings_to_learn_from
 from pipeline.recordings.folder import Folder, read_folder
+from pipeline.recordings.manifest import read_table
 from pipeline.recordings.windows import LabelledWindows, labelled_windows
 
 
 def few(
-    recordings: Path, slides: Sequence[int], draws: int, splits: Sequence[str]
+    recordings: Path, slides: Sequence[int], draws: int, splits: Sequence[str], plan: Path | None = None
 ) -> Iterator[dict[str, float]]:
-    """`study` of a folder, with the atlas of its sensor's design.
+    """`study` of a folder, with the atlas of its sensor's design; or `planned`, where a plan's CSV names recordings.
 
     Raises:
-        InputError: as in `study`, or the folder or its sensor is not valid.
+        InputError: as in `study` and `planned`, or the folder or its sensor is not valid.
     """
     folder = read_folder(recordings)
-    yield from study(folder, slides, draws, splits, atlas_of(folder.sensor))
+    if plan is None:
+        yield from study(folder, slides, draws, splits, atlas_of(folder.sensor))
+    else:
+        yield planned(folder, plan, splits, atlas_of(folder.sensor))
 
 
 def study(
@@ -46,21 +51,49 @@ def study(
         raise InputError(f"{min(counts)}: take 0 slides or more", "slides")
     if draws < 1:
         raise InputError(f"{draws}: take at least one", "draws")
-    config = CnnConfig()
     taught = recordings_to_learn_from(folder)
     names = list(taught.manifest.index)
-    scored = folder.select(*splits).labelled()
-    if not len(scored):
-        raise InputError(f"{folder.root}: no labelled slide of a split {' or '.join(splits)}*; name another")
+    scored = _scored(folder, splits)
     for count in counts:
         for draw in range(draws if 0 < count < len(names) else 1):
             chosen = np.random.default_rng(draw).choice(len(names), min(count, len(names)), replace=False)
             part = replace(taught, manifest=taught.manifest.loc[[names[n] for n in np.sort(chosen)]])
-            found = calibrated_map(part, atlas, config.conditioning, config.calibration, config.spread)
-            windows = labelled_windows(scored, found.conditioning, (1.0,))
-            inversion = Inversion(found.response, found.conditioning.block_s)
-            rows = inversion.predict(windows.volts, windows.elapsed_s)
-            yield {"slides": len(part), "draw": draw, **_errors(rows, inversion.outputs, windows)}
+            yield {"slides": len(part), "draw": draw, **_result(part, scored, atlas)}
+
+
+def planned(folder: Folder, plan: Path, splits: Sequence[str], atlas: Atlas) -> dict[str, float]:
+    """The same errors for the calibration slides that a plan names.
+
+    Raises:
+        InputError: the plan names no recordings, or others than the folder's calibration slides.
+    """
+    taught = recordings_to_learn_from(folder)
+    names = read_table(plan).get("recording", pd.Series(dtype=str))
+    unknown = [name for name in names if name not in taught.manifest.index]
+    if unknown or not len(names):
+        what = (
+            f"'{unknown[0]}' is no calibration slide of {folder.root}" if unknown else "it names no recording"
+        )
+        raise InputError(f"{plan}: {what}; plan it from this folder's manifest")
+    part = replace(taught, manifest=taught.manifest.loc[sorted(names)])
+    return {"slides": len(part), **_result(part, _scored(folder, splits), atlas)}
+
+
+def _scored(folder: Folder, splits: Sequence[str]) -> Folder:
+    scored = folder.select(*splits).labelled()
+    if not len(scored):
+        raise InputError(f"{folder.root}: no labelled slide of a split {' or '.join(splits)}*; name another")
+    return scored
+
+
+def _result(part: Folder, scored: Folder, atlas: Atlas) -> dict[str, float]:
+    """Errors on the slides `scored` of the map calibrated on `part`."""
+    config = CnnConfig()
+    found = calibrated_map(part, atlas, config.conditioning, config.calibration, config.spread)
+    windows = labelled_windows(scored, found.conditioning, (1.0,))
+    inversion = Inversion(found.response, found.conditioning.block_s)
+    rows = inversion.predict(windows.volts, windows.elapsed_s)
+    return _errors(rows, inversion.outputs, windows)
 
 
 def _errors(rows: np.ndarray, outputs: tuple[str, ...], windows: LabelledWindows) -> dict[str, float]:

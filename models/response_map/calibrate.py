@@ -203,48 +203,48 @@ def _fit_splines(
     # Slides of one direction share their weights of M, Fx, Fy, so that their Gram matrices add up.
     grams: dict[float, sparse.csr_matrix] = {}
     for slide, gain, shift in zip(slides, gains, shifts, strict=True):
-        rows = _tensor_splines(*slide.place(shift, response.lag_s), response.half_mm) * gain
+        rows = tensor_splines(*slide.place(shift, response.lag_s), response.half_mm) * gain
         # One over the variance in units of one block's noise: of the averaged noise, and of the map's own residual.
         weight = 1.0 / (1.0 / slide.blocks + MAP_VARIANCE)
-        parts = _part_weights(slide.direction_rad)
+        parts = part_weights(slide.direction_rad)
         off_depth = slide.depth_mm - response.depth_mm
         known = rows @ (off_depth * depth_slope + np.tensordot(parts, start, (0, 1)))
         right += weight * parts[:, None] * (rows.T @ (slide.volts - known))[:, None]
         before = grams.get(slide.direction_rad, sparse.csr_matrix((size, size)))
         grams[slide.direction_rad] = before + weight * (rows.T @ rows)
-    outer = (np.outer(_part_weights(direction), _part_weights(direction)) for direction in grams)
+    outer = (np.outer(part_weights(direction), part_weights(direction)) for direction in grams)
     normal = sum(sparse.kron(gram, both) for gram, both in zip(grams.values(), outer, strict=True))
     # Penalties are per V^2; the data count in units of their noise.
     scale = (float(np.median(response.noise_v)) / PENALTY_NOISE_V) ** 2
     smooth = scale * np.array([config.smooth_mean, *[config.smooth_friction] * (PARTS - 1)])
     near = scale * (config.near_prior if prior is not None else LEAST_RIDGE)
-    rim = _rim_gram(response)
-    normal += sparse.kron(_roughness(k), np.diag(smooth)) + sparse.kron(RIM_WEIGHT * rim, np.eye(PARTS))
+    rim = rim_gram(response)
+    normal += sparse.kron(roughness(k), np.diag(smooth)) + sparse.kron(RIM_WEIGHT * rim, np.eye(PARTS))
     normal += sparse.kron(sparse.identity(size), np.diag(RIDGE * smooth + near))
     right -= RIM_WEIGHT * (rim @ start.reshape(size, -1)).reshape(start.shape)
     solution = start + _solved(normal, right.reshape(PARTS * size, -1)).reshape(start.shape)
     return replace(response, coefficients=solution.reshape(k, k, PARTS, -1).transpose(2, 0, 1, 3))
 
 
-def _roughness(k: int) -> sparse.spmatrix:
+def roughness(k: int) -> sparse.spmatrix:
     """Penalty matrix (K^2, K^2): squared second differences of neighbouring coefficients along x and along y."""
     second = sparse.diags([1.0, -2.0, 1.0], [0, 1, 2], shape=(k - 2, k))
     bend, line = second.T @ second, sparse.identity(k)
     return sparse.kron(bend, line) + sparse.kron(line, bend)
 
 
-def _rim_gram(response: ResponseMap) -> sparse.csr_matrix:
+def rim_gram(response: ResponseMap) -> sparse.csr_matrix:
     """Gram matrix (K^2, K^2) of the splines at points of the rim, one each mm, where the response is zero."""
     grid = np.arange(-response.half_mm, response.half_mm + 0.5, 1.0)
     x, y = (axis.ravel() for axis in np.meshgrid(grid, grid, indexing="ij"))
     rim = (np.abs(x) > response.chamber_mm[0] / 2 + RIM_MM) | (
         np.abs(y) > response.chamber_mm[1] / 2 + RIM_MM
     )
-    rows = _tensor_splines(x[rim], y[rim], response.half_mm)
+    rows = tensor_splines(x[rim], y[rim], response.half_mm)
     return rows.T @ rows
 
 
-def _tensor_splines(x_mm: np.ndarray, y_mm: np.ndarray, half_mm: float) -> sparse.csr_matrix:
+def tensor_splines(x_mm: np.ndarray, y_mm: np.ndarray, half_mm: float) -> sparse.csr_matrix:
     """Values of the tensor-product splines at points (n,): rows (n, K^2), 16 entries each."""
     (i, across), (j, up) = (splines_at(place, half_mm) for place in (x_mm, y_mm))
     k = knots(half_mm)
@@ -259,7 +259,7 @@ def _by_place(coefficients: np.ndarray) -> np.ndarray:
     return coefficients.transpose(1, 2, 0, 3).reshape(k * k, parts, channels)
 
 
-def _part_weights(direction_rad: float) -> np.ndarray:
+def part_weights(direction_rad: float) -> np.ndarray:
     """Weights (3,) of M, Fx, Fy for a motion's direction."""
     return np.array([1.0, np.cos(direction_rad), np.sin(direction_rad)])
 

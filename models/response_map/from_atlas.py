@@ -95,33 +95,22 @@ def prior_map(
 
     Without slides the parameters are the means of the spread.
     """
-    depth_mm = float(np.clip(depth_mm, atlas.depth_mm[0], atlas.depth_mm[-1]))
-    heights = atlas.height_mm
-    middle = float(np.clip(spread.height_mm[0], heights[0], heights[-1]))
-    levels = [design_map(atlas, sensor, float(h), depth_mm) for h in heights]
-    boards = len(sensor.accelerometers)
-    centre = np.zeros(COMMON + 4 * boards)
-    centre[3] = spread.width[0]
-    start = centre
+    family = _family(atlas, sensor, depth_mm, spread)
+    start = family.centre
     if slides:
         slides = slides[:: max(1, len(slides) // MOST_SLIDES)]
-        sd = np.array(
-            [spread.height_mm[1], spread.friction, spread.lag_s, spread.width[1]]
-            + [spread.gain, spread.turn_rad, spread.place_mm, spread.place_mm] * boards
-        )
-        sd[0] = sd[0] if len(heights) > 1 else 1e-6
         peak = max(float(np.abs(s.volts).max()) for s in slides)
 
         def residuals(p: np.ndarray) -> np.ndarray:
-            design = _mixed(levels, heights, middle, p)
+            design = family.design(p)
             errors = [np.ravel((_predicted(design, sensor, p, s) - s.volts)[:: _every(s)]) for s in slides]
             scale = spread.misfit * peak * np.sqrt(sum(len(v) for v in errors) / (PIECES * len(slides)))
-            return np.concatenate([*[v / scale for v in errors], (p - centre) / sd])
+            return np.concatenate([*[v / scale for v in errors], (p - family.centre) / family.sd])
 
-        start = least_squares(residuals, start, x_scale=sd, method="trf", max_nfev=12).x
-    moved = _warped(_mixed(levels, heights, middle, start), sensor, start)
+        start = least_squares(residuals, start, x_scale=family.sd, method="trf", max_nfev=12).x
+    moved = _warped(family.design(start), sensor, start)
     report = {
-        "height_mm": _height(heights, middle, start),
+        "height_mm": family.height_mm(start),
         "friction": 1 + float(start[1]),
         "lag_s": float(start[2]),
     }
@@ -136,28 +125,90 @@ def prior_map(
     return moved, report
 
 
+def prior_deviations(
+    atlas: Atlas, sensor: Sensor, depth_mm: float, spread: SensorSpread
+) -> tuple[ResponseMap, list[ResponseMap]]:
+    """The prior's mean map, and how it changes when each parameter moves by its standard deviation.
+
+    The latter are maps of differences: their coefficients and their lag are the change.
+    """
+    family = _family(atlas, sensor, depth_mm, spread)
+
+    def moved(p: np.ndarray) -> ResponseMap:
+        return _warped(family.design(p), sensor, p)
+
+    changes = []
+    for step in np.diag(family.sd):
+        above, below = moved(family.centre + step), moved(family.centre - step)
+        changes.append(
+            replace(
+                above,
+                coefficients=(above.coefficients - below.coefficients) / 2,
+                depth_slope=(above.depth_slope - below.depth_slope) / 2,
+                lag_s=(above.lag_s - below.lag_s) / 2,
+            )
+        )
+    return moved(family.centre), changes
+
+
 def _every(slide: CalibrationSlide) -> int:
     """Take one stretch in so many: a couple of millimetres apart."""
     step = float(np.median(np.diff(slide.travelled_mm)))
     return max(1, round(SAMPLE_MM / max(step, 1e-3)))
 
 
-def _height(heights: np.ndarray, middle: float, p: np.ndarray) -> float:
-    return float(np.clip(middle + p[0], heights[0], heights[-1]))
+@dataclass(frozen=True)
+class _Family:
+    """The designs that a sensor may have, by their parameters p: height, friction, lag and width, then each board's
+    log gain, turn and place.
+
+    levels: the design's map at each height of `heights_mm`. middle_mm: the height at p = 0. centre, sd: of p's prior.
+    """
+
+    levels: list[ResponseMap]
+    heights_mm: np.ndarray
+    middle_mm: float
+    centre: np.ndarray
+    sd: np.ndarray
+
+    def height_mm(self, p: np.ndarray) -> float:
+        """The skin's height, within the atlas."""
+        return float(np.clip(self.middle_mm + p[0], self.heights_mm[0], self.heights_mm[-1]))
+
+    def design(self, p: np.ndarray) -> ResponseMap:
+        """The design at the height, friction and lag of p: Lagrange's polynomial through the levels."""
+        heights, height_mm = self.heights_mm, self.height_mm(p)
+        weights = np.ones(len(heights))
+        for i, h in enumerate(heights):
+            for j, other in enumerate(heights):
+                if i != j:
+                    weights[i] *= (height_mm - other) / (h - other)
+        friction = np.array([1.0, 1 + p[1], 1 + p[1]])[:, None, None, None]
+        coefficients = np.tensordot(weights, np.stack([level.coefficients for level in self.levels]), 1)
+        slope = np.tensordot(weights, np.stack([level.depth_slope for level in self.levels]), 1)
+        return replace(
+            self.levels[0], coefficients=friction * coefficients, depth_slope=slope, lag_s=float(p[2])
+        )
 
 
-def _mixed(levels: list[ResponseMap], heights: np.ndarray, middle: float, p: np.ndarray) -> ResponseMap:
-    """The design at the height, friction and lag of parameters p: Lagrange's polynomial through the levels."""
-    height_mm = _height(heights, middle, p)
-    weights = np.ones(len(heights))
-    for i, h in enumerate(heights):
-        for j, other in enumerate(heights):
-            if i != j:
-                weights[i] *= (height_mm - other) / (h - other)
-    friction = np.array([1.0, 1 + p[1], 1 + p[1]])[:, None, None, None]
-    coefficients = np.tensordot(weights, np.stack([level.coefficients for level in levels]), 1)
-    slope = np.tensordot(weights, np.stack([level.depth_slope for level in levels]), 1)
-    return replace(levels[0], coefficients=friction * coefficients, depth_slope=slope, lag_s=float(p[2]))
+def _family(atlas: Atlas, sensor: Sensor, depth_mm: float, spread: SensorSpread) -> _Family:
+    """The family of a design, at the contact depth of the atlas that is nearest to depth_mm."""
+    depth_mm = float(np.clip(depth_mm, atlas.depth_mm[0], atlas.depth_mm[-1]))
+    heights, boards = atlas.height_mm, len(sensor.accelerometers)
+    centre = np.zeros(COMMON + 4 * boards)
+    centre[3] = spread.width[0]
+    sd = np.array(
+        [spread.height_mm[1], spread.friction, spread.lag_s, spread.width[1]]
+        + [spread.gain, spread.turn_rad, spread.place_mm, spread.place_mm] * boards
+    )
+    sd[0] = sd[0] if len(heights) > 1 else 1e-6
+    return _Family(
+        [design_map(atlas, sensor, float(h), depth_mm) for h in heights],
+        heights,
+        float(np.clip(spread.height_mm[0], heights[0], heights[-1])),
+        centre,
+        sd,
+    )
 
 
 def _predicted(design: ResponseMap, sensor: Sensor, p: np.ndarray, slide: CalibrationSlide) -> np.ndarray:

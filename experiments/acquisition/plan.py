@@ -1,0 +1,96 @@
+"""`softslide plan`: which slides to record, as a CSV for the stage and a picture."""
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from experiments.acquisition.plan_file import NEEDED
+from features.errors import InputError
+from models.response_map.calibrate import CalibrationConfig
+from models.response_map.from_atlas import SensorSpread
+from models.response_map.plan import Plan, plan_slides
+from pipeline.atlas.library import atlas_of
+from pipeline.progress import progress_bar
+from pipeline.recordings.manifest import check_manifest, read_table
+from pipeline.sensor import Sensor, check_design, read_sensor
+from pipeline.synthesis.slide_plan import crossing
+
+OFFSET_STEP_MM = 2.5  # between candidate lines of one direction, the map's own resolution
+LEAST_CHORD_MM = 20.0  # over the chamber
+COLUMNS = (
+    *("recording", "split", "direction_deg", "speed_mm_s", "offset_mm"),
+    *("start_x_mm", "start_y_mm", "travel_mm", "depth_mm"),
+)
+
+
+def plan(
+    sensor: Path,
+    slides: int,
+    atlas: Path | None,
+    candidates: Path | None,
+    directions_deg: Sequence[float],
+    speeds_mm_s: Sequence[float],
+    depth_mm: float,
+) -> tuple[pd.DataFrame, Plan, Sensor]:
+    """The planned slides, the most useful first, in the manifest's columns; the plan's figures; the sensor.
+
+    atlas: of the design; None: as `pipeline.atlas.library.atlas_of` finds it. candidates: a manifest, of which the
+    slides of calibration and train splits may be chosen; None: lines in all directions over the chamber.
+
+    Raises:
+        InputError: the sensor, the atlas or the candidates are wrong, or these are fewer than `slides`.
+    """
+    design = read_sensor(sensor)
+    check_design(design, str(sensor))
+    if slides < 1:
+        raise InputError(f"{slides}: plan at least one", "slides")
+    table = (
+        _lines(design, directions_deg, speeds_mm_s, depth_mm)
+        if candidates is None
+        else _recorded(candidates, design)
+    )
+    if len(table) < slides:
+        raise InputError(f"{slides}: there are {len(table)} candidates; take fewer slides", "slides")
+    print(f"{len(table)} candidates", file=sys.stderr)
+    chosen = plan_slides(
+        table,
+        slides,
+        design,
+        atlas_of(design, atlas),
+        depth_mm,
+        CalibrationConfig(),
+        SensorSpread(),
+        progress=lambda steps: progress_bar("planning", "slide", steps),
+    )
+    picked = table.iloc[chosen.chosen]
+    if candidates is None:
+        picked = picked.assign(recording=[f"p{n:02d}" for n in range(1, slides + 1)])
+    return picked[list(COLUMNS)], chosen, design
+
+
+def _lines(
+    sensor: Sensor, directions_deg: Sequence[float], speeds_mm_s: Sequence[float], depth_mm: float
+) -> pd.DataFrame:
+    """Every line of the directions over the chamber, OFFSET_STEP_MM apart, at every speed."""
+    reach = float(np.hypot(*sensor.chamber_mm)) / 2 + float(np.hypot(*sensor.reference_mm))
+    steps = np.arange(-np.floor(reach / OFFSET_STEP_MM), np.floor(reach / OFFSET_STEP_MM) + 1)
+    rows = []
+    for direction in directions_deg:
+        for offset in OFFSET_STEP_MM * steps:
+            line = crossing(direction % 360.0, offset, sensor)
+            if line is None or line[2] < LEAST_CHORD_MM:
+                continue
+            (x, y), travel, _ = line
+            for speed in speeds_mm_s:
+                rows.append(("", "calibration", direction % 360.0, speed, offset, x, y, travel, depth_mm))
+    return pd.DataFrame(rows, columns=list(COLUMNS)).round(3)
+
+
+def _recorded(path: Path, sensor: Sensor) -> pd.DataFrame:
+    """A manifest's slides of calibration and train splits that have the labels a plan needs."""
+    table = check_manifest(read_table(path), sensor, path)
+    taught = table["split"].str.startswith(("calibration", "train"))
+    return table[taught & table[list(NEEDED)].notna().all(axis=1)].reset_index()

@@ -1,0 +1,275 @@
+"""Which slides to record: those after which the calibrated map misleads the estimates least.
+
+Bayesian linear design (Chaloner and Verdinelli 1995). The unknowns u, standard normal, are how the sensor differs from
+its design (the parameters of from_atlas.py) and the map's own residual (the penalties of calibrate.py, read as a
+Gaussian prior). A slide is a linear observation of u with the noise of its blocks, its own gain, shift and static
+output. What counts is the error in direction, log speed and offset that the map's remaining error causes on lines
+anywhere over the skin: how a least-squares estimate answers to a wrong map.
+
+Slides are chosen one by one, then exchanged while that helps (Fedorov 1972).
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from scipy.linalg import cho_factor, cho_solve
+
+from models.response_map.calibrate import (
+    MAP_VARIANCE,
+    PENALTY_NOISE_V,
+    RIDGE,
+    RIM_WEIGHT,
+    CalibrationConfig,
+    part_weights,
+    rim_gram,
+    roughness,
+    tensor_splines,
+)
+from models.response_map.from_atlas import SAMPLE_MM, SensorSpread, prior_deviations
+from models.response_map.map import PARTS, ResponseMap, knots
+from models.response_map.slides import STRETCH_MM
+from pipeline.atlas.atlas import Atlas
+from pipeline.sensor import Sensor
+
+# Times the penalties of the calibration, where they stand for the residual's prior. On held-out lines 0.3 was best of
+# 0.3, 1, 3 and 30, by about as much as chance (experiments/LOG.md).
+STIFFNESS = 0.3
+MODES = 40  # of the residual, the largest for each part
+LINES = 150  # that the errors are averaged over
+LINE_SPEED_MM_S = 2.0  # of those lines: the middle of the article's speeds; it weighs with the lag alone
+LEAST_CHORD_MM = 20.0  # over the chamber; shorter lines are at its corners
+BLOCK_S = 0.02
+GAIN_SD = 0.02  # of a slide that is estimated, as calibrations find it (ResponseMap.gain_sd)
+SHIFT_STEP_MM = 0.1  # of the difference along a line
+# Of the differences in direction (rad), log speed, offset (mm), place along the line (mm) and log gain.
+STEPS = np.array([0.01, 0.01, 0.1, 0.1, 0.01])
+ERRORS = 3  # direction, log speed and offset: the others are fitted besides
+SWEEPS = 2  # of exchanges; a third changes nothing on bench-a
+LEAST_GAIN = 1e-6  # of the criterion, below which an exchange is none
+
+
+@dataclass(frozen=True)
+class Plan:
+    """chosen: which candidates, the most useful first. deviations: (3,) standard deviations of the errors in direction
+    (rad), log speed and offset (mm) that the map causes after these; before: without any slide."""
+
+    chosen: list[int]
+    deviations: np.ndarray
+    before: np.ndarray
+
+
+def plan_slides(
+    candidates: pd.DataFrame,
+    count: int,
+    sensor: Sensor,
+    atlas: Atlas,
+    depth_mm: float,
+    config: CalibrationConfig,
+    spread: SensorSpread,
+    seed: int = 0,
+    progress: Callable[[Sequence[int]], Sequence[int]] = lambda steps: steps,
+) -> Plan:
+    """Chooses `count` of the candidates, rows with the manifest's labels. seed: of the lines averaged over."""
+    unknowns = Unknowns(atlas, sensor, depth_mm, config.stiffened(STIFFNESS), spread)
+    observations = [_observation(unknowns, row, config) for _, row in candidates.iterrows()]
+    errors = _line_errors(unknowns, sensor, np.random.default_rng(seed))
+    chosen: list[int] = []
+    for _ in progress(range(count)):
+        chosen.append(_best(observations, errors, _posterior(unknowns.size, observations, chosen), chosen)[0])
+    least = _criterion(_variances(errors, _posterior(unknowns.size, observations, chosen)))
+    for _ in range(SWEEPS):
+        before = list(chosen)
+        for place in range(count):
+            others = chosen[:place] + chosen[place + 1 :]
+            one, value = _best(observations, errors, _posterior(unknowns.size, observations, others), others)
+            if value < least - LEAST_GAIN:
+                chosen[place], least = one, value
+        if chosen == before:
+            break
+    after = _variances(errors, _posterior(unknowns.size, observations, chosen))
+    start = _variances(errors, np.eye(unknowns.size))
+    return Plan(chosen, np.sqrt(after.mean(axis=1)), np.sqrt(start.mean(axis=1)))
+
+
+class Unknowns:
+    """A response that is the prior's mean map plus rows @ u; `size` is the number R of unknowns u, standard normal.
+
+    They are one for each parameter of the design, then MODES for each channel and part of the map.
+    """
+
+    def __init__(
+        self, atlas: Atlas, sensor: Sensor, depth_mm: float, config: CalibrationConfig, spread: SensorSpread
+    ) -> None:
+        self.response, changes = prior_deviations(atlas, sensor, depth_mm, spread)
+        k = knots(self.response.half_mm)
+        by_place = [c.coefficients.transpose(1, 2, 0, 3).reshape(k * k, -1) for c in changes]
+        self._changes = np.stack(by_place, axis=-1).reshape(k * k, -1)
+        self._lags_s = np.array([c.lag_s for c in changes])
+        self._modes = [
+            _modes(self.response, smooth, config.near_prior)
+            for smooth in (config.smooth_mean, config.smooth_friction)
+        ]
+        self.size = len(changes) + self.response.channels * PARTS * MODES
+
+    def rows(
+        self, x_mm: np.ndarray, y_mm: np.ndarray, direction_rad: float, speed_mm_s: float
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """(n, C, R) V for contacts at (n,) places; and the response's slope along the motion, (n, C) V/mm."""
+        channels, parameters = self.response.channels, len(self._lags_s)
+        weights = part_weights(direction_rad)
+        splines = tensor_splines(x_mm, y_mm, self.response.half_mm)
+        changes = (splines @ self._changes).reshape(len(x_mm), PARTS, channels, parameters)
+        slope = _slope(self.response, x_mm, y_mm, direction_rad)
+        rows = np.zeros((len(x_mm), channels, self.size))
+        rows[..., :parameters] = np.tensordot(weights, changes, (0, 1))
+        rows[..., :parameters] -= speed_mm_s * slope[..., None] * self._lags_s
+        mean, friction = (splines @ modes for modes in self._modes)
+        field = np.hstack([weights[0] * mean, weights[1] * friction, weights[2] * friction])
+        for channel in range(channels):
+            begin = parameters + channel * PARTS * MODES
+            rows[:, channel, begin : begin + PARTS * MODES] = field
+        return rows, slope
+
+
+def _modes(response: ResponseMap, smooth: float, near: float) -> np.ndarray:
+    """(K^2, MODES) V: the residual's largest principal components, each times its standard deviation."""
+    k, noise_v = knots(response.half_mm), _noise_v(response)
+    scale = (noise_v / PENALTY_NOISE_V) ** 2
+    penalty = smooth * roughness(k) + (RIDGE * smooth + near) * np.eye(k * k)
+    precision = scale * np.asarray(penalty) + RIM_WEIGHT * rim_gram(response).toarray()
+    values, vectors = np.linalg.eigh(precision)
+    return noise_v * vectors[:, :MODES] / np.sqrt(values[:MODES])
+
+
+def _noise_v(response: ResponseMap) -> float:
+    assert response.noise_v is not None
+    return float(np.median(response.noise_v))
+
+
+def _slope(response: ResponseMap, x_mm: np.ndarray, y_mm: np.ndarray, direction_rad: float) -> np.ndarray:
+    """The response's derivative along a motion, (n, C) V/mm."""
+    along = SHIFT_STEP_MM * np.array([np.cos(direction_rad), np.sin(direction_rad)])
+    ahead, behind = (
+        response.response(x_mm + sign * along[0], y_mm + sign * along[1], direction_rad) for sign in (1, -1)
+    )
+    return (ahead - behind) / (2 * SHIFT_STEP_MM)
+
+
+def _observation(
+    unknowns: Unknowns, row: pd.Series, config: CalibrationConfig
+) -> tuple[np.ndarray, np.ndarray]:
+    """A slide's rows (n C, R) V and the covariance (n C, n C) V^2 of its noise, at places SAMPLE_MM apart."""
+    response = unknowns.response
+    assert response.drift_v is not None
+    direction = float(np.deg2rad(row["direction_deg"]))
+    along = np.arange(SAMPLE_MM / 2, row["travel_mm"], SAMPLE_MM)
+    x = row["start_x_mm"] + along * np.cos(direction)
+    y = row["start_y_mm"] + along * np.sin(direction)
+    inside = np.maximum(np.abs(x), np.abs(y)) < response.half_mm
+    x, y = x[inside], y[inside]
+    rows, slope = unknowns.rows(x, y, direction, float(row["speed_mm_s"]))
+    volts = response.response(x, y, direction)
+    blocks = max(1.0, STRETCH_MM / row["speed_mm_s"] / BLOCK_S)
+    # As the calibration weighs a stretch, for the stretches between two places.
+    variance = _noise_v(response) ** 2 * (1 / blocks + MAP_VARIANCE) * STRETCH_MM / SAMPLE_MM
+    static = np.eye(response.channels) * response.drift_v
+    own = np.stack(
+        [
+            config.gain_sd * volts,
+            config.shift_sd_mm * slope,
+            *np.broadcast_to(static[:, None], (len(static), *volts.shape)),
+        ],
+        axis=-1,
+    ).reshape(volts.size, -1)
+    return rows.reshape(volts.size, -1), variance * np.eye(volts.size) + own @ own.T
+
+
+def _line_errors(unknowns: Unknowns, sensor: Sensor, random: np.random.Generator) -> np.ndarray:
+    """(3, LINES, R): the errors in direction (rad), log speed and offset (mm) that each unknown causes on lines drawn
+    over the chamber, any direction and offset alike."""
+    found: list[np.ndarray] = []
+    half = np.array(sensor.chamber_mm) / 2
+    while len(found) < LINES:
+        direction, offset = random.uniform(0, 2 * np.pi), random.uniform(-1, 1) * min(half)
+        along = np.arange(-2 * half.sum(), 2 * half.sum(), SAMPLE_MM)
+        places = _places(sensor, direction, offset, along)
+        over = (np.abs(places) < half[:, None]).all(axis=0)
+        if over.sum() * SAMPLE_MM >= LEAST_CHORD_MM:
+            found.append(_line_error(unknowns, sensor, direction, offset, along[over]))
+    return np.stack(found, axis=1)
+
+
+def _places(sensor: Sensor, direction: float, offset: float, along: np.ndarray) -> np.ndarray:
+    """(2, n) mm: the places along a line, counted from its foot."""
+    cos, sin = np.cos(direction), np.sin(direction)
+    foot = np.array(sensor.reference_mm) + offset * np.array([-sin, cos])
+    return foot[:, None] + np.array([cos, sin])[:, None] * along
+
+
+def _line_error(
+    unknowns: Unknowns, sensor: Sensor, direction: float, offset: float, along: np.ndarray
+) -> np.ndarray:
+    """(3, R) for one line: least squares over direction, log speed, offset, place, gain and static output."""
+    response = unknowns.response
+    assert response.drift_v is not None
+
+    def volts(change: np.ndarray) -> np.ndarray:
+        turn, log_speed, aside, ahead, log_gain = change
+        way = along[-1] + ahead - (along[-1] - along) * np.exp(log_speed)
+        x, y = _places(sensor, direction + turn, offset + aside, way)
+        return np.exp(log_gain) * response.response(x, y, direction + turn)
+
+    slopes = [(volts(step) - volts(-step)).ravel() / (2 * step.sum()) for step in np.diag(STEPS)]
+    channels = response.channels
+    static = np.tile(np.eye(channels), (len(along), 1))
+    jacobian = np.hstack([np.stack(slopes, axis=1), static])
+    blocks = SAMPLE_MM / LINE_SPEED_MM_S / BLOCK_S
+    weighted = jacobian / (_noise_v(response) ** 2 * (1 / blocks + MAP_VARIANCE))
+    prior = np.diag([0.0, 0.0, 0.0, 0.0, GAIN_SD**-2, *response.drift_v**-2])
+    answer = np.linalg.solve(jacobian.T @ weighted + prior, weighted.T)[:ERRORS]
+    x, y = _places(sensor, direction, offset, along)
+    rows, _ = unknowns.rows(x, y, direction, LINE_SPEED_MM_S)
+    return answer @ rows.reshape(len(along) * channels, -1)
+
+
+Observations = list[tuple[np.ndarray, np.ndarray]]
+
+
+def _posterior(size: int, observations: Observations, chosen: Sequence[int]) -> np.ndarray:
+    """Covariance (R, R) of the unknowns after these slides."""
+    covariance = np.eye(size)
+    for one in chosen:
+        rows, noise = observations[one]
+        told = covariance @ rows.T
+        covariance -= told @ cho_solve(cho_factor(rows @ told + noise), told.T)
+    return covariance
+
+
+def _variances(errors: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """(3, LINES): of the errors that the unknowns still cause."""
+    return np.einsum("qlr,rs,qls->ql", errors, covariance, errors, optimize=True)
+
+
+def _criterion(variances: np.ndarray) -> float:
+    """What the plan makes small: the product over direction, speed and offset of the mean variance, as a logarithm, so
+    that their units do not matter."""
+    return float(np.log(variances.mean(axis=-1)).sum())
+
+
+def _best(
+    observations: Observations, errors: np.ndarray, covariance: np.ndarray, taken: Sequence[int]
+) -> tuple[int, float]:
+    """The slide that, besides those already in `covariance`, leaves the least criterion; and that."""
+    flat = errors.reshape(-1, errors.shape[-1])
+    carried = flat @ covariance
+    variances = np.einsum("tr,tr->t", carried, flat)
+    values = np.full(len(observations), np.inf)
+    for one, (rows, noise) in enumerate(observations):
+        if one in taken:
+            continue
+        told = carried @ rows.T
+        less = np.einsum("tn,nt->t", told, cho_solve(cho_factor(rows @ covariance @ rows.T + noise), told.T))
+        values[one] = _criterion((variances - less).reshape(errors.shape[:2]))
+    return int(values.argmin()), float(values.min())

@@ -1,0 +1,153 @@
+"""Planned slides: the errors that a map's own errors cause, and the slides that lessen them."""
+
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.optimize import least_squares
+
+import softslide
+from experiments.acquisition.plan_file import read_plan
+from models.response_map.calibrate import CalibrationConfig
+from models.response_map.from_atlas import SensorSpread
+from models.response_map.plan import (
+    GAIN_SD,
+    LINE_SPEED_MM_S,
+    Unknowns,
+    _line_error,
+    _line_errors,
+    _observation,
+    _places,
+    _posterior,
+    _variances,
+    plan_slides,
+)
+from pipeline.atlas.atlas import Atlas, read_atlas
+from pipeline.recordings.folder import SAMPLE, read_folder
+from pipeline.sensor import Sensor
+
+CONFIG, SPREAD = CalibrationConfig(), SensorSpread()
+
+
+@pytest.fixture(scope="module")
+def sensor() -> Sensor:
+    return read_folder(SAMPLE).sensor
+
+
+@pytest.fixture(scope="module")
+def atlas() -> Atlas:
+    return read_atlas()
+
+
+@pytest.fixture(scope="module")
+def unknowns(atlas: Atlas, sensor: Sensor) -> Unknowns:
+    return Unknowns(atlas, sensor, 0.5, CONFIG, SPREAD)
+
+
+@pytest.fixture(scope="module")
+def candidates() -> pd.DataFrame:
+    folder = read_folder(SAMPLE).select("calibration")
+    return folder.manifest
+
+
+@pytest.mark.parametrize(("direction", "offset"), [(0.3, 4.0), (2.0, -9.0), (4.4, 12.0)])
+def test_a_wrong_map_misleads_least_squares_as_predicted(
+    unknowns: Unknowns, sensor: Sensor, direction: float, offset: float
+) -> None:
+    """The prediction is linear; a small error of the map must mislead a fit by just so much."""
+    along = np.arange(-20.0, 20.0, 2.0)
+    wrong = 0.02 * np.random.default_rng(1).normal(size=unknowns.size)
+    x, y = _places(sensor, direction, offset, along)
+    rows, _ = unknowns.rows(x, y, direction, LINE_SPEED_MM_S)
+    response = unknowns.response
+    truth = response.response(x, y, direction) + rows @ wrong
+    noise_v = float(np.median(response.noise_v)) * np.sqrt(2 * 0.01 + 0.5)
+
+    def residuals(p: np.ndarray) -> np.ndarray:
+        way = along[-1] + p[3] - (along[-1] - along) * np.exp(p[1])
+        places = _places(sensor, direction + p[0], offset + p[2], way)
+        volts = np.exp(p[4]) * response.response(*places, direction + p[0]) + p[5:]
+        return np.concatenate(
+            [((truth - volts) / noise_v).ravel(), [p[4] / GAIN_SD], p[5:] / response.drift_v]
+        )
+
+    found = least_squares(residuals, np.zeros(5 + response.channels), x_scale="jac").x[:3]
+    predicted = _line_error(unknowns, sensor, direction, offset, along) @ wrong
+    assert np.abs(predicted).max() > 1e-4
+    assert found == pytest.approx(predicted, rel=0.1, abs=0.1 * np.abs(predicted).max())
+
+
+def test_every_slide_lessens_every_error(
+    unknowns: Unknowns, sensor: Sensor, candidates: pd.DataFrame
+) -> None:
+    errors = _line_errors(unknowns, sensor, np.random.default_rng(0))
+    observations = [_observation(unknowns, row, CONFIG) for _, row in candidates.iloc[:6].iterrows()]
+    variances = [_variances(errors, _posterior(unknowns.size, observations, range(n))) for n in range(7)]
+    for before, after in pairwise(variances):
+        assert (after <= before * (1 + 1e-9)).all()
+        assert after.sum() < before.sum()
+
+
+def test_the_same_slide_again_says_less_than_another_line(
+    unknowns: Unknowns, sensor: Sensor, candidates: pd.DataFrame
+) -> None:
+    errors = _line_errors(unknowns, sensor, np.random.default_rng(0))
+    here, there = (candidates[candidates["offset_mm"].abs() == k].iloc[0] for k in (0.0, 10.0))
+    observations = [_observation(unknowns, row, CONFIG) for row in (here, here, there)]
+    twice, both = (_variances(errors, _posterior(unknowns.size, observations, k)) for k in ((0, 1), (0, 2)))
+    assert (both.mean(axis=1) < twice.mean(axis=1)).all()
+
+
+def test_a_plan_is_better_than_any_random_choice(
+    atlas: Atlas, sensor: Sensor, unknowns: Unknowns, candidates: pd.DataFrame
+) -> None:
+    plan = plan_slides(candidates, 6, sensor, atlas, 0.5, CONFIG, SPREAD)
+    assert len(set(plan.chosen)) == 6
+    errors = _line_errors(unknowns, sensor, np.random.default_rng(7))
+    observations = [_observation(unknowns, row, CONFIG) for _, row in candidates.iterrows()]
+
+    def product(chosen: list[int]) -> float:
+        return float(
+            np.prod(_variances(errors, _posterior(unknowns.size, observations, chosen)).mean(axis=1))
+        )
+
+    random = np.random.default_rng(3)
+    drawn = [list(random.choice(len(candidates), 6, replace=False)) for _ in range(20)]
+    # Lines that it was not chosen for.
+    assert product(plan.chosen) < min(product(chosen) for chosen in drawn)
+    assert (plan.deviations < plan.before).all()
+
+
+def test_the_command_writes_what_record_reads(
+    tmp_path: Path, sensor: Sensor, capsys: pytest.CaptureFixture
+) -> None:
+    out, picture = tmp_path / "plan.csv", tmp_path / "plan.svg"
+    given = ["plan", "--sensor", str(SAMPLE / "sensor.toml"), "--out", str(out), "--slides", "3"]
+    status = softslide.main(
+        [*given, "--picture", str(picture), "--directions", "0", "90", "180", "270", "--speeds", "2"]
+    )
+    assert status == 0
+    assert "mm expected from the map" in capsys.readouterr().out
+    plan = read_plan(out, sensor)
+    assert list(plan.index) == ["p01", "p02", "p03"]
+    assert picture.read_text().lstrip().startswith("<?xml")
+    x_ref, y_ref = sensor.reference_mm
+    for row in plan.itertuples():
+        angle = np.deg2rad(row.direction_deg)
+        offset = -np.sin(angle) * (row.start_x_mm - x_ref) + np.cos(angle) * (row.start_y_mm - y_ref)
+        assert offset == pytest.approx(row.offset_mm, abs=2e-3)
+
+
+def test_candidates_are_a_manifests_calibration_slides(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    out = tmp_path / "plan.csv"
+    given = ["plan", "--sensor", str(SAMPLE / "sensor.toml"), "--candidates", str(SAMPLE / "manifest.csv")]
+    assert softslide.main([*given, "--out", str(out), "--slides", "2"]) == 0
+    manifest = read_folder(SAMPLE).manifest
+    chosen = manifest.loc[pd.read_csv(out)["recording"]]
+    assert len(chosen) == 2
+    assert chosen["split"].str.startswith("calibration").all()
+    capsys.readouterr()
+    assert softslide.main([*given, "--out", str(out), "--slides", "100"]) == 2
+    assert "100: there are" in capsys.readouterr().err
