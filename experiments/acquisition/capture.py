@@ -60,7 +60,8 @@ def capture(
     listener.take()
     begun_s, opened, chunks, count = time.monotonic(), listener.opened, list[Chunk](), 0
     rate, level = sensor.sample_rate_hz, Level(phases.rest_s * sensor.sample_rate_hz)
-    while count < phases.whole_s * rate:
+    wanted = round(phases.whole_s * rate)
+    while count < wanted:
         time.sleep(POLL_S)
         new = listener.take()
         if listener.opened != opened or listener.trouble or listener.silent_s > timeout_s:
@@ -68,11 +69,11 @@ def capture(
         chunks += new
         count += sum(len(volts) for volts, _ in new)
         show(count / rate, level.of(new))
+    took_s = time.monotonic() - begun_s
     volts, time_s = joined(chunks, len(sensor.channels))
     if not np.isfinite(volts).all():
         raise Lost("a sample is no finite number; see what the source sends")
     if time_s is None:
-        took_s = time.monotonic() - begun_s
         if abs(count / rate - took_s) > ARRIVAL_S + RATE_TOLERANCE * took_s:
             raise Lost(
                 f"{count} samples came in {took_s:.1f} s, sensor.toml says {rate:g} Hz; samples were lost, or the "
@@ -85,7 +86,7 @@ def capture(
             check_clock(Path(name), time_s, rate)
         except InputError as error:
             raise Lost(str(error).removeprefix(f"{name}: ")) from None
-    return Recording(name, time_s, volts)
+    return Recording(name, time_s[:wanted], volts[:wanted])
 
 
 class Level:

@@ -14,6 +14,7 @@ from models.response_map.from_atlas import SensorSpread
 from models.response_map.plan import Plan, plan_slides
 from pipeline.atlas.library import atlas_of
 from pipeline.progress import progress_bar
+from pipeline.recordings.at_rest import REFERENCE_V_PER_G
 from pipeline.recordings.manifest import check_manifest, read_table
 from pipeline.sensor import Sensor, check_design, read_sensor
 from pipeline.synthesis.slide_plan import crossing
@@ -55,10 +56,12 @@ def plan(
     if len(table) < slides:
         raise InputError(f"{slides}: there are {len(table)} candidates; take fewer slides", "slides")
     print(f"{len(table)} candidates", file=sys.stderr)
+    # The map is calibrated in volts of this sensitivity (pipeline/recordings/at_rest.py).
+    sensitivity = float(np.median([a.sensitivity_v_per_g for a in design.accelerometers]))
     chosen = plan_slides(
         table,
         slides,
-        design,
+        design.scaled(REFERENCE_V_PER_G / sensitivity),
         atlas_of(design, atlas),
         depth_mm,
         CalibrationConfig(),
