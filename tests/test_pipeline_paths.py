@@ -89,8 +89,9 @@ def test_truth_is_consistent_for_every_kind(kind: str, seed: int) -> None:
     assert touching.any()
     assert not touching[(np.abs(place) > 28.0).any(axis=1)].any()
     assert not touching[truth["depth_mm"] < -1.05 * path.height_mm].any()
-    # In one piece.
-    assert (np.abs(np.diff(touching.astype(int))).sum()) == 2
+    # In one piece; only a curve may leave the skin at a corner of the chamber and come back.
+    changes = int(np.abs(np.diff(touching.astype(int))).sum())
+    assert changes == 2 or (path.shape not in ("line", "press") and changes % 2 == 0)
     moving = (time > path.motion_start_s) & (time < path.motion_end_s)
     assert (speed[~moving] == 0).all()
     assert speed.max() <= path.quickest_mm_s + 1e-9
