@@ -107,7 +107,8 @@ def evaluate(parser: Parser) -> Run:
     the article is not met, or nothing tests it (see --allow-untested).
 
         softslide evaluate --model my-model --recordings my-recordings --out results
-        softslide evaluate --model my-model --recordings paths --split track-line track-curve --out tracks
+        softslide evaluate --model my-model --recordings paths \\
+            --split track-line track-curve --out tracks
     """
     arguments.model(parser)
     arguments.recordings(parser, "what to score on")
