@@ -10,7 +10,6 @@ import onnxruntime as ort
 
 from features.angles import touch_channels
 from features.card import Card
-from features.contact.judgement import TrackLimits, agrees, judged, with_place
 from features.contact.tracker import ContactTracker, Track, TrackingConfig
 from features.errors import InputError
 from features.estimate import Estimate, Reason, decode
@@ -18,6 +17,7 @@ from features.stream.conditioning import Blocks, LagUndone
 from features.stream.drift import UNKNOWN, DriftWatch, measures_gravity
 from features.stream.faults import BRIDGED_BLOCKS, SignalWatch
 from features.stream.tracker import SlideState, SlideTracker
+from features.track_estimate import TrackLimits, agrees, judged, with_place
 from features.vector.energy import energy_width_s
 from features.vector.feature_vector import feature_vector
 from features.window import WINDOW_BINS, Window
