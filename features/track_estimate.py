@@ -16,7 +16,7 @@ from features.stream.tracker import SlideState
 
 @dataclass(frozen=True)
 class TrackLimits:
-    """Chosen on synthetic paths (experiments/LOG.md).
+    """Chosen on synthetic paths, the straight slide's limits also by a look at the emulated ones (experiments/LOG.md).
 
     half_width, heading_width: 90 % half-widths over the filters' standard deviations; the filters neglect the map's
     curvature and keep only the likeliest hypotheses. place_mm, speed_mm_s, heading_deg: and never less than these.
