@@ -20,7 +20,7 @@ test: .venv/installed ## linters, types, import contracts, tests
 	$(BIN)/pytest -n 2 --dist loadfile
 
 test-long: .venv/installed ## tests that take minutes each
-	$(BIN)/pytest -m long
+	$(BIN)/pytest -m long --timeout 7200
 
 format: .venv/installed ## format the code
 	$(BIN)/ruff check --fix .

@@ -41,14 +41,19 @@ def bundle(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 class Serving:
-    """`softslide serve` in a process of its own, fed through standard input."""
+    """`softslide serve` in a process of its own, fed through standard input.
 
-    def __init__(self, bundle: Path, place: str = "0", *more: str, source: str = "-") -> None:
+    Its estimates wait in a pipe, unless `unread`: a full pipe stops the stream.
+    """
+
+    def __init__(
+        self, bundle: Path, place: str = "0", *more: str, source: str = "-", unread: bool = False
+    ) -> None:
         command = ["serve", "--model", str(bundle), "--source", source, "--format", "f32", "--page", place]
         self.process = subprocess.Popen(
             [sys.executable, str(Path(softslide.__file__)), *command, *more],
             stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
+            stdout=subprocess.DEVNULL if unread else subprocess.PIPE,
             stderr=subprocess.PIPE,
         )
         assert self.process.stderr is not None
@@ -74,8 +79,10 @@ class Serving:
 
 
 @contextmanager
-def serving(bundle: Path, place: str = "0", *more: str, source: str = "-") -> Iterator[Serving]:
-    running = Serving(bundle, place, *more, source=source)
+def serving(
+    bundle: Path, place: str = "0", *more: str, source: str = "-", unread: bool = False
+) -> Iterator[Serving]:
+    running = Serving(bundle, place, *more, source=source, unread=unread)
     try:
         yield running
     finally:
@@ -159,7 +166,7 @@ def test_a_viewer_that_does_not_read_delays_nobody(bundle: Path, tmp_path: Path)
     header = "time_s," + ",".join(f"a{n}_{axis}" for n in range(BOARDS) for axis in ("vx", "vy", "vz"))
     rows = np.column_stack([np.arange(len(VOLTS)) / 1000.0, VOLTS])
     np.savetxt(tmp_path / "a.csv", rows, delimiter=",", header=header, comments="", fmt="%.6f")
-    with serving(bundle, source=str(tmp_path / "a.csv")) as running:
+    with serving(bundle, source=str(tmp_path / "a.csv"), unread=True) as running:
         with viewer(running.address) as dull, viewer(running.address) as keen:
             assert isinstance(dull.recv(timeout=30), str)
             about = json.loads(keen.recv(timeout=30))
