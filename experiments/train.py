@@ -152,7 +152,13 @@ def _fit(
 
 
 def _warn_if_lost(fitted: FittedModel) -> None:
-    """Warns where too many held-out slides have an estimate that is no better than chance."""
+    """Warns where no estimate will be valid, or too many held-out slides have one that is no better than chance."""
+    if fitted.validity.misfit == 0.0:
+        print(
+            f"too few slides to tell what is no slide: no estimate of this {fitted.name} will be valid; record more "
+            "lines, or use cnn",
+            file=sys.stderr,
+        )
     if (lost := fitted.summary.get("heldout_lost", 0.0)) > LOST:
         print(
             f"the model is lost on {lost:.0%} of the slides held out of its fit and abstains where it sees that; "

@@ -13,17 +13,24 @@ from features.card import Interval
 
 COVERAGE = 0.9
 LEAST_FLOOR = 1e-3  # of the largest error: the middle of the floors that are tried
+SAME = 1e-4  # answers that differ by less than this share of their range are one value
+OFTEN = 5  # times that each value is answered on average, where answers are values of a list
 GROUPS = 5  # of equally many windows, by their deviation
 
 
 def conformal_interval(
-    errors: np.ndarray, sd: np.ndarray, slide: np.ndarray | None = None, coverage: float = COVERAGE
+    errors: np.ndarray,
+    sd: np.ndarray,
+    slide: np.ndarray | None = None,
+    coverage: float = COVERAGE,
+    least: float = 0.0,
 ) -> Interval:
     """errors, sd (n,) in one unit; sd all zero gives a constant half-width.
 
     slide: (n,), which slide each is of: windows of one slide err alike, so that only slides count for how many there
         are (hierarchical conformal prediction, Lee, Barber and Willett 2023, as if each had equally many windows; with
         fewer than nine slides the largest ratio). None: each is of its own.
+    least: half-width below which the held-out errors show nothing (`step_between`).
 
     Raises:
         ValueError: there are no errors to calibrate on.
@@ -46,4 +53,25 @@ def conformal_interval(
         if best is None or uneven < best[0] - 1e-12:
             best = uneven, Interval(scale=scale, floor=float(floor))
     assert best is not None
-    return best[1]
+    interval = best[1]
+    if interval.half_width(0.0) >= least:
+        return interval
+    return Interval(scale=1.0, floor=least)
+
+
+def step_between(answers: np.ndarray, period: float | None = None) -> float:
+    """The largest step between the few values that a model answers, in their unit; 0 of one whose answers vary freely.
+
+    What lies between such values it cannot tell, and labels that are these values do not show it: their errors are 0.
+    answers: (n,). period: 360 of directions, whose last value is followed by the first.
+    """
+    answers = np.asarray(answers, float)
+    if period is not None:
+        answers = answers % period
+    grain = max(float(np.ptp(answers)), np.finfo(float).tiny) * SAME
+    values = np.unique(np.round(answers / grain)) * grain
+    if len(answers) < OFTEN * len(values):
+        return 0.0
+    if period is not None:
+        values = np.append(values, values[0] + period)
+    return float(np.diff(values).max(initial=0.0))

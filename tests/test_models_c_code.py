@@ -17,8 +17,10 @@ from streams import a_sensor
 import softslide
 from features.card import Card
 from models.classical import interpolation
+from models.classical.fit import WithMisfit, graph_of
 from models.classical.gaussian_process import GpConfig, fit_gp
 from models.classical.interpolation import InterpolationConfig, fit_interpolation
+from models.classical.misfit import Misfit
 from models.classical.mlp import MlpConfig, fit_mlp
 from models.classical.regression import float_features
 from models.classical.trees import TreesConfig, fit_trees
@@ -53,7 +55,7 @@ def a_model(name: str) -> Case:
     }[name]()
     features = float_features(slides)
     noise = np.random.default_rng(0).normal(0, 0.1, features.shape).astype(np.float32)
-    graph = model.graph(features.shape[1])
+    graph = graph_of(WithMisfit(model, Misfit.of(slides)), features.shape[1])
     return Case(graph, {"features": np.concatenate([features, features + noise])})
 
 

@@ -11,6 +11,7 @@ from slide_windows import labelled_slides
 from features.vector.energy import energy_width_s
 from models.classical import interpolation, regression
 from models.classical.augmentation import with_lines_between
+from models.classical.fit import graph_of
 from models.classical.gaussian_process import GpConfig, fit_gp
 from models.classical.interpolation import InterpolationConfig, fit_interpolation
 from models.classical.mlp import MlpConfig, fit_mlp
@@ -65,7 +66,7 @@ def test_independent_of_batch_size(case):
 
 def test_the_graph_says_the_same(case):
     _, model, features = case
-    graph = model.graph(features.shape[1])
+    graph = graph_of(model, features.shape[1])
     session = ort.InferenceSession(graph.SerializeToString(), providers=["CPUExecutionProvider"])
     # Noise too, so that every branch is taken.
     noise = np.random.default_rng(0).normal(0, 0.1, features.shape).astype(np.float32)

@@ -1,6 +1,7 @@
 """From a model on features to one that `softslide train` makes: fitted, judged on held-out lines, with its graph."""
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
@@ -9,10 +10,13 @@ import onnx
 from features.card import Interval, Validity
 from features.errors import InputError
 from features.vector.feature_vector import feature_names
+from models.classical.misfit import Misfit
 from models.classical.regression import EARLIEST, float_features, late_windows
 from models.fitted_model import FittedModel, Model
+from models.graph.builder import GraphBuilder
 from models.held_out import line_folds, mean_errors, offset_reach_mm, signed_errors
-from models.intervals import conformal_interval
+from models.intervals import COVERAGE, conformal_interval, step_between
+from models.misfit_limit import misfit_limit
 from pipeline.recordings.folder import Folder
 from pipeline.recordings.windows import LabelledWindows, labelled_windows
 
@@ -30,11 +34,38 @@ class OnFeatures(Protocol):
     def predict(self, features: np.ndarray) -> np.ndarray:
         """Rows (n, K) of features (n, F)."""
 
-    def graph(self, features: int) -> onnx.ModelProto:
-        """The same as a graph: `features` (B, F) float32 -> `estimate` (B, K) float32."""
+    def nodes(self, g: GraphBuilder, features: str) -> str:
+        """The same in nodes of a graph, in float64: rows (B, K) of features (B, F) float32."""
 
 
 Fit = Callable[[LabelledWindows, Any], OnFeatures]
+
+
+@dataclass(frozen=True)
+class WithMisfit:
+    """A model on features, its rows followed by the misfit of the features that they are made of."""
+
+    model: OnFeatures
+    misfit: Misfit
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """Names of the K + 1 columns."""
+        return (*self.model.outputs, "misfit")
+
+    def predict(self, features: np.ndarray) -> np.ndarray:
+        """Rows (n, K + 1) of features (n, F)."""
+        return np.column_stack([self.model.predict(features), self.misfit(features)])
+
+    def nodes(self, g: GraphBuilder, features: str) -> str:
+        """`predict` in nodes."""
+        return g.op("Concat", self.model.nodes(g, features), self.misfit.nodes(g, features), axis=1)
+
+
+def graph_of(model: OnFeatures, features: int) -> onnx.ModelProto:
+    """The model's graph: `features` (B, F) float32 -> `estimate` (B, K) float32."""
+    g = GraphBuilder()
+    return g.model(model.nodes(g, "features"), features, len(model.outputs))
 
 
 def feature_model(config: Callable[[], Any], fit: Fit) -> Model:
@@ -48,16 +79,16 @@ def feature_model(config: Callable[[], Any], fit: Fit) -> Model:
         if not len(folder):
             raise InputError(f"{folder.root}: no labelled recordings; record some, or train cnn without")
         windows = labelled_windows(folder, settings.conditioning)
-        model = fit(windows, settings)
-        intervals, summary = _judge(windows, settings, fit, model.outputs)
+        model = WithMisfit(fit(windows, settings), Misfit.of(windows))
+        intervals, limit, summary = _judge(windows, settings, fit, model.outputs)
         return FittedModel(
             name="",
             input="features",
             outputs=model.outputs,
-            graph=model.graph(len(feature_names(boards))),
+            graph=graph_of(model, len(feature_names(boards))),
             original=lambda inputs: model.predict(inputs["features"]),
             intervals=intervals,
-            validity=Validity(offset_mm=offset_reach_mm(windows)),
+            validity=Validity(offset_mm=offset_reach_mm(windows), misfit=limit),
             conditioning=settings.conditioning,
             summary=summary,
             left_out={
@@ -72,18 +103,32 @@ def feature_model(config: Callable[[], Any], fit: Fit) -> Model:
 
 def _judge(
     windows: LabelledWindows, settings: Any, fit: Fit, outputs: tuple[str, ...]
-) -> tuple[dict[str, Interval], dict[str, float]]:
-    """Intervals and mean errors on lines that the fit has not seen; none where there are too few lines."""
+) -> tuple[dict[str, Interval], float, dict[str, float]]:
+    """Intervals, the largest misfit of a valid estimate, and mean errors, on lines that the fit has not seen.
+
+    No intervals, and a limit that nothing meets, where there are too few lines.
+    """
     fold = line_folds(windows.direction_deg, windows.offset_mm, FOLDS)
     rows = np.full((len(windows), len(outputs)), np.nan)
     for k in range(FOLDS):
         seen, unseen = windows[fold != k], fold == k
         if len(late_windows(seen)) and unseen.any():
-            rows[unseen] = fit(seen, settings).predict(float_features(windows[unseen]))
+            model = WithMisfit(fit(seen, settings), Misfit.of(seen))
+            rows[unseen] = model.predict(float_features(windows[unseen]))
     known = np.isfinite(rows).all(axis=1) & (windows.stroke_fraction >= EARLIEST)
     if known.sum() < LEAST_WINDOWS:
-        return {}, {}
-    windows = windows[known]
-    errors = signed_errors(rows[known], outputs, windows)
-    intervals = {k: conformal_interval(e, np.zeros(len(e)), windows.recording) for k, e in errors.items()}
-    return intervals, {f"heldout_{k}": mean for k, mean in mean_errors(errors, windows).items()}
+        return {}, 0.0, {}
+    windows, rows = windows[known], rows[known]
+    errors = signed_errors(rows, outputs, windows)
+    labels = {
+        "direction_deg": windows.direction_deg,
+        "log_speed": np.log(windows.speed_mm_s),
+        "offset_mm": windows.offset_mm,
+    }
+    intervals = {}
+    for name, error in errors.items():
+        step = step_between(labels[name] + error, 360.0 if name == "direction_deg" else None)
+        least = COVERAGE * step / 2
+        intervals[name] = conformal_interval(error, np.zeros(len(error)), windows.recording, least=least)
+    limit = misfit_limit(rows[:, -1], windows.recording)
+    return intervals, limit, {f"heldout_{k}": mean for k, mean in mean_errors(errors, windows).items()}

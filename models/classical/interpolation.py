@@ -1,4 +1,4 @@
-"""The article's interpolation (5.2.2), in numpy and as a graph.
+"""The article's interpolation (5.2.2), in numpy and in nodes of a graph.
 
 On an axis slide the moments t_min and t_max of the extremes of one output (V_x on X-slides, V_y on Y-slides) depend
 on the speed alone and the extreme values on the distance alone:
@@ -13,7 +13,6 @@ from dataclasses import dataclass, field
 from typing import ClassVar
 
 import numpy as np
-import onnx
 from onnx import TensorProto
 
 from features.angles import wrapped_deg
@@ -200,11 +199,9 @@ class Interpolation:
         defined = direction.any(axis=1) & np.isfinite(row).all(axis=1)
         return np.where(defined[:, None], row, np.nan)
 
-    def graph(self, features: int) -> onnx.ModelProto:
-        """The same arithmetic as a graph: `features` (B, F) float32 -> `estimate` (B, 5) float32."""
-        assert features == len(_COLUMN)
-        g = GraphBuilder()
-        given = g.cast("features", TensorProto.DOUBLE)
+    def nodes(self, g: GraphBuilder, features: str) -> str:
+        """The same arithmetic in nodes: rows (B, 5) in float64 of features (B, F)."""
+        given = g.cast(features, TensorProto.DOUBLE)
         moment = g.columns(given, _MOMENTS)
         passed = g.op(
             "And",
@@ -239,7 +236,7 @@ class Interpolation:
         # Either all of a row is defined or none: a NaN anywhere, or no direction (0 / 0), spreads over it.
         unknown = g.op("Mul", g.total(estimate, 1, keep=True), g.constant(0.0))
         defined = g.op("Add", g.op("Div", found, found), unknown)
-        return g.model(g.op("Mul", estimate, defined), features, len(OUTPUTS))
+        return g.op("Mul", estimate, defined)
 
     @staticmethod
     def _direction_nodes(g: GraphBuilder, features: str) -> str:

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-import onnx
 from onnx import TensorProto
 
 from features.vector.energy import energy_width_s
@@ -119,11 +118,11 @@ class Regressor(ABC):
         x = u.input.standard(np.asarray(features, np.float64)[:, u.columns])
         return u.target.natural(self.standard_rows(x))
 
-    def graph(self, features: int) -> onnx.ModelProto:
-        """The same as a graph: `features` (B, F) float32 -> `estimate` (B, 4) float32."""
-        g, u = GraphBuilder(), self.units
-        x = u.input.standard_nodes(g, g.cast(g.columns("features", u.columns), TensorProto.DOUBLE))
-        return g.model(u.target.natural_nodes(g, self.standard_nodes(g, x)), features, len(OUTPUTS))
+    def nodes(self, g: GraphBuilder, features: str) -> str:
+        """The same in nodes, in float64: rows (B, 4) of features (B, F) float32."""
+        u = self.units
+        x = u.input.standard_nodes(g, g.cast(g.columns(features, u.columns), TensorProto.DOUBLE))
+        return u.target.natural_nodes(g, self.standard_nodes(g, x))
 
 
 def regression_table(windows: LabelledWindows, between_lines: bool) -> tuple[Units, np.ndarray, np.ndarray]:

@@ -59,10 +59,9 @@ class Trees:
             standard[:, taken] = rows[:, [grown.index(k) for k in taken]]
         return self.target.natural(standard)
 
-    def graph(self, features: int) -> onnx.ModelProto:
+    def nodes(self, g: GraphBuilder, features: str) -> str:
         """One ensemble node a forest, their columns put back in order. skl2onnx is exact for forests."""
-        g = GraphBuilder()
-        read = g.columns("features", self.columns)
+        read = g.columns(features, self.columns)
         parts = []
         for (grown, taken), forest in zip(FORESTS, self.forests, strict=True):
             (node,) = _ensemble(forest, len(self.columns)).graph.node
@@ -72,8 +71,7 @@ class Trees:
             parts.append(g.columns(out, np.array([grown.index(k) for k in taken])))
         order = np.argsort(np.concatenate([taken for _, taken in FORESTS]))
         standard = g.columns(g.op("Concat", *parts, axis=1), order)
-        rows = self.target.natural_nodes(g, g.cast(standard, TensorProto.DOUBLE))
-        return g.model(rows, features, len(OUTPUTS))
+        return self.target.natural_nodes(g, g.cast(standard, TensorProto.DOUBLE))
 
 
 def fit_trees(windows: LabelledWindows, config: TreesConfig) -> Trees:

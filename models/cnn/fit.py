@@ -18,6 +18,7 @@ from models.fitted_model import FittedModel, Model
 from models.graph.from_torch import export_graph
 from models.held_out import WHOLE, offset_reach_mm, signed_errors
 from models.intervals import conformal_interval
+from models.misfit_limit import misfit_limit
 from models.response_map.calibrate import CalibrationConfig
 from models.response_map.contact_card import contact_calibration
 from models.response_map.from_atlas import SensorSpread
@@ -39,10 +40,6 @@ UNCALIBRATED_VALIDITY = Validity(misfit=10.0, direction_sd_deg=15.0, log_speed_s
 UNCALIBRATED_STEPS = 2
 # A held-out window that is further off than this was lost; its misfit says nothing of those that were not.
 LOST_DEG = 20.0
-MISFIT_QUANTILE, MISFIT_MARGIN = (
-    0.98,
-    3.0,
-)  # twice what nearly every recorded slide shows, and a margin, is no slide
 EARLY = 0.35  # share of the stroke before which slides that differ look alike
 LEAST_WINDOWS = 20  # to set intervals on: with fewer a 90 % quantile is the largest error
 
@@ -174,7 +171,7 @@ def _judge(rows: np.ndarray, windows: LabelledWindows) -> tuple[dict[str, Interv
     misfit = UNCALIBRATED_VALIDITY.misfit
     # A network that is lost more often than not finds its way by chance, and its misfit may be anything.
     if ordinary.sum() > late.sum() / 2:
-        misfit = 2.0 * float(np.quantile(column["misfit"][ordinary], MISFIT_QUANTILE)) + MISFIT_MARGIN
+        misfit = misfit_limit(column["misfit"][ordinary], windows.recording[ordinary]) or misfit
     validity = Validity(
         misfit=misfit, direction_sd_deg=6.0, log_speed_sd=0.1, offset_mm=offset_reach_mm(windows)
     )
