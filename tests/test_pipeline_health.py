@@ -252,3 +252,44 @@ def test_any_rate_is_judged(sound, tmp_path: Path, rate_hz: float) -> None:
     assert [
         f for f in examine(write_folder(tmp_path / "lab", sensor, manifest, slides)) if f.level == "error"
     ] == []
+
+
+@pytest.mark.parametrize(
+    ("function", "unit"),
+    [
+        (lambda v: 1000 * v, "mV"),
+        (lambda v: (v - 1.65) / 0.8, "g"),
+        (lambda v: 9.80665 * (v - 1.65) / 0.8, "m/s2"),
+        (lambda v: v / 3.3 * 4096, "counts of 12 bits"),
+    ],
+)
+def test_outputs_in_another_unit_are_one_error_that_names_it(
+    sound, tmp_path: Path, function, unit: str
+) -> None:
+    findings = injured(sound, tmp_path, volts_changed(function))
+    (found,) = [f for f in findings if f.kind == "unit"]
+    assert found.level == "error"
+    assert f"look like {unit}:" in found.text
+    assert not {"gravity", "noise", "mains", "drift"} & {f.kind for f in findings}
+
+
+@pytest.mark.parametrize(("factor", "unit"), [(0.1, "cm/s"), (0.001, "m/s"), (60.0, "mm/min")])
+def test_speeds_in_another_unit_are_one_error_that_names_it(
+    sound, tmp_path: Path, factor: float, unit: str
+) -> None:
+    labels = {"speed_mm_s": lambda row: factor * row["speed_mm_s"]}
+    errors = [f for f in injured(sound, tmp_path, labels_changed(**labels)) if f.level == "error"]
+    assert [f.kind for f in errors] == ["speed"]
+    assert f"look like {unit}:" in errors[0].text
+
+
+def test_speeds_that_do_not_cross_the_chamber_are_a_warning(sound, tmp_path: Path) -> None:
+    labels = {"speed_mm_s": lambda row: row["speed_mm_s"] / 10, "travel_mm": np.nan}
+    findings = injured(sound, tmp_path, labels_changed(**labels))
+    assert ["cm/s" in f.text for f in findings if (f.level, f.kind) == ("warning", "speed")] == [True]
+
+
+def test_x_and_y_swapped_in_one_recording_are_found(sound, tmp_path: Path) -> None:
+    findings = injured(sound, tmp_path, volts_changed(lambda v: v[:, [1, 0, 2]]), only=3)
+    assert {f.recording for f in findings if f.kind == "swapped"} == {sound[1][3].name}
+    assert {f.recording for f in findings if f.level == "error"} == {sound[1][3].name}

@@ -18,6 +18,7 @@ import pandas as pd
 
 from pipeline.checks.measurements import Measurements, measure
 from pipeline.checks.rail_run import MOST_AT_RAIL
+from pipeline.checks.wrong_units import impossible_output, impossible_speed
 from pipeline.checks.zone_signs import line_mismatch_mm
 from pipeline.progress import progress_bar
 from pipeline.recordings.folder import Folder
@@ -83,6 +84,10 @@ def examine(folder: Folder, limits: Limits | None = None) -> list[Finding]:
     measured = [measure(folder.load(str(name)), row, folder.sensor) for name, row in rows]
     findings = list(_wiring(measured, folder.sensor, limits))
     sound = not any(finding.level == "error" for finding in findings)
+    units = list(_units(measured, folder, limits))
+    if any(_is_wrong_speed(finding) for finding in units):
+        # Where the object is, and so which sign is due, follows from the speed.
+        findings, sound = [], False
     for one, (_, labels) in zip(measured, manifest.iterrows(), strict=True):
         findings += _signal(one, folder.sensor, limits)
         findings += _labels(one, labels, folder.sensor, limits)
@@ -95,7 +100,8 @@ def examine(folder: Folder, limits: Limits | None = None) -> list[Finding]:
         copied = {finding.recording for finding in copies}
         findings += _made_up([one for one in measured if one.name not in copied], folder.sensor, limits)
     findings += _leakage(manifest)
-    return sorted(findings, key=lambda finding: finding.level)
+    explained = [finding for finding in findings if not _explained(finding, units)]
+    return sorted([*units, *explained], key=lambda finding: finding.level)
 
 
 def not_checked(sensor: Sensor) -> list[str]:
@@ -124,6 +130,36 @@ def as_json(folder: Folder, findings: Sequence[Finding]) -> dict[str, Any]:
         "not_checked": not_checked(folder.sensor),
         "findings": [asdict(finding) for finding in findings],
     }
+
+
+def _units(measured: Sequence[Measurements], folder: Folder, limits: Limits) -> Iterator[Finding]:
+    """Outputs and speeds in a unit that is not theirs, of the folder as a whole."""
+    for k, part in enumerate(folder.sensor.accelerometers):
+        rest = np.array([one.rest_v[3 * k : 3 * k + 3] for one in measured])
+        rest = rest[np.isfinite(rest).all(axis=1)]
+        if len(rest) and (text := impossible_output(np.median(rest, axis=0), part)):
+            off = abs(np.linalg.norm(np.median(rest, axis=0) - part.zero_g_v) / part.sensitivity_v_per_g - 1)
+            yield Finding("error", "unit", "", part.name, float(off), limits.gravity_g, text)
+    factor, text = impossible_speed(folder.manifest, folder.sensor)
+    if text:
+        # Where no label tells the way, it may be a short one.
+        level = "error" if folder.manifest["travel_mm"].notna().any() else "warning"
+        yield Finding(level, "speed", "", "", factor, 1.0, text)
+
+
+def _is_wrong_speed(finding: Finding) -> bool:
+    return (finding.level, finding.kind) == ("error", "speed")
+
+
+def _explained(finding: Finding, units: Sequence[Finding]) -> bool:
+    """Whether a wrong unit is why: it is reported once."""
+    boards = {unit.channel for unit in units if unit.kind == "unit"}
+    if (
+        finding.kind in ("gravity", "noise", "mains", "drift")
+        and (finding.channel.rpartition("_v")[0] or finding.channel) in boards
+    ):
+        return True
+    return finding.kind == "labels" and any(map(_is_wrong_speed, units))
 
 
 def _signal(one: Measurements, sensor: Sensor, limits: Limits) -> Iterator[Finding]:
@@ -221,6 +257,25 @@ def _label_against_signal(one: Measurements, sensor: Sensor, limits: Limits) -> 
                 text = "agreement with the zones due for direction and offset: another slide than labelled"
                 figure, channel = float(one.agreement[k, i, i]), f"{part.name}_v{axis}"
                 yield Finding("error", "label against signal", one.name, channel, figure, limits.slide, text)
+        if part.measures_gravity and (channels := _exchanged(one.agreement[k], limits)):
+            i, j = channels
+            text = f"agreement with its axis, which {part.name}_v{'xy'[j]} follows instead: x and y are swapped here"
+            channel, figure = f"{part.name}_v{'xy'[i]}", float(one.agreement[k, i, i])
+            yield Finding("error", "swapped", one.name, channel, figure, limits.follows, text)
+
+
+def _exchanged(agreement: np.ndarray, limits: Limits) -> tuple[int, int] | None:
+    """Of one slide, agreement (3, 2): an output that does not follow its axis, and the other one, which does.
+
+    None where either output follows its own axis: what follows both does so by chance, on a diagonal.
+    """
+    own = np.nan_to_num(agreement[:2].diagonal())
+    if (own > limits.follows).any():
+        return None
+    for i, j in ((0, 1), (1, 0)):
+        if agreement[j, i] > limits.swapped and not np.isnan(agreement[i, i]):
+            return i, j
+    return None
 
 
 def _wiring(measured: Sequence[Measurements], sensor: Sensor, limits: Limits) -> Iterator[Finding]:

@@ -18,9 +18,8 @@ import pandas as pd
 
 from features.errors import InputError
 from pipeline.importers.import_map import Board, Map, Signal
-from pipeline.sensor import Accelerometer
+from pipeline.sensor import STANDARD_GRAVITY, Accelerometer
 
-STANDARD_GRAVITY = 9.80665
 POSITIONS = {
     "+x": (1, 0, 0),
     "-x": (-1, 0, 0),
