@@ -33,6 +33,26 @@ def read_regular(path: Path, most_bytes: int, remedy: str) -> bytes:
     return content
 
 
+def check_regular(path: Path, most_bytes: int, remedy: str) -> None:
+    """Refuses what `read_regular` would, for a library that reads the file itself.
+
+    Raises:
+        InputError: as `read_regular`.
+    """
+    try:
+        status = path.stat()
+        if not stat.S_ISREG(status.st_mode):
+            raise InputError(f"{path}: not a regular file; {remedy}")
+        # Who may read it.
+        path.open("rb").close()
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file; {remedy}") from None
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}); {remedy}") from None
+    if status.st_size > most_bytes:
+        raise InputError(f"{path}: larger than {most_bytes / 1e6:.3g} MB; {remedy}")
+
+
 def _read(descriptor: int, most_bytes: int) -> bytes:
     parts, left = [], most_bytes
     while left and (part := os.read(descriptor, min(left, 1 << 20))):

@@ -14,12 +14,15 @@ from types import NoneType, UnionType
 from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from features.errors import InputError
+from features.regular_file import read_regular
 
 # A hundred times the largest map or design that a person writes; beyond it the file is something else.
 MOST_BYTES = 1 << 20
 DEEPEST = 16
 # TOML 1.0, "Integer": 64-bit signed; what does not fit is an error.
 INTEGER_END = 1 << 63
+# No quantity of a sensor or a training comes near it, and its square is finite.
+LARGEST = 1e15
 WORDS = {float: "a number", int: "a whole number", str: "a text in quotes", bool: "true or false"}
 
 T = TypeVar("T")
@@ -34,17 +37,7 @@ def read_toml(path: Path, remedy: str = "name a TOML file") -> dict[str, Any]:
         InputError: no regular file, larger than `MOST_BYTES`, no TOML, nested deeper than `DEEPEST`, or a number
             that is not finite or too large.
     """
-    try:
-        if path.exists() and not path.is_file():
-            raise InputError(f"{path}: cannot be read (not a regular file); {remedy}")
-        with path.open("rb") as file:
-            content = file.read(MOST_BYTES + 1)
-    except FileNotFoundError:
-        raise InputError(f"{path}: cannot be read (no such file); {remedy}") from None
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); {remedy}") from None
-    if len(content) > MOST_BYTES:
-        raise InputError(f"{path}: larger than {MOST_BYTES} bytes; {remedy}")
+    content = read_regular(path, MOST_BYTES, remedy)
     try:
         table = tomllib.loads(content.decode("utf-8"))
     except RecursionError:
@@ -57,6 +50,8 @@ def read_toml(path: Path, remedy: str = "name a TOML file") -> dict[str, Any]:
             raise InputError(f"{place}: nested too deep; at most {DEEPEST} levels are read")
         if isinstance(value, float) and not math.isfinite(value):
             raise InputError(f"{place} is {value}; write a finite number")
+        if isinstance(value, float) and abs(value) > LARGEST:
+            raise InputError(f"{place} is {value}; write a number below {LARGEST:g}")
         if isinstance(value, int) and not -INTEGER_END <= value < INTEGER_END:
             raise InputError(f"{place} is an integer beyond 64 bits; write a smaller one")
     return table
@@ -123,6 +118,8 @@ def _value(hint: Any, value: Any, place: str, default: Any) -> Any:
     if origin is dict and isinstance(value, Mapping):
         return {key: _value(args[1], v, f"{place}.{_bare(key)}", None) for key, v in value.items()}
     if hint is float and isinstance(value, int | float) and not isinstance(value, bool):
+        if abs(value) > LARGEST:
+            raise InputError(f"{place} is {_shown(value)}; write a number below {LARGEST:g}")
         return float(value)
     if hint in (int, str, bool) and type(value) is hint:
         return value

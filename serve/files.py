@@ -8,6 +8,11 @@ import numpy as np
 
 from features.clock import check_clock
 from features.errors import InputError
+from features.regular_file import check_regular
+
+# As in pipeline/recordings/slide_file.py.
+MOST_BYTES = 1 << 32
+MOST_SAMPLES = 100_000_000
 
 
 def read_recording(path: Path, channels: Sequence[str], rate_hz: float) -> np.ndarray:
@@ -22,8 +27,7 @@ def read_recording(path: Path, channels: Sequence[str], rate_hz: float) -> np.nd
     kind = path.suffix.lower()
     if kind not in (".csv", ".parquet"):
         raise InputError(f"{path}: neither .csv nor .parquet; turn it into one with 'softslide import'")
-    if not path.is_file():
-        raise InputError(f"{path}: no such file; name a recording")
+    check_regular(path, MOST_BYTES, "name a recording")
     columns = ("time_s", *channels)
     values = _read_csv(path, columns) if kind == ".csv" else _read_parquet(path, columns)
     if len(values) < 2:
@@ -47,12 +51,14 @@ def _read_csv(path: Path, columns: Sequence[str]) -> np.ndarray:
             places = _places(path, header, columns)
             lines = file.readlines()
     except UnicodeDecodeError:
-        raise InputError(f"{path}: not a text in UTF-8; write it as comma-separated values") from None
+        raise InputError(f"{path}: not a text in UTF-8; save it as CSV UTF-8") from None
+    except csv.Error as error:
+        raise InputError(f"{path}: not a comma-separated table ({error}); write it again") from None
     if not lines:
         return np.empty((0, len(columns)))
     try:
         return np.loadtxt(lines, delimiter=",", usecols=places, ndmin=2, comments=None, quotechar='"')
-    except ValueError:
+    except (ValueError, OverflowError):
         raise _broken_cell(path, lines, columns, places) from None
 
 
@@ -60,14 +66,19 @@ def _broken_cell(
     path: Path, lines: Sequence[str], columns: Sequence[str], places: Sequence[int]
 ) -> InputError:
     """The error for the first cell that is no number, of a file that is known to have one."""
-    for row, cells in enumerate(csv.reader(lines), 1):
-        for column, place in zip(columns, places, strict=True):
-            text = cells[place].strip() if place < len(cells) else ""
-            try:
-                float(text)
-            except ValueError:
-                shown = f"'{text}'" if text else "empty"
-                return InputError(f"{path}: row {row}, column {column} is {shown}, not a number; correct it")
+    try:
+        for row, cells in enumerate(csv.reader(lines), 1):
+            for column, place in zip(columns, places, strict=True):
+                text = cells[place].strip() if place < len(cells) else ""
+                try:
+                    float(text)
+                except ValueError:
+                    shown = f"'{text[:40]}'" if text else "empty"
+                    return InputError(
+                        f"{path}: row {row}, column {column} is {shown}, not a number; correct it"
+                    )
+    except csv.Error as error:
+        return InputError(f"{path}: not a comma-separated table ({error}); write it again")
     return InputError(f"{path}: not a comma-separated table; write it again")
 
 
@@ -78,9 +89,11 @@ def _read_parquet(path: Path, columns: Sequence[str]) -> np.ndarray:
     try:
         with pq.ParquetFile(path) as file:
             _places(path, file.schema_arrow.names, columns)
+            if not 0 <= file.metadata.num_rows <= MOST_SAMPLES:
+                raise ValueError(f"{file.metadata.num_rows} samples, {MOST_SAMPLES} at most are read")
             table = file.read(columns=list(columns))
             return np.column_stack([np.asarray(table[name], dtype=float) for name in columns])
-    except (pa.ArrowException, OSError, ValueError) as error:
+    except (pa.ArrowException, OSError, ValueError, TypeError, OverflowError, MemoryError) as error:
         if isinstance(error, InputError):
             raise
         reason = " ".join(str(error).split())[:120]

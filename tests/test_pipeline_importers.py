@@ -205,7 +205,7 @@ def test_labels_come_from_values_columns_names_and_a_sheet(tmp_path: Path) -> No
         ('column = "z"\n', 'column = "z"\n[labels.speed_mm_s]\nsheet = "v"\n', "add [sheet]"),
         ('column = "z"\n', 'column = "z"\n[labels.speed]\nvalue = 1\n', "labels.speed"),
         ('column = "z"\n', 'column = "z"\n[labels.recording]\ncolumn = "x"\n', "a file holds one recording"),
-        ('column = "z"\n', 'column = "z"\n[sheet]\nfile = "no.csv"\n', "not a readable sheet"),
+        ('column = "z"\n', 'column = "z"\n[sheet]\nfile = "no.csv"\n', "correct [sheet] in the map"),
         ('column = "z"\n', 'column = "z"\n[boards.a0]\ncalibration = "no.csv"\n', "no.csv"),
         ('column = "z"\n', 'column = "z"\n[boards.a0]\nflip = ["w"]\n', "flip is 'w'"),
     ],

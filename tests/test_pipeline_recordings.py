@@ -198,7 +198,7 @@ def test_a_misspelt_label_is_no_absent_label(root: Path, capsys) -> None:
         ("", "empty"),
         ("recording,file,split\n", "no recordings"),
         ("recording,file,split\na,b,c,d,e\n", "not a comma-separated table"),
-        (b"\xff\xfe\x00recording", "not a comma-separated table"),
+        (b"\xff\xfe\x00recording", "in UTF-16"),
     ],
 )
 def test_a_broken_manifest_is_refused(root: Path, capsys, content: str | bytes, says: str) -> None:

@@ -130,7 +130,7 @@ def test_what_is_wrong_is_named_in_one_line(tmp_path: Path, old: str, new: str, 
         ("a = " + "[" * 20_000 + "]" * 20_000, "nested too deep"),
         (".".join("a" * 5000) + " = 1", "nested too deep"),
         ("a = " + "[" * DEEPEST + "1" + "]" * DEEPEST, "nested too deep"),
-        ("#" * (MOST_BYTES + 1), f"larger than {MOST_BYTES} bytes"),
+        ("#" * (MOST_BYTES + 1), "larger than 1.05 MB"),
     ],
     ids=["nan", "inf", "64 bits", "digits", "lists", "dots", "levels", "bytes"],
 )
@@ -154,9 +154,9 @@ def test_what_is_no_file_is_refused_without_waiting(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe.toml")
     (tmp_path / "bytes.toml").write_bytes(b"\xff\xfe")
     for name, says in (
-        ("pipe.toml", "cannot be read (not a regular file); name another"),
-        (".", "cannot be read (not a regular file); name another"),
-        ("none.toml", "cannot be read (no such file); name another"),
+        ("pipe.toml", "not a regular file; name another"),
+        (".", "not a regular file; name another"),
+        ("none.toml", "no such file; name another"),
         ("bytes.toml", "not a TOML file"),
     ):
         with pytest.raises(InputError) as error:

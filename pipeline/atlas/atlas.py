@@ -23,6 +23,7 @@ from scipy.interpolate import NdBSpline
 from scipy.optimize import brentq
 
 from features.errors import InputError
+from features.regular_file import check_regular
 from pipeline.atlas.splines import along, check_inside, fit_axis
 from pipeline.sensor import Sensor, design_hash, design_of
 from pipeline.skin.lines import PER_BOARD
@@ -30,6 +31,10 @@ from pipeline.skin.lines import PER_BOARD
 VERSION = 1
 DEFAULT_ATLAS = Path(__file__).parent / "default_atlas.npz"
 DEFAULT_SENSOR = Path(__file__).parent / "default_sensor.toml"
+# The finest atlas of ten accelerometers has some 100 MB.
+MOST_BYTES, MOST_UNPACKED_BYTES = 1 << 29, 1 << 31
+# In any of an atlas's units.
+LARGEST = 1e6
 _ARRAYS = ("x_mm", "y_mm", "depth_mm", "pressure_mpa", "height_mm", "statics", "parts", "valid")
 
 
@@ -278,22 +283,53 @@ def read_atlas(path: Path = DEFAULT_ATLAS) -> Atlas:
     Raises:
         InputError: there is no such file, it is no atlas, or one of another version.
     """
+    check_regular(path, MOST_BYTES, "name an atlas that softslide simulate wrote")
     try:
+        with zipfile.ZipFile(path) as packed:
+            if (size := sum(item.file_size for item in packed.infolist())) > MOST_UNPACKED_BYTES:
+                raise ValueError(f"{size / 1e6:.3g} MB unpacked, more than any atlas")
         with path.open("rb") as handle, np.load(handle, allow_pickle=False) as file:
             meta = json.loads(str(file["meta"]))
             version = meta.pop("version")
             if version != VERSION:
                 raise InputError(
-                    f"{path}: an atlas of version {version}, not {VERSION}; run softslide simulate again"
+                    f"{path}: an atlas of version {version!r:.20}, not {VERSION}; run softslide simulate again"
                 )
             atlas = Atlas(**{name: file[name] for name in _ARRAYS}, meta=meta)
-        shape = tuple(len(g) for g in (atlas.x_mm, atlas.y_mm, atlas.depth_mm, atlas.pressure_mpa))
-        if atlas.parts.shape != (3, *shape, PER_BOARD * atlas.boards + 3) or atlas.valid.shape != shape:
-            raise ValueError("its arrays do not fit each other")
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file; name an atlas that softslide simulate wrote") from None
+        _check_arrays(atlas)
     except InputError:
         raise
-    except (OSError, KeyError, ValueError, TypeError, IndexError, EOFError, zipfile.BadZipFile) as error:
-        raise InputError(f"{path}: not an atlas or damaged ({error}); run softslide simulate again") from None
+    # A damaged zip raises whatever its parts, their compression or their headers make of it.
+    except Exception as error:
+        reason = " ".join(str(error).split())[:120] or type(error).__name__
+        raise InputError(
+            f"{path}: not an atlas or damaged ({reason}); run softslide simulate again"
+        ) from None
     return atlas
+
+
+def _check_arrays(atlas: Atlas) -> None:
+    """Raises ValueError where arrays or meta do not fit each other, or hold what no solve gives."""
+    grids = (atlas.x_mm, atlas.y_mm, atlas.depth_mm, atlas.pressure_mpa)
+    numbers = (*grids, atlas.height_mm, atlas.statics, atlas.parts)
+    if any(array.dtype.kind != "f" for array in numbers) or atlas.valid.dtype != bool:
+        raise ValueError("an array holds something else than numbers")
+    shape = tuple(len(grid) for grid in grids)
+    if any(grid.ndim != 1 for grid in (*grids, atlas.height_mm)) or atlas.statics.ndim != 3:
+        raise ValueError("its arrays do not fit each other")
+    shapes = (shape[3:], (shape[3], atlas.boards, 3), (3, *shape, PER_BOARD * atlas.boards + 3), shape)
+    if shapes != (atlas.height_mm.shape, atlas.statics.shape, atlas.parts.shape, atlas.valid.shape):
+        raise ValueError("its arrays do not fit each other")
+    if not all((np.abs(array) < LARGEST).all() for array in (*grids, atlas.height_mm, atlas.statics)):
+        raise ValueError("a number is not finite, or too large")
+    if not (np.abs(atlas.parts[:, atlas.valid]) < LARGEST).all():
+        raise ValueError("a response is not finite, or too large")
+    if any((np.diff(grid) <= 0).any() for grid in (*grids, atlas.height_mm)) or atlas.pressure_mpa[0] <= 0:
+        raise ValueError("a grid does not rise")
+    meta = atlas.meta
+    if not isinstance(meta["design"], dict) or not isinstance(meta["design_hash"], str):
+        raise ValueError("its design is no table")
+    if not isinstance(meta["failed"], list) or np.shape(meta["reach_mm"]) != (2,):
+        raise ValueError("failed or reach_mm is no list")
+    if not all(0 < float(reach) < LARGEST for reach in meta["reach_mm"]):
+        raise ValueError("reach_mm is not positive")

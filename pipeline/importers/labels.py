@@ -10,6 +10,7 @@ import pandas as pd
 from features.errors import InputError
 from pipeline.importers.import_map import Label, Map
 from pipeline.recordings.manifest import LABELS
+from pipeline.recordings.text_table import read_text_table
 
 Row = dict[str, str | float]
 
@@ -23,13 +24,9 @@ def read_sheet(mapping: Map) -> dict[str, dict[Any, str]]:
     if mapping.sheet is None:
         return {}
     path = mapping.path.parent / mapping.sheet.file
-    try:
-        table = pd.read_csv(
-            path, dtype=str, keep_default_na=False, sep=mapping.sheet.delimiter, encoding="utf-8-sig"
-        )
-    except (OSError, ValueError) as error:
-        reason = " ".join(str(error).split())
-        raise InputError(f"{path}: not a readable sheet ({reason}); correct [sheet] in the map") from None
+    table = read_text_table(
+        path, "correct [sheet] in the map", mapping.sheet.delimiter, dtype=str, keep_default_na=False
+    )
     for column in (mapping.sheet.key, *(label.sheet for label in mapping.labels.values() if label.sheet)):
         if column not in table:
             raise InputError(f"{path}: column '{column}' is missing; correct its name in the map")

@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 
 from features.errors import InputError
+from features.regular_file import check_regular
 from pipeline.importers.import_map import Map
 from pipeline.importers.labels import label_columns, one_value
 from pipeline.importers.readers.chunk import Chunk, guarded
@@ -23,6 +24,9 @@ from pipeline.importers.resampling import (
     seconds,
     whole,
 )
+
+# A day of ten accelerometers at 25.6 kHz as text: files are read in pieces, so that memory does not grow with them.
+MOST_BYTES = 1 << 40
 
 
 @dataclass
@@ -146,5 +150,7 @@ def _numbers(values: np.ndarray) -> np.ndarray:
 
 def _read(path: Path, columns: list[str], mapping: Map) -> Iterator[Chunk]:
     """Opens a file with the reader of the map's kind."""
+    if not path.is_dir():
+        check_regular(path, MOST_BYTES, "name the lab's files, or their folder")
     layout = (mapping.csv,) if mapping.kind == "csv" else ()
     return READERS[mapping.kind].read()(path, columns, *layout)

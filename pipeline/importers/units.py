@@ -18,6 +18,7 @@ import pandas as pd
 
 from features.errors import InputError
 from pipeline.importers.import_map import Board, Map, Signal
+from pipeline.recordings.text_table import read_text_table
 from pipeline.sensor import STANDARD_GRAVITY, Accelerometer
 
 POSITIONS = {
@@ -102,12 +103,7 @@ def read_calibration(path: Path, accelerometer: str) -> Calibration:
     Raises:
         InputError: no such table, a position is missing, an axis that hardly responds to gravity.
     """
-    try:
-        table = pd.read_csv(path)
-    except (OSError, ValueError) as error:
-        raise InputError(
-            f"{path}: not a six-position table ({' '.join(str(error).split())}); correct it"
-        ) from None
+    table = read_text_table(path, "a calibration is a table of six positions beside the map")
     for column in ("accelerometer", "position", "vx", "vy", "vz"):
         if column not in table:
             raise InputError(f"{path}: column '{column}' is missing; add it")

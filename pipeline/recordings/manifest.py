@@ -4,7 +4,6 @@ Rows in messages are counted from 1 and leave the header out.
 """
 
 import difflib
-import warnings
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +11,7 @@ import pandas as pd
 import pandera.pandas as pa
 
 from features.errors import InputError
+from pipeline.recordings.text_table import read_text_table
 from pipeline.sensor import Sensor
 
 REQUIRED = ("recording", "file", "split")
@@ -33,19 +33,10 @@ def read_table(path: Path) -> pd.DataFrame:
     """A comma-separated table as texts, cell by cell, so that nothing is guessed before it is checked.
 
     Raises:
-        InputError: the file is missing, empty, or no table.
+        InputError: the file is missing, empty, or no such table.
     """
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error", pd.errors.ParserWarning)
-            table = pd.read_csv(path, dtype=str, keep_default_na=False, index_col=False, encoding="utf-8-sig")
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file; a folder of recordings needs a manifest.csv") from None
-    except pd.errors.EmptyDataError:
-        raise InputError(f"{path}: the file is empty; write a header and one row a recording") from None
-    except (pd.errors.ParserError, pd.errors.ParserWarning, UnicodeDecodeError) as error:
-        reason = " ".join(str(error).split())
-        raise InputError(f"{path}: not a comma-separated table ({reason}); correct it") from None
+    missing = "a folder of recordings needs a manifest.csv"
+    table = read_text_table(path, missing, dtype=str, keep_default_na=False, index_col=False)
     return table.apply(lambda column: column.str.strip())
 
 

@@ -10,6 +10,13 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from features.errors import InputError
+from features.regular_file import check_regular
+from pipeline.recordings.text_table import read_text_table
+
+MISSING = "put it there or take its row out of the manifest"
+# An hour of ten accelerometers at 25.6 kHz; beyond it a recording is many.
+MOST_BYTES = 1 << 32
+MOST_SAMPLES = 100_000_000
 
 
 def read_slide(path: Path, channels: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
@@ -75,13 +82,20 @@ def _encoding(channels: Sequence[str]) -> dict[str, Any]:
 
 
 def _read_parquet(path: Path, columns: list[str]) -> pd.DataFrame:
+    check_regular(path, MOST_BYTES, MISSING)
     try:
         with pq.ParquetFile(path) as file:
             _require(path, columns, file.schema_arrow.names)
+            if not 0 <= file.metadata.num_rows <= MOST_SAMPLES:
+                raise InputError(
+                    f"{path}: says it holds {file.metadata.num_rows} samples; {MOST_SAMPLES} at most are read: "
+                    "record shorter, or copy it again"
+                )
             return file.read(columns=columns).to_pandas()
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file; put it there or take its row out of the manifest") from None
-    except (pa.ArrowException, OSError) as error:
+    except InputError:
+        raise
+    # A damaged file may hold any type of column, and texts that are none.
+    except (pa.ArrowException, OSError, ValueError, TypeError, OverflowError, MemoryError) as error:
         reason = " ".join(str(error).split())[:120]
         empty = path.is_file() and path.stat().st_size == 0
         what = "the file is empty" if empty else f"not a Parquet file ({reason})"
@@ -89,15 +103,7 @@ def _read_parquet(path: Path, columns: list[str]) -> pd.DataFrame:
 
 
 def _read_csv(path: Path, columns: list[str]) -> pd.DataFrame:
-    try:
-        table = pd.read_csv(path, low_memory=False, encoding="utf-8-sig")
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file; put it there or take its row out of the manifest") from None
-    except pd.errors.EmptyDataError:
-        raise InputError(f"{path}: the file is empty; copy or record it again") from None
-    except (pd.errors.ParserError, UnicodeDecodeError) as error:
-        reason = " ".join(str(error).split())[:120]
-        raise InputError(f"{path}: not a comma-separated table ({reason}); correct it") from None
+    table = read_text_table(path, MISSING, most_bytes=MOST_BYTES, low_memory=False)
     _require(path, columns, list(table.columns))
     return table
 

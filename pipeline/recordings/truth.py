@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 
 from features.errors import InputError
+from pipeline.recordings.text_table import read_text_table
 
 COLUMNS = ("time_s", "x_mm", "y_mm", "vx_mm_s", "vy_mm_s", "contact", "depth_mm")
 # Cells that may be empty: a lab may not know how deep.
@@ -43,12 +44,7 @@ def read_truth(path: Path) -> pd.DataFrame:
         InputError: a column or a number is missing, the clock is not even, contact is neither 0 nor 1, or velocity is
             not the slope of the place.
     """
-    try:
-        table = pd.read_csv(path, encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError, pd.errors.ParserError, pd.errors.EmptyDataError) as error:
-        raise InputError(
-            f"{path}: no comma-separated table ({' '.join(str(error).split())}); correct it"
-        ) from None
+    table = read_text_table(path, "write it beside its slide")
     for column in COLUMNS:
         if column not in table and column not in _OPTIONAL:
             raise InputError(f"{path}: column '{column}' is missing; add it")

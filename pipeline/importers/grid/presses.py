@@ -8,6 +8,7 @@ import pandas as pd
 
 from features.errors import InputError
 from pipeline.importers.grid.grid_map import GridMap
+from pipeline.recordings.text_table import read_text_table
 
 # Places of one grid line may differ by this share of the grid's step: a robot's own readings.
 SAME_PLACE = 0.1
@@ -43,10 +44,7 @@ def read_presses(path: Path, mapping: GridMap) -> Presses:
         InputError: no table, a column or a number is missing, the places are no even grid, or a place comes twice in a
             pass.
     """
-    try:
-        table = pd.read_csv(path, encoding="utf-8-sig")
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: not a readable table ({' '.join(str(error).split())}); mend it") from None
+    table = read_text_table(path, "name a table of presses")
     channels = [mapping.channels[name] for name in mapping.sensor.channels]
     named = [mapping.x, mapping.y, *filter(None, (mapping.depth, mapping.passes))]
     for column in (*named, *(c.column for c in channels), *(c.rest for c in channels)):

@@ -1,0 +1,265 @@
+"""Files altered at random, in every format that is read: taken, or refused in one line. Seeded."""
+
+import os
+import resource
+import signal
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from experiments.configuration import configured
+from experiments.sweep.space import read_sweep
+from features.errors import InputError
+from models.registry import default_config
+from pipeline.atlas import atlas as atlases
+from pipeline.atlas.atlas import read_atlas, write_atlas
+from pipeline.importers.import_map import read_map
+from pipeline.recordings.folder import SAMPLE, read_folder
+from pipeline.recordings.manifest import check_manifest, read_table
+from pipeline.recordings.slide_file import read_slide, write_slide
+from pipeline.recordings.truth import read_truth
+from pipeline.sensor import read_sensor
+from serve.files import read_recording
+
+CHANNELS = ("a0_vx", "a0_vy", "a0_vz")
+HOSTILE = [
+    *(
+        b"nan",
+        b"inf",
+        b"-1",
+        b"0",
+        b"1e308",
+        b"-1e308",
+        b"1e999",
+        b"9" * 30,
+        b"9" * 5000,
+        b"1_0",
+        b"0x7fffffff",
+    ),
+    *(
+        b"[" * 300,
+        b"{" * 300,
+        b"]",
+        b'"',
+        b"'",
+        b"\0",
+        b"\xff",
+        b"\xef\xbb\xbf",
+        b";",
+        b"\n",
+        b"\r",
+        b",",
+        b"," * 5000,
+    ),
+    *(b"\x1b[2J", b"../" * 20, b"true", b"[[x]]", b"=", b"#"),
+]
+# Memory that the whole test may add, and seconds after which a file counts as a hang.
+MOST_KB = 400_000
+HANG_S = 120
+
+
+def configuration(path: Path) -> None:
+    configured(default_config("trees"), path)
+
+
+def manifest(path: Path) -> None:
+    check_manifest(read_table(path), read_sensor(SAMPLE / "sensor.toml"), path)
+
+
+def slide(path: Path) -> None:
+    read_slide(path, CHANNELS)
+
+
+def recording(path: Path) -> None:
+    read_recording(path, CHANNELS, 1000.0)
+
+
+def atlas(path: Path) -> None:
+    found = read_atlas(path)
+    level = float(found.pressure_mpa[0])
+    found.response(np.array([0.0, 3.0]), np.array([0.0, -2.0]), 30.0, float(found.depth_mm[0]), level)
+
+
+CONFIGURATION = """trees = 150
+least_leaf = 6
+seed = 7
+[conditioning]
+rest_blocks = 1500
+trigger_v = 0.005
+block_s = 0.02
+touch_axes = "xy"
+"""
+SWEEP = """model = "trees"
+recordings = "my-recordings"
+[budget]
+trials = 40
+seconds = 60.0
+[settings]
+seed = 1
+[space]
+trees = { low = 50, high = 400, log = true }
+least_leaf = [2, 4, 8]
+"""
+MAP = """sensor = "sensor.toml"
+kind = "csv"
+pattern = '(?P<name>x\\d+)_(?P<speed>[\\d.]+)\\.csv'
+[time]
+column = "t"
+unit = "ms"
+[channels]
+a0_vx = { column = "x", unit = "mV" }
+a0_vy = { column = "y", unit = "mV" }
+a0_vz = { column = "z", unit = "counts", volts_per_count = 0.001 }
+[labels]
+speed_mm_s = { name = "speed", scale = 10.0 }
+direction_deg = { value = 90.0 }
+"""
+
+
+def seeds(folder: Path) -> dict[str, tuple[str, bytes, Callable[[Path], Any]]]:
+    """By format: a suffix, a sound file's content, and what reads it."""
+    sensor = SAMPLE / "sensor.toml"
+    (folder / "sensor.toml").write_bytes(sensor.read_bytes())
+    random = np.random.default_rng(0)
+    time_s = np.arange(40) / 1000
+    volts = np.round(1.65 + random.normal(0, 0.01, (40, 3)), 4)
+    write_slide(folder / "s.parquet", time_s, volts, CHANNELS)
+    rows = [",".join(("time_s", *CHANNELS))]
+    rows += [f"{t:.3f},{x},{y},{z}" for t, (x, y, z) in zip(time_s, volts.tolist(), strict=True)]
+    csv = ("\n".join(rows) + "\n").encode()
+    truth = ["time_s,x_mm,y_mm,vx_mm_s,vy_mm_s,contact,depth_mm"]
+    truth += [f"{k / 100:.2f},{k / 10:.1f},0.0,10.0,0.0,1,0.5" for k in range(30)]
+    whole = read_atlas()
+    few = slice(None, None, 12)
+    small = replace(
+        whole,
+        x_mm=whole.x_mm[few],
+        y_mm=whole.y_mm[few],
+        parts=whole.parts[:, few, few],
+        valid=whole.valid[few, few],
+    )
+    write_atlas(small, folder / "a.npz")
+    lines = (SAMPLE / "manifest.csv").read_bytes().splitlines(keepends=True)
+    return {
+        "configuration": (".toml", CONFIGURATION.encode(), configuration),
+        "sweep": (".toml", SWEEP.encode(), read_sweep),
+        "sensor": (".toml", sensor.read_bytes(), read_sensor),
+        "map": (".toml", MAP.encode(), read_map),
+        "manifest": (".csv", b"".join(lines[:8]), manifest),
+        "truth": (".csv", "\n".join(truth).encode() + b"\n", read_truth),
+        "slide in CSV": (".csv", csv, slide),
+        "slide in Parquet": (".parquet", (folder / "s.parquet").read_bytes(), slide),
+        "recording in CSV": (".csv", csv, recording),
+        "recording in Parquet": (".parquet", (folder / "s.parquet").read_bytes(), recording),
+        "atlas": (".npz", (folder / "a.npz").read_bytes(), atlas),
+    }
+
+
+FORMATS = (
+    *("configuration", "sweep", "sensor", "map", "manifest", "truth", "slide in CSV", "slide in Parquet"),
+    *("recording in CSV", "recording in Parquet", "atlas"),
+)
+
+
+def altered(content: bytes, random: np.random.Generator) -> bytes:
+    """One to three alterations: bits, bytes lost or repeated, an end cut off, something hostile put in."""
+    for _ in range(random.integers(1, 4)):
+        size = len(content)
+        at, to = sorted(random.integers(0, size + 1, 2).tolist())
+        to = min(to, at + 60)
+        match int(random.integers(0, 6)):
+            case 0 if size:
+                place = int(random.integers(0, size))
+                flipped = content[place] ^ (1 << int(random.integers(0, 8)))
+                content = content[:place] + bytes([flipped]) + content[place + 1 :]
+            case 1:
+                content = content[:at] + content[to:]
+            case 2:
+                content = content[:to] + content[at:]
+            case 3:
+                content = content[:at]
+            case _:
+                word = HOSTILE[int(random.integers(0, len(HOSTILE)))]
+                content = content[:at] + word + content[min(at + int(random.integers(0, 8)), size) :]
+    return content
+
+
+def alterations(count: int, seed: int, content: bytes) -> Iterator[bytes]:
+    random = np.random.default_rng(seed)
+    for _ in range(count):
+        yield altered(content, random)
+
+
+def hang(number: int, frame: object) -> None:
+    raise TimeoutError(f"no answer within {HANG_S} s")
+
+
+def refused_in_one_line(tmp_path: Path, name: str, count: int) -> int:
+    """How many of so many altered files are refused."""
+    suffix, content, read = seeds(tmp_path)[name]
+    path, refused = tmp_path / f"altered{suffix}", 0
+    path.write_bytes(content)
+    read(path)
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    signal.signal(signal.SIGALRM, hang)
+    for n, bad in enumerate(alterations(count, seed=len(name), content=content)):
+        path.write_bytes(bad)
+        signal.alarm(HANG_S)
+        said = ""
+        try:
+            read(path)
+        except InputError as error:
+            said = str(error)
+        finally:
+            signal.alarm(0)
+        refused += bool(said)
+        assert said.isprintable(), (n, said)
+        assert len(said) < 1100, (n, said)
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < MOST_KB
+    return refused
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_altered_files_are_taken_or_refused_in_one_line(tmp_path: Path, name: str) -> None:
+    assert 0 < refused_in_one_line(tmp_path, name, 60) <= 60
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", FORMATS)
+def test_many_altered_files_are_taken_or_refused_in_one_line(tmp_path: Path, name: str) -> None:
+    assert refused_in_one_line(tmp_path, name, 4000) > 400
+
+
+def test_every_format_is_altered(tmp_path: Path) -> None:
+    assert tuple(seeds(tmp_path)) == FORMATS
+
+
+@pytest.mark.parametrize("name", ["sensor.toml", "manifest.csv"])
+def test_a_pipe_in_the_place_of_a_file_is_refused(tmp_path: Path, name: str) -> None:
+    for other in ("sensor.toml", "manifest.csv"):
+        (tmp_path / other).write_bytes((SAMPLE / other).read_bytes())
+    (tmp_path / name).unlink()
+    os.mkfifo(tmp_path / name)
+    with pytest.raises(InputError, match="not a regular file"):
+        read_folder(tmp_path)
+
+
+def test_an_atlas_that_unpacks_beyond_any_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(atlases, "MOST_UNPACKED_BYTES", 100_000)
+    with pytest.raises(InputError, match="more than any atlas"):
+        read_atlas()
+
+
+def test_what_a_file_holds_does_not_reach_the_terminal(tmp_path: Path) -> None:
+    """An escape sequence in a column's name would clear the screen, or write what was never said."""
+    (tmp_path / "m.csv").write_text("recording,file,split\x1b[2J\u202e\nx,y,z\n")
+    with pytest.raises(InputError, match="column 'split' is missing"):
+        check_manifest(
+            read_table(tmp_path / "m.csv"), read_sensor(SAMPLE / "sensor.toml"), tmp_path / "m.csv"
+        )
+    assert str(InputError("a\x1b[2J\u202e\nb")) == "a\\x1b[2J\\u202e\\nb"
+    assert len(str(InputError("x" * 10**6))) < 1100
