@@ -4,11 +4,12 @@ Each subcommand is a function in commands/. Here is what holds for all of them: 
 """
 
 import argparse
+import errno
 import os
 import sys
 from collections.abc import Sequence
 
-from features.errors import CheckFailed, InputError
+from features.errors import CheckFailed, InputError, printable
 
 __version__ = "0.2.0"
 
@@ -26,6 +27,8 @@ PACKAGE_EXTRA = {
     **dict.fromkeys(("fastapi", "serial", "uvicorn", "websockets"), "live"),
     **dict.fromkeys(("dask", "distributed"), "cluster"),
 }
+# A disk that is full, over its quota or read-only, and places that may not be written.
+NO_PLACE = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EPERM)
 OWN = ("commands", "experiments", "features", "models", "pipeline", "serve")
 
 
@@ -41,7 +44,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         given = parser().parse_args(argv)
         check_existing(given)
-        return given.run(given) or 0
+        status = given.run(given) or 0
+        # Here and not at the interpreter's end, so that a full disk is an error like others.
+        sys.stdout.flush()
+        return status
     except InputError as error:
         return _said(name, _with_option(error), 2)
     except ModuleNotFoundError as error:
@@ -56,6 +62,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
+    except OSError as error:
+        if error.errno not in NO_PLACE:
+            raise
+        where = error.filename or "the output"
+        if not error.filename:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        text = f"{where}: {error.strerror or error}; free some space, or name a place that can be written"
+        return _said(name, printable(text), 1)
     except KeyboardInterrupt:
         return _said(name, "interrupted", 130)
 

@@ -14,8 +14,8 @@ def check(parser: Parser) -> Run:
 
     Checks a folder's format and its health: clock, clipping, wiring, noise
     (g/sqrt(Hz)), mains, drift, labels, splits, signs of made-up data; each
-    finding with its figure and its limit. Exit status 2 on an error, 0 with
-    warnings alone.
+    finding with its figure and its limit, of all recordings in one pass.
+    Exit status 2 on an error, 0 with warnings alone.
 
         softslide check my-recordings
         softslide check my-recordings --json
@@ -24,14 +24,19 @@ def check(parser: Parser) -> Run:
     parser.add_argument("--json", action="store_true", help="the findings as one JSON object")
 
     def run(given: argparse.Namespace) -> None:
-        from pipeline.checks.findings import as_json, examine, not_checked
+        from pipeline.checks.findings import as_json, examine, not_checked, refused_folder
         from pipeline.recordings.folder import read_folder
 
-        recordings = read_folder(given.folder)
+        try:
+            recordings = read_folder(given.folder, files=False)
+        except InputError as error:
+            if given.json:
+                print(json.dumps(as_json(given.folder, None, [refused_folder(error)]), indent=1))
+            raise
         findings = examine(recordings)
         errors = [finding for finding in findings if finding.level == "error"]
         if given.json:
-            print(json.dumps(as_json(recordings, findings), indent=1, allow_nan=False))
+            print(json.dumps(as_json(given.folder, recordings, findings), indent=1, allow_nan=False))
         else:
             for finding in findings:
                 print(finding.line())
@@ -55,6 +60,7 @@ def import_(parser: Parser) -> Run:
     changed and why. An interrupted import resumes; bad input leaves nothing.
     A map with kind = "grid" puts slides together from presses on a grid.
 
+        softslide import --sensor-template > sensor.toml
         softslide import --map-template csv > map.toml
         softslide import lab/*.csv --map map.toml --out my-recordings
     """
@@ -70,9 +76,16 @@ def import_(parser: Parser) -> Run:
         help=f"print a commented map to start from: {kinds}, grid",
     )
 
-    def run(given: argparse.Namespace) -> None:
-        from pipeline.importers.import_map import is_grid, read_map, template
+    parser.add_argument(
+        "--sensor-template", action="store_true", help="print a commented sensor.toml to start from"
+    )
 
+    def run(given: argparse.Namespace) -> None:
+        from pipeline.importers.import_map import is_grid, read_map, sensor_template, template
+
+        if given.sensor_template:
+            print(sensor_template(), end="")
+            return
         if given.map_template:
             if given.map_template not in (*READERS, "grid"):
                 raise InputError(
@@ -81,7 +94,9 @@ def import_(parser: Parser) -> Run:
             print(template(given.map_template), end="")
             return
         if not (given.sources and given.map and given.out):
-            raise InputError("give SOURCE..., --map MAP.toml and --out DIR, or --map-template KIND")
+            raise InputError(
+                "give SOURCE..., --map MAP.toml and --out DIR, or --map-template KIND, or --sensor-template"
+            )
         if is_grid(given.map):
             from pipeline.importers.grid.assemble import import_grid
             from pipeline.importers.grid.grid_map import read_grid_map

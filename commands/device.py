@@ -6,6 +6,7 @@ import sys
 
 from commands import arguments
 from commands.arguments import Parser, Run
+from features.errors import InputError
 
 
 def predict(parser: Parser) -> Run:
@@ -13,7 +14,8 @@ def predict(parser: Parser) -> Run:
 
     The estimate at each recording's end as a line of JSON: angles in degrees
     (deg), lengths in mm, speed in mm/s, time in s; lo and hi bound a 90 %
-    interval; null where nothing is estimated.
+    interval; null where nothing is estimated. A file that cannot be read is a
+    line on standard error, the others go on, and the exit status is 2.
 
         softslide predict --model my-model slide.csv
         softslide predict --model my-model --track path.csv > path.jsonl
@@ -33,8 +35,13 @@ def predict(parser: Parser) -> Run:
     def run(given: argparse.Namespace) -> None:
         from serve.predict import predict
 
-        for line in predict(given.model, given.files, given.track):
+        bad: list[InputError] = []
+        for line in predict(given.model, given.files, given.track, bad.append):
             print(json.dumps(line, allow_nan=False), flush=True)
+        for error in bad[:-1]:
+            print(f"softslide predict: {error}", file=sys.stderr)
+        if bad:
+            raise bad[-1]
 
     return run
 

@@ -1,18 +1,25 @@
 """Estimates of recorded files: `softslide predict`."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+from features.errors import InputError
 from serve.files import read_recording
 from serve.localizer import Localizer
 from serve.records import record
 
 
-def predict(bundle: Path, paths: Sequence[Path], track: bool = False) -> Iterator[dict[str, Any]]:
+def predict(
+    bundle: Path,
+    paths: Sequence[Path],
+    track: bool = False,
+    refused: Callable[[InputError], None] | None = None,
+) -> Iterator[dict[str, Any]]:
     """The estimate at the end of each recording, ready for JSON; None: not estimated.
 
-    track: every estimate, one a block.
+    track: every estimate, one a block. refused: is told why a file could not be read, and the others go on; None: the
+    first ends it.
 
     Raises:
         InputError: the bundle or a file is missing, damaged, or of another format.
@@ -20,7 +27,13 @@ def predict(bundle: Path, paths: Sequence[Path], track: bool = False) -> Iterato
     localizer = Localizer.load(bundle)
     card = localizer.card
     for path in paths:
-        volts = read_recording(path, card.channels, card.sample_rate_hz)
+        try:
+            volts = read_recording(path, card.channels, card.sample_rate_hz)
+        except InputError as error:
+            if refused is None:
+                raise
+            refused(error)
+            continue
         localizer.reset()
         name = {"recording": path.stem, "file": str(path)}
         if track:

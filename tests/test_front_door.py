@@ -17,6 +17,7 @@ from small_bundle import write_small_bundle
 
 import softslide
 from pipeline.recordings.folder import SAMPLE, read_folder
+from pipeline.sensor import read_sensor
 
 HERE = Path(__file__).parents[1]
 # What a device does not have: everything but the base install, numpy and onnxruntime.
@@ -305,3 +306,25 @@ def test_bad_usage_is_2(arguments: list[str], capsys: pytest.CaptureFixture[str]
         softslide.main(arguments)
     assert stop.value.code == 2
     assert capsys.readouterr().out == ""
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /dev/full here")
+def test_a_full_disk_is_one_line() -> None:
+    with open("/dev/full", "wb") as full:
+        done = subprocess.run(
+            [sys.executable, str(HERE / "softslide.py"), "import", "--sensor-template"],
+            stdout=full,
+            stderr=subprocess.PIPE,
+            check=False,
+            timeout=120,
+        )
+    assert done.returncode == 1
+    assert done.stderr.decode().splitlines() == [
+        "softslide import: the output: No space left on device; free some space, or name a place that can be written"
+    ]
+
+
+def test_the_template_of_a_sensor_is_a_sensor(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    assert softslide.main(["import", "--sensor-template"]) == 0
+    (tmp_path / "sensor.toml").write_text(capsys.readouterr().out)
+    assert read_sensor(tmp_path / "sensor.toml").name == "my-sensor"

@@ -293,3 +293,28 @@ def test_x_and_y_swapped_in_one_recording_are_found(sound, tmp_path: Path) -> No
     findings = injured(sound, tmp_path, volts_changed(lambda v: v[:, [1, 0, 2]]), only=3)
     assert {f.recording for f in findings if f.kind == "swapped"} == {sound[1][3].name}
     assert {f.recording for f in findings if f.level == "error"} == {sound[1][3].name}
+
+
+def test_every_broken_recording_is_found_in_one_pass(sound, tmp_path: Path, capsys) -> None:
+    folder, recordings = sound
+    lab = tmp_path / "lab"
+    write_folder(lab, folder.sensor, folder.manifest.iloc[:4], recordings[:4])
+    names = [recording.name for recording in recordings[:3]]
+    (lab / "slides" / f"{names[0]}.parquet").unlink()
+    (lab / "slides" / f"{names[1]}.parquet").write_bytes(b"PAR1 broken")
+    (lab / "slides" / f"{names[2]}.parquet").write_bytes(b"")
+    assert softslide.main(["check", str(lab), "--json"]) == 2
+    told = json.loads(capsys.readouterr().out)
+    assert {f["recording"] for f in told["findings"] if f["kind"] == "unreadable"} == set(names)
+    assert told["recordings"] == 4
+
+
+@pytest.mark.parametrize("name", ["sensor.toml", "manifest.csv"])
+def test_json_is_printed_of_a_folder_that_cannot_be_read(sound, tmp_path: Path, capsys, name: str) -> None:
+    folder, recordings = sound
+    write_folder(tmp_path / "lab", folder.sensor, folder.manifest.iloc[:1], recordings[:1])
+    (tmp_path / "lab" / name).write_bytes(b"\xff\xfe")
+    assert softslide.main(["check", str(tmp_path / "lab"), "--json"]) == 2
+    told = capsys.readouterr()
+    assert [f["kind"] for f in json.loads(told.out)["findings"]] == ["unreadable"]
+    assert len(told.err.splitlines()) == 1

@@ -11,11 +11,13 @@ or made up. `not_checked` says so.
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
+from features.errors import InputError
 from pipeline.checks.measurements import Measurements, measure
 from pipeline.checks.rail_run import MOST_AT_RAIL
 from pipeline.checks.wrong_units import impossible_output, impossible_speed
@@ -75,13 +77,18 @@ class Finding:
 def examine(folder: Folder, limits: Limits | None = None) -> list[Finding]:
     """Measures every slide once, then compares the slides with each other; errors first.
 
-    Raises:
-        InputError: a slide that `Folder.load` refuses.
+    A slide that `Folder.load` refuses is a finding, and left out of the rest.
     """
     limits = limits or Limits()
-    manifest = folder.manifest
-    rows = progress_bar("check", "slide", manifest.iterrows(), len(manifest))
-    measured = [measure(folder.load(str(name)), row, folder.sensor) for name, row in rows]
+    measured, refused = [], []
+    for name, row in progress_bar("check", "slide", folder.manifest.iterrows(), len(folder)):
+        try:
+            measured.append(measure(folder.load(str(name)), row, folder.sensor))
+        except InputError as error:
+            refused.append(Finding("error", "unreadable", str(name), "", 1.0, 0.0, str(error)))
+    if not measured:
+        return refused
+    manifest = folder.manifest.loc[[one.name for one in measured]]
     findings = list(_wiring(measured, folder.sensor, limits))
     sound = not any(finding.level == "error" for finding in findings)
     units = list(_units(measured, folder, limits))
@@ -101,7 +108,7 @@ def examine(folder: Folder, limits: Limits | None = None) -> list[Finding]:
         findings += _made_up([one for one in measured if one.name not in copied], folder.sensor, limits)
     findings += _leakage(manifest)
     explained = [finding for finding in findings if not _explained(finding, units)]
-    return sorted([*units, *explained], key=lambda finding: finding.level)
+    return sorted([*refused, *units, *explained], key=lambda finding: finding.level)
 
 
 def not_checked(sensor: Sensor) -> list[str]:
@@ -119,17 +126,22 @@ def not_checked(sensor: Sensor) -> list[str]:
     return lines
 
 
-def as_json(folder: Folder, findings: Sequence[Finding]) -> dict[str, Any]:
-    """The report as plain values, NaN-free."""
+def as_json(root: Path, folder: Folder | None, findings: Sequence[Finding]) -> dict[str, Any]:
+    """The report as plain values, NaN-free. folder: None where it could not be read."""
     levels = [finding.level for finding in findings]
     return {
-        "folder": str(folder.root),
-        "recordings": len(folder),
+        "folder": str(root),
+        "recordings": 0 if folder is None else len(folder),
         "errors": levels.count("error"),
         "warnings": levels.count("warning"),
-        "not_checked": not_checked(folder.sensor),
+        "not_checked": [] if folder is None else not_checked(folder.sensor),
         "findings": [asdict(finding) for finding in findings],
     }
+
+
+def refused_folder(error: InputError) -> Finding:
+    """What stands in the report of a folder that could not be read."""
+    return Finding("error", "unreadable", "", "", 1.0, 0.0, str(error))
 
 
 def _units(measured: Sequence[Measurements], folder: Folder, limits: Limits) -> Iterator[Finding]:

@@ -1,6 +1,7 @@
 """The map: a TOML that says what a lab's files mean, as frozen dataclasses. Unknown keys are errors."""
 
 import re
+import warnings
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -128,8 +129,11 @@ class Map:
         _one_of("kind", self.kind, tuple(READERS))
         _one_of("signs", self.signs, ("given", "zones"))
         try:
-            groups = set(re.compile(self.pattern).groupindex)
-        except re.error as error:
+            with warnings.catch_warnings():
+                # Of what a later Python will read otherwise.
+                warnings.simplefilter("error", FutureWarning)
+                groups = set(re.compile(self.pattern).groupindex)
+        except (re.error, FutureWarning, RecursionError, OverflowError) as error:
             raise ValueError(f"pattern is no regular expression ({error})") from None
         for channel in self.sensor.channels:
             if channel not in self.channels:
@@ -188,6 +192,11 @@ def template(kind: str) -> str:
     if kind == "grid":
         return (folder / "grid.toml").read_text(encoding="utf-8")
     return "".join((folder / name).read_text(encoding="utf-8") for name in (f"{kind}.toml", "labels.toml"))
+
+
+def sensor_template() -> str:
+    """A commented `sensor.toml` to start from."""
+    return (Path(__file__).parent / "templates" / "sensor.toml").read_text(encoding="utf-8")
 
 
 def _one_of(name: str, value: str, known: tuple[str, ...]) -> None:

@@ -82,8 +82,8 @@ class Folder:
         return replace(self, manifest=self.manifest[known])
 
 
-def read_folder(root: Path) -> Folder:
-    """Reads `sensor.toml` and `manifest.csv` and sees that every file named exists.
+def read_folder(root: Path, files: bool = True) -> Folder:
+    """Reads `sensor.toml` and `manifest.csv`. files: see that every file named exists; else `Folder.load` does.
 
     Raises:
         InputError: a file is missing or malformed.
@@ -94,7 +94,7 @@ def read_folder(root: Path) -> Folder:
     sensor = read_sensor(root / "sensor.toml")
     path = root / "manifest.csv"
     manifest = check_manifest(read_table(path), sensor, path)
-    for row, (recording, file) in enumerate(manifest["file"].items(), 1):
+    for row, (recording, file) in enumerate(manifest["file"].items() if files else (), 1):
         if not (root / file).is_file():
             raise InputError(
                 f"{path}: row {row} ({recording}), file = {file}: no such file in {root}; "

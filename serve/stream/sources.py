@@ -5,9 +5,9 @@ reader can stop. The localizer judges the values; here only input that is no sam
 """
 
 import io
-import selectors
-import socket
+import queue
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -18,6 +18,7 @@ import numpy as np
 from features.card import Card
 from features.errors import InputError
 from serve.files import read_recording
+from serve.stream.datagrams import Datagrams
 from serve.stream.framing import Chunk, Framing, framing_of
 
 Source = Iterator[Chunk | tuple[()]]
@@ -26,8 +27,9 @@ KINDS = (
     "serial:///dev/PORT?BAUD; ros2://TOPIC"
 )
 WAIT_S = 0.2
-# Larger than any datagram.
 _READ_BYTES = 1 << 16
+# Pieces read ahead of the stream; a writer that is faster waits.
+_WAITING = 16
 
 
 def open_source(name: str, card: Card, form: str, fast: bool) -> Source:
@@ -51,7 +53,7 @@ def open_live(name: str, channels: int, form: str) -> Source:
     if name == "-":
         return _bytes_from(sys.stdin.buffer, framing_of(form, channels))
     if name.startswith("udp://"):
-        return _datagrams(name, form, channels)
+        return Datagrams(name, *address(name), WAIT_S).chunks(form, channels)
     if name.startswith("serial://"):
         return _serial(name, framing_of(form, channels, strict=False, midway=True))
     if name.startswith("ros2://"):
@@ -62,53 +64,27 @@ def open_live(name: str, channels: int, form: str) -> Source:
 
 
 def _bytes_from(stream: BinaryIO, framing: Framing) -> Source:
-    """Until the stream ends."""
-    # A buffered reader would hold bytes that select cannot see.
+    """Until the stream ends. A thread reads it: no system but Unix can wait for a pipe with a time limit."""
+    # A buffered reader would wait for more than what has come.
     raw = stream.raw if isinstance(stream, io.BufferedReader) else stream
-    with selectors.DefaultSelector() as selector:
+    pieces: queue.Queue[bytes] = queue.Queue(_WAITING)
+
+    def read() -> None:
+        while data := raw.read(_READ_BYTES):
+            pieces.put(data)
+        pieces.put(b"")
+
+    threading.Thread(target=read, name="standard input", daemon=True).start()
+    while True:
         try:
-            selector.register(raw, selectors.EVENT_READ)
-        except (PermissionError, ValueError):
-            # A plain file is always ready, and epoll refuses it.
-            while data := raw.read(_READ_BYTES):
-                yield from framing.read(data)
-        else:
-            while True:
-                if not selector.select(WAIT_S):
-                    yield ()
-                    continue
-                if not (data := raw.read(_READ_BYTES)):
-                    break
-                yield from framing.read(data)
+            data = pieces.get(timeout=WAIT_S)
+        except queue.Empty:
+            yield ()
+            continue
+        if not data:
+            break
+        yield from framing.read(data)
     yield from framing.end()
-
-
-def _datagrams(name: str, form: str, channels: int) -> Source:
-    host, port = address(name)
-    listener = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    try:
-        listener.bind((host, port))
-    except OSError as error:
-        listener.close()
-        raise InputError(
-            f"{name}: cannot listen there ({error.strerror}); name another port", "source"
-        ) from None
-    listener.settimeout(WAIT_S)
-    return _received(listener, form, channels)
-
-
-def _received(listener: socket.socket, form: str, channels: int) -> Source:
-    with listener:
-        while True:
-            try:
-                data = listener.recv(_READ_BYTES)
-            except TimeoutError:
-                yield ()
-                continue
-            # A datagram is whole or lost: the rest of one is not the beginning of the next.
-            framing = framing_of(form, channels, strict=False)
-            yield from framing.read(data)
-            yield from framing.end()
 
 
 def _serial(name: str, framing: Framing) -> Source:

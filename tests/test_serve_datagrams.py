@@ -1,0 +1,83 @@
+"""Samples over UDP: what is lost is counted, and time does not run short of it."""
+
+import socket
+import sys
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from serve.stream import datagrams
+from serve.stream.datagrams import Datagrams
+
+
+@pytest.fixture
+def mouth() -> Iterator[socket.socket]:
+    with socket.socket(type=socket.SOCK_DGRAM) as speaking:
+        yield speaking
+
+
+def listening() -> tuple[Datagrams, tuple[str, int]]:
+    with socket.socket(type=socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        place = probe.getsockname()
+    return Datagrams("udp://here", *place, wait_s=0.2), place
+
+
+def heard(ear: Datagrams, capsys: pytest.CaptureFixture) -> tuple[np.ndarray, str]:
+    """All samples until nothing comes, and what is said in the end."""
+    chunks, pieces = ear.chunks("csv", 3), []
+    while chunk := next(chunks):
+        pieces.append(chunk[0])
+    chunks.close()  # type: ignore[attr-defined]
+    return np.concatenate(pieces), capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("numbers", "lost"), [((7, 8, 9), 0), ((7, 10, 11), 2), ((7, 8, 3, 4), 0)])
+def test_a_gap_in_the_numbers_is_empty_samples(
+    mouth: socket.socket, capsys: pytest.CaptureFixture, numbers: tuple[int, ...], lost: int
+) -> None:
+    """A number that runs back is a sender that began anew."""
+    ear, place = listening()
+    for number in numbers:
+        mouth.sendto(f"#{number}\n1,2,3\n{number},2,3\n".encode(), place)
+    volts, said = heard(ear, capsys)
+    assert ear.lost == lost
+    assert len(volts) == 2 * (len(numbers) + lost)
+    assert np.isnan(volts).all(axis=1).sum() == 2 * lost
+    assert [v for v in volts[:, 0] if v > 1] == list(numbers)
+    assert (f"{lost} datagrams were lost" in said) == (lost > 0)
+
+
+def test_stamped_samples_need_nothing_made_up(mouth: socket.socket, capsys: pytest.CaptureFixture) -> None:
+    ear, place = listening()
+    for number in (1, 5):
+        mouth.sendto(f"#{number}\n0.{number},1,2,3\n".encode(), place)
+    volts, _ = heard(ear, capsys)
+    assert ear.lost == 3
+    assert len(volts) == 2
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="Linux alone counts what it drops")
+def test_what_overruns_the_buffer_is_counted(
+    mouth: socket.socket, capsys: pytest.CaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(datagrams, "BUFFER_BYTES", 1 << 14)
+    ear, place = listening()
+    for _ in range(400):
+        mouth.sendto(b"1,2,3\n" * 20, place)
+    chunks = ear.chunks("csv", 3)
+    came = 0
+    while chunk := next(chunks):
+        came += int(np.isfinite(chunk[0]).all(axis=1).sum())
+    mouth.sendto(b"1,2,3\n" * 20, place)
+    made_up, last = next(chunks), next(chunks)
+    chunks.close()  # type: ignore[attr-defined]
+    assert 0 < ear.lost < 400
+    assert came == 20 * (400 - ear.lost)
+    assert made_up
+    assert np.isnan(made_up[0]).all()
+    assert len(made_up[0]) == 20 * ear.lost
+    assert last
+    assert len(last[0]) == 20
+    assert f"{ear.lost} datagrams were lost" in capsys.readouterr().err
