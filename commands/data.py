@@ -165,6 +165,7 @@ def synthesize(parser: Parser) -> Run:
 
         softslide synthesize --slides 100 --seed 5 --out synthetic
         softslide synthesize --paths 40 --out paths
+        softslide synthesize --protocol article --out protocol
     """
     arguments.atlas(parser, "from 'simulate' (default: the article's sensor's)")
     arguments.sensor(
@@ -187,6 +188,11 @@ def synthesize(parser: Parser) -> Run:
         "touch-downs, lifts, changing depth, presses; splits track-KIND (default: none)",
     )
     parser.add_argument(
+        "--protocol",
+        choices=("article",),
+        help="the article's 512 slides along x and y, split calibration (default: none)",
+    )
+    parser.add_argument(
         "--seed", type=int, default=0, metavar="S", help="of all that is random (default: %(default)s)"
     )
     arguments.out(parser, "the folder to write")
@@ -194,7 +200,15 @@ def synthesize(parser: Parser) -> Run:
     def run(given: argparse.Namespace) -> None:
         from pipeline.synthesis.synthesize import synthesize
 
-        folder = synthesize(given.atlas, given.sensor, given.slides, given.seed, given.out, paths=given.paths)
+        folder = synthesize(
+            given.atlas,
+            given.sensor,
+            given.slides,
+            given.seed,
+            given.out,
+            paths=given.paths,
+            protocol=given.protocol is not None,
+        )
         counts = folder.manifest["split"].value_counts(sort=False)
         print(f"{folder.root}: {', '.join(f'{count} {split}' for split, count in counts.items())}")
 

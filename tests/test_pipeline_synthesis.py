@@ -23,6 +23,7 @@ from pipeline.skin.lines import gravity
 from pipeline.synthesis.board_gravity import in_tilted_sensor, upright
 from pipeline.synthesis.distribution import SPLITS, Distribution
 from pipeline.synthesis.motion import Stroke
+from pipeline.synthesis.protocol import article_slides
 from pipeline.synthesis.slide_plan import Slide, crossing
 from pipeline.synthesis.specimen import Specimen, ideal_specimen
 from pipeline.synthesis.synthesize import (
@@ -366,3 +367,35 @@ def test_a_distribution_that_cannot_be_is_refused():
         plan(0, 0, ATLAS, SENSOR, Distribution(height_mm=12.0))
     with pytest.raises(InputError, match="no line of offset"):
         plan(0, 0, ATLAS, SENSOR, Distribution(chord_mm=80.0))
+
+
+def test_the_articles_protocol_is_its_512_slides() -> None:
+    slides = article_slides(ATLAS, SENSOR, Distribution(), seed=0)
+    table = pd.DataFrame([slide.labels() for slide in slides])
+    assert len(table) == 512
+    assert table["recording"].is_unique
+    assert sorted(set(table["speed_mm_s"])) == [0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0]
+    assert (table["depth_mm"] == 0.5).all()
+    # Places of the lines: of X-slides y, of Y-slides x, from the accelerometer.
+    board = SENSOR.accelerometers[0]
+    forward = table[table["speed_mm_s"] == 1.0]
+    for direction in (0.0, 180.0):
+        places = forward.loc[forward["direction_deg"] == direction, "start_y_mm"] - board.y_mm
+        assert sorted(places) == pytest.approx(np.arange(-25, 25.1, 2.5))
+    for direction in (90.0, 270.0):
+        places = forward.loc[forward["direction_deg"] == direction, "start_x_mm"] - board.x_mm
+        assert sorted(-places) == pytest.approx(np.arange(0, 25.1, 2.5), abs=1e-12)
+    angle = np.deg2rad(table["direction_deg"])
+    dx, dy = table["start_x_mm"] - board.x_mm, table["start_y_mm"] - board.y_mm
+    assert (-np.sin(angle) * dx + np.cos(angle) * dy).to_numpy() == pytest.approx(
+        table["offset_mm"], abs=1e-9
+    )
+
+
+def test_the_protocol_repeats_by_its_seed_and_is_refused_where_it_does_not_fit() -> None:
+    one, same, other = (article_slides(ATLAS, SENSOR, Distribution(), seed) for seed in (1, 1, 2))
+    assert one == same
+    assert one != other
+    small = replace(SENSOR, chamber_mm=(30.0, 30.0))
+    with pytest.raises(InputError, match="misses the chamber"):
+        article_slides(ATLAS, small, Distribution(), 0)

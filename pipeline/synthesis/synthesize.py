@@ -28,6 +28,7 @@ from pipeline.synthesis.paths.contact_path import ContactPath
 from pipeline.synthesis.paths.distribution import PathDistribution
 from pipeline.synthesis.paths.draw import draw_path
 from pipeline.synthesis.paths.response import path_response, path_truth
+from pipeline.synthesis.protocol import article_slides
 from pipeline.synthesis.slide_plan import Slide
 from pipeline.synthesis.specimen import Specimen, draw_specimen
 from pipeline.synthesis.upsampling import upsampled
@@ -42,7 +43,7 @@ _RINGING = 3.0
 # The vibration amplitude in `Distribution` is for this speed and this normal force.
 _VIBRATION_MM_S, _VIBRATION_N = 10.0, 0.3
 # Streams of random numbers of one seed; 0 is the specimen's.
-_PLAN, _NOISE, _PATH_PLAN, _PATH_NOISE = 1, 2, 3, 4
+_PLAN, _NOISE, _PATH_PLAN, _PATH_NOISE, _PROTOCOL_NOISE = 1, 2, 3, 4, 5
 
 
 def synthetic_slides(
@@ -246,10 +247,12 @@ def synthesize(
     out: Path,
     distribution: Distribution | None = None,
     paths: int = 0,
+    protocol: bool = False,
 ) -> Folder:
     """`softslide synthesize`: writes a folder of recordings, whole or not at all.
 
-    count: of slides along straight lines; paths: of contacts along any path, on the same specimen.
+    count: of slides along straight lines; paths: of contacts along any path; protocol: the article's slides as well,
+    all on the same specimen.
 
     Raises:
         InputError: no recordings, a negative seed, an atlas that is none or of another design, an `out` not to be
@@ -259,7 +262,7 @@ def synthesize(
         raise InputError(f"{count}: it must not be negative", "slides")
     if paths < 0:
         raise InputError(f"{paths}: it must not be negative", "paths")
-    if not count + paths:
+    if not count + paths + protocol:
         raise InputError(f"{count}: at least one is needed, or a path", "slides")
     if seed < 0:
         raise InputError(f"{seed}: it must not be negative", "seed")
@@ -267,10 +270,12 @@ def synthesize(
     sensor = read_sensor(sensor_path) if sensor_path else sensor_of(atlas)
     check_atlas(atlas, sensor, str(atlas_path or "the default atlas"))
     # Whoever reads a report on these recordings is to see what they are.
-    sensor = replace(sensor, name=f"{sensor.name}, synthetic")
+    sensor = replace(sensor, name=f"{sensor.name}, synthetic", origin="synthetic")
     distribution = distribution or Distribution()
     specimen = draw_specimen(sensor, distribution, seed)
     plans: list[tuple[Slide | ContactPath, np.random.Generator]] = []
+    for number, slide in enumerate(article_slides(atlas, sensor, distribution, seed) if protocol else ()):
+        plans.append((slide, noise_of(number, seed, _PROTOCOL_NOISE)))
     for number in range(count):
         plans.append((plan(number, seed, atlas, sensor, distribution), noise_of(number, seed)))
     for number in range(paths):
@@ -286,6 +291,8 @@ def synthesize(
         "atlas_heights_mm": atlas.height_mm.tolist(),
         "distribution": asdict(distribution),
     }
+    if protocol:
+        origin["protocol"] = "the article's 512 slides"
     if paths:
         origin["paths"] = asdict(PathDistribution())
     notes = {"synthesis.json": json.dumps(origin, indent=1) + "\n"}
