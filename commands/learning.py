@@ -125,13 +125,17 @@ def evaluate(parser: Parser) -> Run:
         action="store_true",
         help="a bound that no recording tests does not count as not met",
     )
+    parser.add_argument("--no-report", action="store_true", help="draw no report.html, which takes seconds")
     arguments.jobs(parser, 2, "recordings at a time")
 
     def run(given: argparse.Namespace) -> int:
         from experiments.evaluate import evaluate
 
-        result = evaluate(given.model, given.recordings, given.split, given.out, jobs=given.jobs)
-        print(f"softslide evaluate: wrote {given.out}/report.html", file=sys.stderr)
+        result = evaluate(
+            given.model, given.recordings, given.split, given.out, given.jobs, not given.no_report
+        )
+        written = "metrics.json" if given.no_report else "report.html"
+        print(f"softslide evaluate: wrote {given.out}/{written}", file=sys.stderr)
         print("\n".join(result.lines()))
         if result.untested and not given.allow_untested:
             print(

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from experiments.evaluate import Evaluation, evaluate
-from experiments.evaluation.report import number
 from experiments.evaluation.scoring import QUANTITIES
+from experiments.pages.page import number
 from experiments.train import train
 from features.errors import InputError
 from pipeline.recordings.folder import SAMPLE

@@ -52,11 +52,11 @@ class Evaluation:
 
 
 def evaluate(
-    bundle: Path, recordings: Path, splits: Sequence[str] | None, out: Path, jobs: int = 2
+    bundle: Path, recordings: Path, splits: Sequence[str] | None, out: Path, jobs: int = 2, report: bool = True
 ) -> Evaluation:
     """Writes `predictions.csv`, `metrics.json` and `report.html` to `out`, whole or not at all.
 
-    splits: the splits to score, by their full names; those that begin with `test` if None.
+    splits: the splits to score, by their full names; those that begin with `test` if None. report: whether to draw one.
 
     Raises:
         InputError: the bundle, the folder or a recording is not what the contract says, or no such split.
@@ -81,7 +81,8 @@ def evaluate(
             metrics["tracks"] = by_split(followed)
         text = json.dumps(_finite(metrics), indent=1, allow_nan=False)
         (scratch / "metrics.json").write_text(text + "\n", encoding="utf-8")
-        write_report(scratch / "report.html", metrics, unseen, followed, folder.sensor)
+        if report:
+            write_report(scratch / "report.html", metrics, verdicts, unseen, followed, whole)
     return Evaluation(metrics, verdicts)
 
 

@@ -16,6 +16,7 @@ from experiments.data_use import report_use
 from experiments.evaluation import figures
 from experiments.evaluation.readout import predictions
 from experiments.evaluation.scoring import score, summary
+from experiments.pages.page import panels_page
 from features.errors import InputError
 from models.export.bundle import read_graph, write_bundle
 from models.fitted_model import FittedModel
@@ -199,5 +200,9 @@ def _log_fit(run: tracking.Run, bundle: Path, folder: Folder, logged: str) -> No
     for name, error in summary(scored[scored["stroke_fraction"] == 1.0]).items():
         if isinstance(error, dict) and "mean" in error:
             run.metrics({f"fitted_{name}_{kind}": error[kind] for kind in ("mean", "p95", "max")}, logged)
-    run.text(figures.along_the_stroke(scored), "figures/fitted_along_the_stroke.svg")
-    run.text(figures.recording_by_recording(scored), "figures/fitted_recording_by_recording.svg")
+    end = scored[scored["stroke_fraction"] == 1.0]
+    groups = [
+        ("As the stroke goes on", figures.along_the_stroke(scored)),
+        ("Recording by recording", figures.recording_by_recording(end, ())),
+    ]
+    run.text(panels_page("errors on the recordings fitted", (), groups), "figures/fitted.html")

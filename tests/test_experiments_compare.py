@@ -243,8 +243,8 @@ def test_the_bound_s_figure_has_a_line_for_each_distance() -> None:
 def test_emulated_recordings_are_called_so() -> None:
     errors = pd.DataFrame(columns=["folder", "stroke_fraction"], data=[["mine", 0.5]])
     nothing = pd.DataFrame()
-    assert "never measured on hardware" in markdown("bench-a", errors, nothing, nothing, {})
-    assert "hardware" not in markdown("lab", errors, nothing, nothing, {})
+    assert "never measured on hardware" in markdown("emulated", errors, nothing, nothing, {})
+    assert "hardware" not in markdown("measured", errors, nothing, nothing, {})
 
 
 def test_a_model_that_the_sensor_does_not_suit_is_left_out(

@@ -11,7 +11,9 @@ import pytest
 from small_bundle import write_small_bundle
 
 import softslide
+from experiments.evaluation.figures import wilson
 from experiments.evaluation.readout import COLUMNS
+from experiments.pages.figures import COLOURS, INK, inline, log_with_zero, panel
 from pipeline.recordings.folder import SAMPLE, Folder, Recording, read_folder, write_folder
 from pipeline.sensor import Accelerometer, Sensor
 from serve.localizer import Localizer
@@ -57,7 +59,9 @@ def bundle(tmp_path: Path) -> Path:
     return write_small_bundle(tmp_path / "bundle", SENSOR, offset_mm_per_v=50.0)
 
 
-def evaluated(bundle: Path, recordings: Path, out: Path, *options: str) -> tuple[int, pd.DataFrame]:
+def evaluated(
+    bundle: Path, recordings: Path, out: Path, *options: str, report: bool = False
+) -> tuple[int, pd.DataFrame]:
     """The exit status, and predictions.csv as texts."""
     arguments = [
         "evaluate",
@@ -70,6 +74,7 @@ def evaluated(bundle: Path, recordings: Path, out: Path, *options: str) -> tuple
         "--jobs",
         1,
         *options,
+        *(() if report else ("--no-report",)),
     ]
     status = softslide.main([str(a) for a in arguments])
     return status, pd.read_csv(out / "predictions.csv", dtype=str, keep_default_na=False)
@@ -138,7 +143,7 @@ def test_no_label_reaches_the_model(bundle: Path, tmp_path: Path) -> None:
 def test_twice_gives_the_same_bytes_on_one_process_or_two(bundle: Path, tmp_path: Path) -> None:
     a_folder(tmp_path / "lab", one={}, two={}, three={})
     for out, jobs in (("a", "1"), ("b", "2")):
-        evaluated(bundle, tmp_path / "lab", tmp_path / out, "--jobs", jobs)
+        evaluated(bundle, tmp_path / "lab", tmp_path / out, "--jobs", jobs, report=True)
     for file in ("predictions.csv", "metrics.json", "report.html"):
         assert (tmp_path / "a" / file).read_bytes() == (tmp_path / "b" / file).read_bytes()
 
@@ -194,7 +199,7 @@ def test_slides_along_taught_lines_are_scored_apart(tmp_path: Path) -> None:
         unseen={"speed_mm_s": 2.0, "offset_mm": 3.3},
         calibration={"split": "calibration", "offset_mm": 3.0},
     )
-    evaluated(tmp_path / "b", tmp_path / "lab", tmp_path / "out")
+    evaluated(tmp_path / "b", tmp_path / "lab", tmp_path / "out", report=True)
     metrics = json.loads((tmp_path / "out/metrics.json").read_text())
     assert metrics["taught_lines"]["names"] == ["taught"]
     assert metrics["taught_lines"]["end_of_stroke"]["speed_percent"]["mean"] == pytest.approx(20.0)
@@ -227,16 +232,27 @@ class Page(HTMLParser):
         self.open: list[str] = []
         self.loads: list[str] = []
         self.words = ""
+        self.alts: list[str] = []
         self.feed(text)
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        if tag not in ("meta", "img", "br"):
+        if tag not in ("meta", "br"):
             self.open.append(tag)
-        self.loads += [value or "" for name, value in attrs if name in ("src", "href", "srcset", "data")]
-        assert tag not in ("script", "link", "iframe")
+        loading = ("src", "href", "xlink:href", "srcset", "data")
+        self.loads += [value or "" for name, value in attrs if name in loading]
+        assert tag not in ("script", "link", "iframe", "image", "foreignobject")
+        if tag == "svg":
+            named = dict(attrs)
+            assert named["role"] == "img"
+            self.alts.append(named["aria-label"] or "")
 
     def handle_endtag(self, tag: str) -> None:
         assert self.open.pop() == tag
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.handle_starttag(tag, attrs)
+        if self.open and self.open[-1] == tag:
+            self.open.pop()
 
     def handle_data(self, data: str) -> None:
         self.words += data
@@ -244,13 +260,13 @@ class Page(HTMLParser):
 
 def test_the_report_opens_without_a_network(bundle: Path, tmp_path: Path) -> None:
     a_folder(tmp_path / "lab", one={}, two={"motion_start_s": np.nan, "offset_mm": np.nan})
-    evaluated(bundle, tmp_path / "lab", tmp_path / "out")
+    evaluated(bundle, tmp_path / "lab", tmp_path / "out", report=True)
     text = (tmp_path / "out/report.html").read_text(encoding="utf-8")
     page = Page(text)
     assert page.open == []
-    assert len(page.loads) == 2
-    assert all(source.startswith("data:image/svg+xml;base64,") for source in page.loads)
-    assert not re.search(r"url\(|@import|https?://", text)
+    assert all(source.startswith("#") for source in page.loads)
+    # Within a figure, to its own clipping path; nothing else is referred to.
+    assert not re.search(r"url\((?!#)|@import|https?://", text)
     for word in ("section 5.2.2", "not tested", "X forward", "test"):
         assert word in page.words
 
@@ -291,3 +307,87 @@ def test_another_sensors_bundle_is_refused(tmp_path: Path, capsys: pytest.Captur
     arguments = ["--model", tmp_path / "b", "--recordings", tmp_path / "lab", "--out", tmp_path / "out"]
     assert softslide.main(["evaluate", *map(str, arguments)]) == 2
     assert "sample_rate_hz is 200" in capsys.readouterr().err
+
+
+def report_of(bundle: Path, lab: Path, out: Path) -> Page:
+    evaluated(bundle, lab, out, report=True)
+    return Page((out / "report.html").read_text(encoding="utf-8"))
+
+
+def test_the_report_begins_with_its_answer(tmp_path: Path) -> None:
+    slide = {"speed_mm_s": 2.0, "offset_mm": 3.0}
+    a_folder(tmp_path / "lab", one=slide, two={"split": "calibration", "offset_mm": 6.0})
+    for speed, says in ((2.0, "As far as it was tested"), (2.2, "Not within the article's bounds: “speed”")):
+        bundle = write_small_bundle(
+            tmp_path / f"b{speed}", SENSOR, direction_deg=0.0, speed_mm_s=speed, offset_mm=3.0
+        )
+        words = report_of(bundle, tmp_path / "lab", tmp_path / f"out{speed}").words
+        assert (
+            words.index(says) < words.index("What the recordings cover") < words.index("The article's bounds")
+        )
+    assert "Directions near 30, 60, 90" in words
+    assert "Speeds other than 2 mm/s." in words
+
+
+def test_every_figure_has_a_text_that_tells_it_and_its_unit(bundle: Path, tmp_path: Path) -> None:
+    a_folder(tmp_path / "lab", one={}, two={"split": "test-other", "direction_deg": 90.0})
+    page = report_of(bundle, tmp_path / "lab", tmp_path / "out")
+    assert len(page.alts) > 12
+    assert all(len(alt) > 40 for alt in page.alts)
+    assert len(set(page.alts)) == len(page.alts)
+    told = " ".join(page.alts)
+    for word in (
+        "direction of motion",
+        "where the contact is",
+        "share of the stroke",
+        "90 % interval",
+        "(deg)",
+        "(mm)",
+    ):
+        assert word in told
+
+
+@pytest.mark.parametrize(
+    ("origin", "says"),
+    [("measured", "Measured recordings"), ("synthetic", "Synthetic recordings"), ("", "Origin not said")],
+)
+def test_the_report_says_where_the_recordings_are_from(
+    bundle: Path, tmp_path: Path, origin: str, says: str
+) -> None:
+    a_folder(tmp_path / "lab", one={})
+    path = tmp_path / "lab/sensor.toml"
+    path.write_text((f'origin = "{origin}"\n' if origin else "") + path.read_text())
+    assert says in report_of(bundle, tmp_path / "lab", tmp_path / "out").words
+
+
+def test_errors_of_zero_are_drawn_inside_the_axes() -> None:
+    """On a logarithmic axis alone they would vanish."""
+    errors = np.array([0.0, 0.0, 0.03, 2.0])
+    with panel() as (figure, ax):
+        (line,) = ax.plot(np.arange(4.0), errors, "o")
+        log_with_zero(ax, errors)
+        figure.canvas.draw()
+        height = ax.transData.transform(line.get_xydata())[:, 1]
+        low, high = ax.bbox.y0, ax.bbox.y1
+    assert np.isfinite(height).all()
+    assert (height > low).all()
+    assert (height < high).all()
+    assert height[0] < height[2] < height[3]
+
+
+def test_the_interval_of_a_share_is_wilsons() -> None:
+    """The roots of |p - share| = z sqrt(p (1 - p) / n), z of a two-sided 90 % interval."""
+    for share, count in ((0.9, 8), (1.0, 5), (0.4, 30)):
+        for bound in wilson(share, count):
+            assert abs(bound - share) == pytest.approx(1.645 * np.sqrt(bound * (1 - bound) / count), abs=1e-9)
+
+
+def test_a_figure_in_a_page_takes_the_pages_colours() -> None:
+    with panel() as (figure, ax):
+        ax.plot([0, 1], color=COLOURS[1])
+        ax.set_title("title")
+        text = inline(figure, 'of "this" & that')
+    assert "var(--series-1)" in text
+    assert "var(--ink)" in text
+    assert not re.search("|".join([*COLOURS, INK]), text)
+    assert 'aria-label="of &quot;this&quot; &amp; that"' in text

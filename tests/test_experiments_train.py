@@ -68,7 +68,7 @@ def test_the_run_is_kept_with_figures_and_model(bundle: Path, store: str) -> Non
         == json.loads((bundle / "model.json").read_text())["provenance"]["data"]["slides"]
     )
     held = {path.name for path in (Path(store.removeprefix("sqlite:///")).parent / "mlartifacts").rglob("*")}
-    assert held >= {"configuration.json", "fitted_along_the_stroke.svg", "MLmodel", "model.json"}
+    assert held >= {"configuration.json", "fitted.html", "MLmodel", "model.json"}
 
 
 def test_labels_of_other_splits_change_nothing(bundle: Path, lab: Path, tmp_path: Path) -> None:

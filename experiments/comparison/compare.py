@@ -23,9 +23,12 @@ from features.errors import InputError
 
 @dataclass
 class Findings:
-    """One folder's rows of comparison.csv, times.csv and efficiency.csv, and the models left out, with the reason."""
+    """One folder's rows of comparison.csv, times.csv and efficiency.csv, and the models left out, with the reason.
 
-    sensor: str
+    origin: of its sensor.toml.
+    """
+
+    origin: str
     errors: list[dict[str, Any]] = field(default_factory=list)
     times: list[dict[str, Any]] = field(default_factory=list)
     ratios: list[pd.DataFrame] = field(default_factory=list)
@@ -64,7 +67,7 @@ def compare_on(study: Study, models: Sequence[str]) -> Findings:
     Raises:
         InputError: no model suits it.
     """
-    name, found, scored = study.place.name, Findings(study.scored.sensor.name), {}
+    name, found, scored = study.place.name, Findings(study.scored.sensor.origin), {}
     for model in models:
         print(f"{name}: {model}", file=sys.stderr)
         try:
@@ -114,7 +117,7 @@ def _write(found: dict[str, Findings], out: Path) -> None:
     text = []
     for folder, findings in found.items():
         e, t, r = (table[table["folder"] == folder] for table in (errors, times, ratios))
-        text.append(markdown(findings.sensor, e, t, r, findings.left_out))
+        text.append(markdown(findings.origin, e, t, r, findings.left_out))
         (out / f"errors-{folder}.svg").write_text(comparison_figures.errors(e), encoding="utf-8")
         if len(r):
             (out / f"efficiency-{folder}.svg").write_text(comparison_figures.efficiency(r), encoding="utf-8")

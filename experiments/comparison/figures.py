@@ -6,7 +6,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from experiments.evaluation.figures import COLOURS, STYLE, svg
+from experiments.pages.figures import COLOURS, STYLE, svg
 
 QUANTITIES = {
     "direction_mean_deg": "direction error, deg",

@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from experiments.evaluation.report import EMULATED, number
 from experiments.evaluation.scoring import summary
+from experiments.pages.page import ORIGINS, number
 
 # Stroke fractions that the Markdown shows; the figure and comparison.csv have them all.
 SHOWN = {1.0: "At the end of the stroke", 0.4: "After 2/5 of the stroke"}
@@ -57,17 +57,16 @@ def error_rows(scored: pd.DataFrame) -> list[dict[str, Any]]:
 
 
 def markdown(
-    sensor: str, errors: pd.DataFrame, times: pd.DataFrame, ratios: pd.DataFrame, left_out: dict[str, str]
+    origin: str, errors: pd.DataFrame, times: pd.DataFrame, ratios: pd.DataFrame, left_out: dict[str, str]
 ) -> str:
     """Tables of one folder's errors, times and efficiency, and the way to its figures.
 
-    sensor: its name. errors, times, ratios: the folder's rows of comparison.csv, times.csv and efficiency.csv.
+    origin: of its sensor.toml. errors, times, ratios: the folder's rows of comparison.csv, times.csv, efficiency.csv.
     left_out: models, and why.
     """
     folder = str(errors["folder"].iloc[0])
     text = [f"## {folder}", ""]
-    if sensor in EMULATED:
-        text += ["Emulated bench recordings, never measured on hardware.", ""]
+    text += [": ".join(ORIGINS[origin]), ""]
     text += [
         "Mean / largest errors of the estimates marked valid. Models abstain in different places: read errors beside",
         "the share that is valid.",

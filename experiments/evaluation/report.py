@@ -1,49 +1,60 @@
-"""`report.html`: one file that opens anywhere, without a network."""
+"""`report.html`: can this bundle be trusted here? One file that opens anywhere, without a network."""
 
-import base64
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
-from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from experiments.evaluation import figures, track_figures, tracks
+from experiments.evaluation.bounds import Verdict
 from experiments.evaluation.scoring import INTERVALS, QUANTITIES
+from experiments.evaluation.traces import trace
 from experiments.evaluation.tracks import Track
-from pipeline.sensor import Sensor
+from experiments.pages.figures import Panel
+from experiments.pages.page import number, render
+from features.stream.conditioning import Conditioning
+from pipeline.recordings.folder import Folder
+from pipeline.recordings.taught import CALIBRATION
 
-TEMPLATE = "report.html.j2"
-# Sensors whose recordings are known to come from an emulator of a bench; a report must never read otherwise.
-EMULATED = ("bench-a", "bench-d")
+TEMPLATE = Path(__file__).parent / "report.html.j2"
 QUANTITY_NAMES = {
     "direction_deg": "direction, deg",
     "speed_percent": "speed, %",
     "offset_mm": "distance, mm",
     "position_mm": "position, mm",
 }
+WORST = 10
+SECTOR_DEG = 30.0  # of directions that count as tested together
 
 
 def write_report(
-    path: Path, metrics: dict[str, Any], scored: pd.DataFrame, followed: Sequence[Track], sensor: Sensor
+    path: Path,
+    metrics: dict[str, Any],
+    verdicts: Sequence[Verdict],
+    scored: pd.DataFrame,
+    followed: Sequence[Track],
+    folder: Folder,
 ) -> None:
-    """Writes the report on `evaluate.measure`'s metrics, the scored predictions and the tracks behind them."""
-    environment = Environment(
-        loader=FileSystemLoader(Path(__file__).parent),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters |= {"number": number, "words": _words}
-    end = {split: strokes["1.0"] for split, strokes in metrics["splits"].items() if "1.0" in strokes}
-    text = environment.get_template(TEMPLATE).render(
+    """Writes the report on `evaluate.measure`'s metrics, the scored predictions and the tracks behind them.
+
+    scored: without slides along taught lines. folder: with all splits, of which calibration's lines are drawn.
+    """
+    sensor = folder.sensor
+    end = scored[scored["stroke_fraction"] == 1.0]
+    ends = {split: strokes["1.0"] for split, strokes in metrics["splits"].items() if "1.0" in strokes}
+    calibration = folder.manifest[folder.manifest["split"].str.startswith(CALIBRATION)]
+    text = render(
+        TEMPLATE,
         metrics=metrics,
         verdicts=metrics["bounds"],
+        answer=answer(verdicts),
+        untested=not_tested(end, verdicts, sensor.chamber_mm),
         end=metrics["end_of_stroke"],
         taught=metrics["taught_lines"],
         tables=[
-            ("By split", end),
+            ("By split", ends),
             ("By direction", metrics["by_direction"]),
             ("By distance from the accelerometer", metrics["by_distance"]),
             ("By speed", metrics["by_speed"]),
@@ -52,65 +63,119 @@ def write_report(
         quantities=QUANTITY_NAMES,
         intervals=INTERVALS,
         units=QUANTITIES,
-        worst=_worst(scored),
-        emulated=metrics["sensor"] in EMULATED,
         origin=sensor.origin,
-        stroke_figure=_inline(figures.along_the_stroke(scored)),
-        recording_figure=_inline(figures.recording_by_recording(scored)),
+        covered_map=figures.coverage(scored, calibration, sensor),
+        groups=[
+            ("By direction of motion", figures.by_angle(end)),
+            ("By place on the skin", figures.by_place(scored, sensor)),
+            ("As the stroke goes on", figures.along_the_stroke(scored)),
+            ("Do the intervals hold?", figures.interval_coverage(scored)),
+            ("Recording by recording", figures.recording_by_recording(end, verdicts)),
+        ],
+        worst=worst(scored, folder),
+        silent=_silent(end),
         tracks=metrics.get("tracks", {}),
         tracked=tracks.QUANTITIES,
         covered=tracks.COVERED,
-        track_figure=_inline(track_figures.along_the_contact(followed)) if followed else None,
-        track_pictures=_pictures(followed, sensor),
+        track_panels=track_figures.along_the_contact(followed) if followed else [],
+        track_pictures=_pictures(followed, folder),
         card=_flat(metrics["bundle"]["card"]),
     )
     path.write_text(text, encoding="utf-8")
 
 
-def _pictures(followed: Sequence[Track], sensor: Sensor) -> list[tuple[str, str]]:
-    """For each split its name and an image source."""
+def answer(verdicts: Sequence[Verdict]) -> tuple[str, str]:
+    """Can it be trusted here? "met", "missed" or "untested", and a sentence."""
+    missed = [f"“{v.bound.name}”" for v in verdicts if v.met is False]
+    untested = [f"“{v.bound.name}”" for v in verdicts if v.met is None]
+    met = len(verdicts) - len(missed) - len(untested)
+    if missed:
+        return (
+            "missed",
+            f"Not within the article's bounds: {', '.join(missed)} missed, {met} of {len(verdicts)} met.",
+        )
+    if not met:
+        return "untested", "Nothing here tests the article's bounds: this report cannot say."
+    if untested:
+        return "untested", (
+            f"As far as it was tested: {met} of {len(verdicts)} bounds met; not tested: {', '.join(untested)}."
+        )
+    return "met", f"Yes, where it was tested: all {met} of the article's bounds are met."
+
+
+def not_tested(end: pd.DataFrame, verdicts: Sequence[Verdict], chamber_mm: tuple[float, float]) -> list[str]:
+    """What the scored recordings leave open, a sentence each. end: rows at the end of the stroke, untaught lines."""
+    told = [
+        f"The bound “{v.bound.name}” ({v.bound.says}): {v.why_untested}." for v in verdicts if v.met is None
+    ]
+    if end.empty:
+        return [*told, "No recording is along a line that calibration has not taught."]
+    direction = end["true_direction_deg"].dropna()
+    sectors = ((direction + SECTOR_DEG / 2) % 360 // SECTOR_DEG).astype(int)
+    missing = [f"{SECTOR_DEG * k:g}" for k in range(int(360 / SECTOR_DEG)) if k not in set(sectors)]
+    if missing:
+        told.append(f"Directions near {', '.join(missing)} deg: no recording.")
+    for column, what, unit in (
+        ("true_speed_mm_s", "Speeds", "mm/s"),
+        ("true_depth_mm", "Contact depths", "mm"),
+        ("true_pressure_mpa", "Pressures", "MPa"),
+    ):
+        values = end[column].dropna()
+        if values.empty:
+            told.append(f"{what}: no recording says.")
+        elif np.isclose(values.min(), values.max()):
+            told.append(f"{what} other than {values.min():g} {unit}.")
+        else:
+            told.append(f"{what} below {values.min():.3g} and above {values.max():.3g} {unit}.")
+    reach = end["true_offset_mm"].abs().max()
+    if np.isfinite(reach) and reach < min(chamber_mm) / 2 - 1.0:
+        told.append(f"Lines farther than {reach:.3g} mm from the accelerometer.")
+    told.append("Another sensor of this design, another indenter, other days than those of the recordings.")
+    return told
+
+
+def worst(scored: pd.DataFrame, folder: Folder) -> list[tuple[str, str, list[Panel]]]:
+    """The recordings with the largest errors of the position at the end of the stroke (of the direction, where no place
+    is labelled): name, what was off, and two panels, path and outputs."""
+    end = scored[scored["stroke_fraction"] == 1.0]
+    column = "position_mm_error" if end["position_mm_error"].notna().any() else "direction_deg_error"
+    found = []
+    channels = [c for c in folder.sensor.channels if c[-1] in folder.sensor.touch_axes][:6]
+    for _, row in end.nlargest(WORST, column).iterrows():
+        name = str(row["recording"])
+        if not np.isfinite(row[column]):
+            continue
+        rows = scored[scored["recording"] == name]
+        label = folder.manifest.loc[name]
+        motion = label[["motion_start_s", "motion_end_s"]].to_numpy(float)
+        panels = [figures.path(rows, folder.sensor)]
+        if np.isfinite(motion).all():
+            shown = trace(folder, name, Conditioning(), len(folder.sensor.accelerometers))
+            panels.append(figures.outputs(shown, name, channels, motion))
+        off = ", ".join(
+            f"{text.split(', ')[0]} {number(row[f'{quantity}_error'])} {text.split(', ')[1]}"
+            for quantity, text in QUANTITY_NAMES.items()
+            if np.isfinite(row[f"{quantity}_error"])
+        )
+        what = (
+            f"{row['split']}, {label['direction_deg']:.4g} deg, {label['speed_mm_s']:.3g} mm/s, offset "
+            f"{label['offset_mm']:.3g} mm; off by: {off}"
+        )
+        found.append((name, what, panels))
+    return found
+
+
+def _silent(end: pd.DataFrame) -> list[str]:
+    """Names of the recordings without a valid estimate at the end of the stroke."""
+    return [str(name) for name in end.loc[~end["valid"].astype(bool), "recording"]]
+
+
+def _pictures(followed: Sequence[Track], folder: Folder) -> list[tuple[str, list[Panel]]]:
+    """For each split its name and its panels."""
     splits = dict.fromkeys(track.split for track in followed)
     return [
-        (split, _inline(track_figures.pictures([t for t in followed if t.split == split], sensor)))
+        (split, track_figures.pictures([t for t in followed if t.split == split], folder.sensor))
         for split in splits
-    ]
-
-
-def number(value: float | None, digits: int = 3) -> str:
-    """A number to so many significant digits; a dash where there is none."""
-    if value is None or value != value:
-        return "–"
-    return f"{value:#.{digits}g}".rstrip(".") if abs(value) < 10**digits else f"{value:,.0f}"
-
-
-def _words(count: int, noun: str) -> str:
-    return f"{count} {noun}" + ("" if count == 1 else "s")
-
-
-def _inline(svg: str) -> str:
-    """An image source that holds the image."""
-    return "data:image/svg+xml;base64," + base64.b64encode(svg.encode()).decode()
-
-
-def _worst(scored: pd.DataFrame, count: int = 5) -> list[tuple[str, list[dict[str, Any]]]]:
-    """For each quantity its title and the recordings with the largest errors at the end of the stroke."""
-    end = scored[scored["stroke_fraction"] == 1.0]
-    return [
-        (
-            title,
-            [
-                {
-                    "recording": row["recording"],
-                    "split": row["split"],
-                    "error": row[f"{quantity}_error"],
-                    "direction": row["true_direction_deg"],
-                    "speed": row["true_speed_mm_s"],
-                    "offset": row["true_offset_mm"],
-                }
-                for row in end.nlargest(count, f"{quantity}_error").to_dict("records")
-            ],
-        )
-        for quantity, title in QUANTITY_NAMES.items()
     ]
 
 

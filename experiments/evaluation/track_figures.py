@@ -1,6 +1,7 @@
 """Pictures of followed contacts: the path on the skin, and place, speed and direction against time."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import matplotlib as mpl
 import numpy as np
@@ -9,15 +10,28 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from experiments.evaluation.figures import COLOURS, STYLE, svg
 from experiments.evaluation.tracks import Track, summarize
+from experiments.pages.figures import (
+    COLOURS,
+    EDGE,
+    INK,
+    LABEL,
+    LEGEND_ROW_INCHES,
+    PANEL_INCHES,
+    STYLE,
+    Panel,
+    inline,
+    legend_below,
+    log_with_zero,
+    panel,
+)
 from pipeline.sensor import Sensor
 
 # Of each split: the best, the middle and the worst, by the median error of place.
 PICTURES = 3
 # More points than this make the report large and the pictures no better.
 _POINTS = 400
-_TRUE, _SAID = "#8a939b", COLOURS[0]
+_TRUE, _SAID = EDGE, COLOURS[0]
 # Seconds of a bin of errors against time, and how many.
 _BIN_S, _BINS = 1.0, 60
 _ERRORS = (
@@ -27,46 +41,52 @@ _ERRORS = (
 )
 
 
-def along_the_contact(followed: Sequence[Track]) -> str:
+def along_the_contact(followed: Sequence[Track]) -> list[Panel]:
     """Median error of each split against the time since the touch, a panel a quantity."""
-    with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(11, 3.9), layout="constrained")
-        axes = figure.subplots(1, len(_ERRORS))
-        splits = dict.fromkeys(track.split for track in followed)
-        for n, split in enumerate(splits):
-            rows = pd.concat([_since_touch(track) for track in followed if track.split == split])
-            look = {"color": COLOURS[n % len(COLOURS)], "linestyle": ("-", "--")[n // len(COLOURS) % 2]}
-            for ax, (column, _) in zip(axes, _ERRORS, strict=True):
-                counted = rows if column == "position_error" else rows[rows["moving"]]
-                middle = counted.groupby("bin")[column].median()
+    splits = dict.fromkeys(track.split for track in followed)
+    medians: dict[str, dict[str, pd.Series]] = {column: {} for column, _ in _ERRORS}
+    for split in splits:
+        rows = pd.concat([_since_touch(track) for track in followed if track.split == split])
+        for column, _ in _ERRORS:
+            counted = rows if column == "position_error" else rows[rows["moving"]]
+            medians[column][split] = counted.groupby("bin")[column].median().dropna()
+    panels = []
+    for column, title in _ERRORS:
+        rows_below = (len(splits) + 1) // 2
+        with panel(3.1 + LEGEND_ROW_INCHES * rows_below, below=LEGEND_ROW_INCHES * rows_below) as (
+            figure,
+            ax,
+        ):
+            for n, (split, middle) in enumerate(medians[column].items()):
+                look: Any = {
+                    "color": COLOURS[n % len(COLOURS)],
+                    "linestyle": ("-", "--")[n // len(COLOURS) % 2],
+                }
                 ax.plot(_BIN_S * (middle.index + 0.5), middle, linewidth=1.6, label=split, **look)
-        for ax, (_, title) in zip(axes, _ERRORS, strict=True):
-            if ax.has_data() and any((line.get_ydata() > 0).any() for line in ax.lines):
-                ax.set_yscale("log")
-                ax.yaxis.set_major_formatter("{x:g}")
-            ax.set_xlabel("time since the touch, s")
-            ax.set_title(f"median {title}", fontsize=10, loc="left", pad=10, color="#1c2328")
-        handles, names = axes[0].get_legend_handles_labels()
-        figure.legend(handles, names, loc="outside lower center", ncols=min(len(names), 6), frameon=False)
-        return svg(figure)
+            log_with_zero(ax, np.concatenate([middle.to_numpy(float) for middle in medians[column].values()]))
+            ax.set(xlabel="time since the touch, s", title=f"median {title}")
+            legend_below(figure, ax)
+            text = f"Median {title}, of valid estimates by the time since the touch, a line a split."
+            panels.append(Panel(inline(figure, text), text))
+    return panels
 
 
-def pictures(followed: Sequence[Track], sensor: Sensor) -> str:
+def pictures(followed: Sequence[Track], sensor: Sensor) -> list[Panel]:
     """Some recordings of one split: true and estimated path on the skin; speed and direction against time."""
-    chosen = _chosen(followed)
-    with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(11, 6.6), layout="constrained")
-        grid = figure.subplots(3, PICTURES, squeeze=False, height_ratios=(3, 1, 1))
-        for column, track in zip(grid.T, chosen, strict=False):
-            _on_the_skin(column[0], track, sensor)
-            _against_time(column[1], track, "speed_mm_s", "mm/s")
-            _against_time(column[2], track, "direction_deg", "deg")
-            column[2].set_xlabel("time, s")
-        for ax in grid[:, len(chosen) :].flat:
-            ax.set_axis_off()
-        handles, names = grid[0, 0].get_legend_handles_labels()
-        figure.legend(handles, names, loc="outside lower center", ncols=len(names), frameon=False)
-        return svg(figure)
+    panels = []
+    for track, word in zip(_chosen(followed), ("best", "middle", "worst"), strict=False):
+        with mpl.rc_context(STYLE):
+            figure = Figure(figsize=(PANEL_INCHES[0], 6.6), layout="constrained")
+            skin, speed, direction = figure.subplots(3, 1, height_ratios=(3, 1, 1))
+            _on_the_skin(skin, track, sensor)
+            _against_time(speed, track, "speed_mm_s", "mm/s")
+            _against_time(direction, track, "direction_deg", "deg")
+            direction.set_xlabel("time, s")
+            handles, names = skin.get_legend_handles_labels()
+            figure.legend(handles, names, loc="outside lower center", ncols=2, fontsize=8)
+            text = f"{track.name}, the {word} of {track.split} by place: true and estimated path, speed and direction."
+            panels.append(Panel(inline(figure, text), text))
+    return panels
 
 
 def _since_touch(track: Track) -> pd.DataFrame:
@@ -91,12 +111,12 @@ def _chosen(followed: Sequence[Track]) -> list[Track]:
 
 def _on_the_skin(ax: Axes, track: Track, sensor: Sensor) -> None:
     x, y = np.array(sensor.chamber_mm) / 2
-    ax.add_patch(Rectangle((-x, -y), 2 * x, 2 * y, fill=False, edgecolor="#c3c9ce", linewidth=1.0))
+    ax.add_patch(Rectangle((-x, -y), 2 * x, 2 * y, fill=False, edgecolor=LABEL, linewidth=1.0))
     ax.plot(
         [part.x_mm for part in sensor.accelerometers],
         [part.y_mm for part in sensor.accelerometers],
         "s",
-        color="#3b444b",
+        color=INK,
         markersize=5,
         label="accelerometer",
     )
@@ -109,7 +129,7 @@ def _on_the_skin(ax: Axes, track: Track, sensor: Sensor) -> None:
     ax.set_xlim(-x - 6, x + 6)
     ax.set_ylim(-y - 6, y + 6)
     ax.set_aspect("equal")
-    ax.set_title(track.name, fontsize=10, loc="left", color="#1c2328")
+    ax.set_title(track.name)
 
 
 def _against_time(ax: Axes, track: Track, column: str, unit: str) -> None:

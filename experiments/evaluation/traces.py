@@ -1,0 +1,50 @@
+"""What a recording shows over time: its subtracted outputs a block at a time, and its static output."""
+
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+
+from features.stream.conditioning import Conditioning, block_means
+from pipeline.recordings.folder import Folder
+from pipeline.recordings.stroke import stage_motion
+
+# Of each pressure, recordings whose static output is read; more say the same.
+MOST_AT_REST = 8
+LEAST_REST_S = 0.4
+_MOTION = ("motion_start_s", "motion_end_s", "travel_mm", "speed_mm_s")
+
+
+def trace(folder: Folder, name: str, conditioning: Conditioning, boards: int = 1) -> pd.DataFrame:
+    """A row a block: `time_s`, `travelled_mm` since the motion began, and `a0_vx` ... less the static output, V."""
+    recording = folder.load(name)
+    row = folder.manifest.loc[name, list(_MOTION)].astype(float).to_dict()
+    volts = recording.volts[:, : 3 * boards]
+    means = block_means(volts, replace(conditioning, scale=1.0), folder.sensor.sample_rate_hz)
+    time = recording.time_s[0] + conditioning.block_s * (np.arange(len(means)) + 0.5)
+    rest = time < row["motion_start_s"]
+    static = means[rest].mean(axis=0) if rest.any() else means[0]
+    since = time - row["motion_start_s"]
+    travelled, _ = stage_motion(
+        since, row["travel_mm"], row["speed_mm_s"], row["motion_end_s"] - row["motion_start_s"]
+    )
+    table = pd.DataFrame(means - static, columns=list(folder.sensor.channels[: 3 * boards]))
+    return table.assign(time_s=time, travelled_mm=travelled)
+
+
+def static_outputs(folder: Folder) -> pd.DataFrame:
+    """The first board's static output (V, less the zero-g output) of some recordings of each pressure."""
+    board, manifest = folder.sensor.accelerometers[0], folder.manifest
+    known = manifest[manifest["motion_start_s"].notna()]
+    pressures = known["pressure_mpa"].round(4)
+    rows = []
+    for pressure in sorted(set(pressures.fillna(-1.0))):
+        names = known.index[pressures.fillna(-1.0) == pressure]
+        for name in names[:: -(-len(names) // MOST_AT_REST)]:
+            recording = folder.load(str(name))
+            rest = recording.time_s < known.at[name, "motion_start_s"]
+            if rest.sum() < LEAST_REST_S * folder.sensor.sample_rate_hz:
+                continue
+            x, y = recording.volts[rest, :2].mean(axis=0) - board.zero_g_v
+            rows.append((name, known.at[name, "pressure_mpa"], x, y))
+    return pd.DataFrame(rows, columns=["recording", "pressure_mpa", "static_x_v", "static_y_v"])

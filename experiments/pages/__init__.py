@@ -1,0 +1,1 @@
+"""Self-contained HTML pages: their look in light and dark, and figures drawn into them."""

@@ -1,0 +1,127 @@
+"""Figures without a display: as SVG texts that are the same for the same numbers, and as part of a page.
+
+A figure in a page is narrow, about as wide as a phone, so that its text stays legible there; wide screens show several
+side by side. It takes its colours from the page, which has a set for light and one for dark.
+"""
+
+import html
+import io
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+# Okabe and Ito's palette: told apart with any colour vision.
+COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
+INK, LABEL, EDGE, GRID = "#1c2328", "#3b444b", "#8a939b", "#e4e7ea"
+STYLE: dict[Any, Any] = {
+    "svg.hashsalt": "softslide",
+    "svg.fonttype": "none",
+    "font.family": "sans-serif",
+    "font.size": 10,
+    "text.color": INK,
+    "axes.titlecolor": INK,
+    "axes.titlesize": 10,
+    "axes.titlelocation": "left",
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "grid.color": GRID,
+    "axes.edgecolor": EDGE,
+    "axes.labelcolor": LABEL,
+    "xtick.color": LABEL,
+    "ytick.color": LABEL,
+    "axes.axisbelow": True,
+    "legend.frameon": False,
+    "legend.fontsize": 9,
+}
+# The page's colour in place of each of the figure's.
+IN_PAGE = {colour: f"var(--series-{n})" for n, colour in enumerate(COLOURS)}
+IN_PAGE |= {INK: "var(--ink)", LABEL: "var(--label)", EDGE: "var(--edge)", GRID: "var(--grid)"}
+# Inches: at 72 points an inch 302 points, which a phone of 400 px shows a fifth larger.
+PANEL_INCHES = (4.2, 3.1)
+MARGINS = (0.68, 0.14, 0.5, 0.32)  # left, right, bottom, top, inches
+LEGEND_ROW_INCHES = 0.18
+
+
+def svg(figure: Figure) -> str:
+    """The figure as a text, without the date that would make two of the same numbers differ."""
+    text = io.StringIO()
+    figure.savefig(text, format="svg", metadata={"Date": None, "Creator": None})
+    return text.getvalue()
+
+
+@dataclass(frozen=True)
+class Panel:
+    """One figure of a page. svg: of `inline`; caption: a sentence of what it shows."""
+
+    svg: str
+    caption: str
+
+
+@contextmanager
+def panel(
+    height: float = PANEL_INCHES[1], below: float = 0.0, left: float = MARGINS[0], **options: Any
+) -> Iterator[tuple[Figure, Axes]]:
+    """A figure of one panel in the page's style, to be drawn into and passed to `inline` within the block.
+
+    height, below, left: inches, of the figure, of a legend below its axes and of the margin at their left; options: of
+    `add_subplot`. The margins are fixed: to fit them to each figure takes as long as to draw it.
+    """
+    width = PANEL_INCHES[0]
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(width, height))
+        _, right, bottom, top = MARGINS
+        figure.subplots_adjust(left / width, (bottom + below) / height, 1 - right / width, 1 - top / height)
+        yield figure, figure.add_subplot(**options)
+
+
+def legend_below(figure: Figure, ax: Axes, columns: int = 2) -> None:
+    """The legend of the axes at the figure's lower end, where `panel` has left room `below`."""
+    handles, names = ax.get_legend_handles_labels()
+    if handles:
+        figure.legend(handles, names, loc="lower center", ncols=columns, fontsize=8)
+
+
+def inline(figure: Figure, alt: str) -> str:
+    """The figure as an SVG element of an HTML page, in the page's colours; alt: what it shows, for who cannot see it.
+
+    A page needs neither its XML head nor its name spaces nor its metadata.
+    """
+    figure.patch.set_alpha(0.0)
+    for axes in figure.axes:
+        axes.patch.set_alpha(0.0)
+    text = svg(figure)
+    text = re.sub(r"<metadata>.*?</metadata>", "", text[text.index("<svg") :], flags=re.DOTALL)
+    head = re.search(r'viewBox="[^"]*"', text)
+    assert head is not None
+    body = text[text.index(">") + 1 :]
+    for colour, variable in IN_PAGE.items():
+        body = body.replace(colour, variable)
+    return f'<svg {head.group()} role="img" aria-label="{html.escape(alt)}">{body}'
+
+
+def log_with_zero(ax: Axes, values: np.ndarray) -> None:
+    """A logarithmic y axis for values that are not negative; zeros lie on a line of their own at its lower end.
+
+    Below a third of the least positive value the axis is linear, down to zero.
+    """
+    positive = values[np.isfinite(values) & (values > 0)]
+    if not len(positive):
+        return
+    least = float(positive.min()) / 3
+    ax.set_yscale("symlog", linthresh=least, linscale=0.3)
+    ax.set_ylim(-0.2 * least, 1.6 * float(positive.max()))
+    decades = np.arange(np.floor(np.log10(least)), np.ceil(np.log10(positive.max())) + 1)
+    few = len(decades) < 4
+    marks = np.array([m * 10**d for d in decades for m in ((1, 2, 5) if few else (1,))])
+    marks = marks[(marks > 1.2 * least) & (marks < 1.5 * positive.max())]
+    ax.yaxis.set_major_locator(mpl.ticker.FixedLocator([0.0, *marks]))
+    ax.yaxis.set_major_formatter("{x:g}")
+    ax.yaxis.set_minor_locator(mpl.ticker.NullLocator())

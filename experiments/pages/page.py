@@ -1,0 +1,66 @@
+"""Renders a page: one HTML file that opens anywhere, without a network."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+from experiments.pages.figures import Panel
+
+HERE = Path(__file__).parent
+# What is said of recordings by `origin` in their sensor.toml.
+ORIGINS = {
+    "measured": ("Measured recordings", "of a real skin."),
+    "emulated": (
+        "Emulated bench recordings",
+        "never measured on hardware: what these figures say about a real sensor is not known.",
+    ),
+    "assembled": (
+        "Assembled slides",
+        "each sample is a press that was measured on a real skin; the motion is made by walking from press to press. "
+        "Friction, lag and the time course of a contact are not in them.",
+    ),
+    "synthetic": (
+        "Synthetic recordings",
+        "of the project's own simulator: what these figures say about a real sensor is not known.",
+    ),
+    "": (
+        "Origin not said",
+        'sensor.toml does not say whether these recordings are measured, emulated or synthetic (origin = "..."). Take '
+        "no figure here for a measurement on hardware.",
+    ),
+}
+
+
+def render(template: Path, **values: Any) -> str:
+    """The page of a template, which extends `page.html.j2`."""
+    environment = Environment(
+        loader=FileSystemLoader([template.parent, HERE]),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters |= {"number": number, "words": _words, "percent": _percent}
+    return environment.get_template(template.name).render(origins=ORIGINS, **values)
+
+
+def panels_page(title: str, lines: Sequence[str], groups: Sequence[tuple[str, Sequence[Panel]]]) -> str:
+    """A page of some paragraphs and named groups of figures."""
+    return render(HERE / "panels.html.j2", title=title, lines=lines, groups=groups)
+
+
+def number(value: float | None, digits: int = 3) -> str:
+    """A number to so many significant digits; a dash where there is none."""
+    if value is None or value != value:
+        return "–"
+    return f"{value:#.{digits}g}".rstrip(".") if abs(value) < 10**digits else f"{value:,.0f}"
+
+
+def _words(count: int, noun: str) -> str:
+    return f"{count} {noun}" + ("" if count == 1 else "s")
+
+
+def _percent(share: float | None) -> str:
+    return "–" if share is None or share != share else f"{100 * share:.0f} %"
