@@ -1,4 +1,4 @@
-"""Subcommands that compare and measure: compare, few, drift, bench."""
+"""Subcommands that compare and measure: article, compare, few, drift, bench."""
 
 import argparse
 import json
@@ -6,6 +6,35 @@ import json
 from commands import arguments
 from commands.arguments import Parser, Run
 from features.errors import InputError
+
+
+def article(parser: Parser) -> Run:
+    """the article's figures and claims on a folder of recordings
+
+    Makes the figures of Trinh et al. (Sensors 2019, 19, 2036) again, 6, 9 to 11
+    and 14 to 26, from the slides along x and y and from the atlas, each beside
+    what the article says; holds its claims against them; and fits its method
+    as published and at its best. Errors are in deg, % and mm, of slides that
+    were not fitted. Writes article.html, and the numbers as CSV: claims.csv,
+    variants.csv, figure-NN.csv. Prints the claims. What the folder does not
+    tell is said.
+
+        softslide article --recordings my-recordings --out article
+        softslide synthesize --protocol article --out protocol
+        softslide article --recordings protocol --out article-protocol
+    """
+    arguments.recordings(parser, "slides along x and y, with their labels")
+    arguments.atlas(parser, "from 'simulate' (default: the shipped one for its design, else solved coarsely)")
+    arguments.out(parser, "where the page and its tables go")
+
+    def run(given: argparse.Namespace) -> None:
+        from experiments.article.article import article
+
+        made = article(given.recordings, given.atlas, given.out)
+        print("\n".join(made.lines()))
+        print(made.page)
+
+    return run
 
 
 def compare(parser: Parser) -> Run:
@@ -159,4 +188,4 @@ def bench(parser: Parser) -> Run:
     return run
 
 
-COMMANDS = (compare, few, drift, bench)
+COMMANDS = (article, compare, few, drift, bench)

@@ -198,6 +198,7 @@ CALLS = {
     "sweep": ["--config", SAMPLE / "sensor.toml"],
     "evaluate": ["--model", SAMPLE, "--recordings", SAMPLE, "--out", "out"],
     "export": ["--model", SAMPLE, "--to", "ort", "--out", "out"],
+    "article": ["--recordings", SAMPLE, "--out", "out"],
     "compare": ["--recordings", SAMPLE, "--out", "out"],
     "few": ["--recordings", SAMPLE],
     "plan": ["--sensor", SAMPLE / "sensor.toml", "--out", "out"],

@@ -1,0 +1,164 @@
+"""A folder's slides along x and y, as the article has them: what one accelerometer shows of each, and when.
+
+Everything is seen from the first accelerometer: its place takes the reference point's, so that distances are the
+article's. Windows and their features are those that a device computes, counted from its trigger.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pandas as pd
+
+from features.angles import wrapped_deg
+from features.errors import InputError
+from features.stream.conditioning import Conditioning
+from features.vector.feature_vector import feature_matrix
+from models.classical.interpolation import DIRECTIONS_DEG
+from pipeline.recordings.at_rest import conditioning_for
+from pipeline.recordings.folder import Folder
+from pipeline.recordings.taught import SAME_DEPTH_MM, taught_depths_mm
+from pipeline.recordings.windows import labelled_windows
+
+KINDS = ("X forward", "Y forward", "X backward", "Y backward")  # as DIRECTIONS_DEG
+# A slide this close to an axis counts as along it, deg.
+_AXIS_DEG = 1.0
+# Share of the motion up to which a slide surely moves: after its end the window stands still.
+_UNDER_WAY = 0.75
+
+
+@dataclass(frozen=True)
+class AxisSlides:
+    """n windows: `windows` of every tenth of the stroke of every slide. Rows of all arrays belong together.
+
+    features: (n, F), of the first accelerometer alone. table: a row a window; `recording`, `split`, `fraction`, `kind`
+    (index into KINDS), `speed_mm_s`, `offset_mm`, `distance_mm` (from the accelerometer), `elapsed_s` (since the
+    trigger), `edge_mm` (where along the line the inflated area begins, from the accelerometer's foot), `along_mm` and
+    `trigger_mm` (where the slide triggers, past that edge; of the whole slide).
+    """
+
+    folder: Folder
+    conditioning: Conditioning
+    features: np.ndarray
+    table: pd.DataFrame
+
+    def __getitem__(self, rows: np.ndarray) -> "AxisSlides":
+        """The windows that a mask (n,) picks."""
+        return replace(self, features=self.features[rows], table=self.table[rows].reset_index(drop=True))
+
+    def __len__(self) -> int:
+        return len(self.table)
+
+    @property
+    def whole(self) -> "AxisSlides":
+        """The windows at the end of the stroke: one a slide."""
+        return self[(self.table["fraction"] == 1.0).to_numpy()]
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """How many recordings of a folder the article's figures do not use, and why."""
+
+    other_directions: int
+    other_depths: int
+    unlabelled: int
+    not_triggered: int
+
+    def lines(self) -> list[str]:
+        """A line each, for those that are any."""
+        told = (
+            (self.unlabelled, "without direction, speed, offset, start and moments of motion"),
+            (self.other_directions, "along neither x nor y, which the article does not treat"),
+            (self.other_depths, "of another contact depth than the calibration's"),
+            (self.not_triggered, "too weak to be noticed"),
+        )
+        return [f"{count} recordings {why}" for count, why in told if count]
+
+
+_NEEDED = (
+    *("direction_deg", "speed_mm_s", "offset_mm", "start_x_mm", "start_y_mm", "travel_mm"),
+    *("motion_start_s", "motion_end_s"),
+)
+
+
+def read_axis_slides(folder: Folder) -> tuple[AxisSlides | None, LeftOut]:
+    """The folder's slides along x and y at the calibration's contact depth; None if there is none.
+
+    Raises:
+        InputError: the sensing elements are no accelerometers, or a slide cannot be read.
+    """
+    if not folder.sensor.measures_gravity:
+        raise InputError(
+            f"{folder.root / 'sensor.toml'}: the sensing elements are no accelerometers; the article's figures are of "
+            "accelerometers alone"
+        )
+    folder = seen_from_board(folder)
+    manifest = folder.manifest
+    known = manifest[list(_NEEDED)].notna().all(axis=1)
+    axis = known & (_turned(manifest["direction_deg"].to_numpy(float)).min(axis=1) < _AXIS_DEG)
+    depths = taught_depths_mm(manifest)
+    off = np.abs(manifest["depth_mm"].to_numpy(float)[:, None] - np.array(depths or (np.nan,))).min(axis=1)
+    same = axis & ~(off > SAME_DEPTH_MM)
+    chosen = replace(folder, manifest=manifest[same])
+    conditioning = conditioning_for(folder, Conditioning())
+    slides = _windows(chosen, conditioning) if same.any() else None
+    seen = 0 if slides is None else slides.table["recording"].nunique()
+    left_out = LeftOut(
+        other_directions=int((known & ~axis).sum()),
+        other_depths=int((axis & ~same).sum()),
+        unlabelled=int((~known).sum()),
+        not_triggered=int(same.sum()) - seen,
+    )
+    return slides, left_out
+
+
+def seen_from_board(folder: Folder) -> Folder:
+    """The folder with its first accelerometer as the reference point."""
+    board = folder.sensor.accelerometers[0]
+    angle = np.deg2rad(folder.manifest["direction_deg"].astype(float))
+    dx, dy = (r - b for r, b in zip(folder.sensor.reference_mm, (board.x_mm, board.y_mm), strict=True))
+    offset = folder.manifest["offset_mm"] - np.sin(angle) * dx + np.cos(angle) * dy
+    sensor = replace(folder.sensor, reference_mm=(board.x_mm, board.y_mm))
+    return replace(folder, sensor=sensor, manifest=folder.manifest.assign(offset_mm=offset))
+
+
+def edges_mm(
+    kind: np.ndarray, sensor_chamber_mm: tuple[float, float], board_mm: tuple[float, float]
+) -> np.ndarray:
+    """Where along lines of these kinds (n,) the inflated area begins, mm from the accelerometer's foot."""
+    (width, length), (x, y) = sensor_chamber_mm, board_mm
+    return np.array([-width / 2 - x, -length / 2 - y, -width / 2 + x, -length / 2 + y])[kind]
+
+
+def _turned(direction_deg: np.ndarray) -> np.ndarray:
+    """(n, 4) deg: how far directions (n,) are from DIRECTIONS_DEG; 180 where there is none."""
+    return np.nan_to_num(np.abs(wrapped_deg(direction_deg[:, None] - DIRECTIONS_DEG)), nan=180.0)
+
+
+def _windows(folder: Folder, conditioning: Conditioning) -> AxisSlides | None:
+    try:
+        windows = labelled_windows(folder, conditioning)
+    except InputError as error:
+        if "no slide tilts" in str(error):
+            return None
+        raise
+    kind = _turned(windows.direction_deg).argmin(axis=1)
+    board = folder.sensor.accelerometers[0]
+    table = pd.DataFrame(
+        {
+            "recording": windows.recording,
+            "split": windows.split,
+            "fraction": windows.stroke_fraction,
+            "kind": kind,
+            "speed_mm_s": windows.speed_mm_s,
+            "offset_mm": windows.offset_mm,
+            "distance_mm": np.abs(windows.offset_mm),
+            "elapsed_s": windows.elapsed_s,
+            "edge_mm": edges_mm(kind, folder.sensor.chamber_mm, (board.x_mm, board.y_mm)),
+            "along_mm": windows.along_mm,
+        }
+    )
+    trigger = table["along_mm"] - table["edge_mm"] - table["speed_mm_s"] * table["elapsed_s"]
+    moving = trigger.where(table["fraction"] < _UNDER_WAY)
+    table["trigger_mm"] = moving.groupby(table["recording"]).transform("median")
+    features = feature_matrix(windows.volts[:, :3], windows.elapsed_s).astype(np.float32).astype(np.float64)
+    return AxisSlides(folder, conditioning, features, table)

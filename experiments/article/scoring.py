@@ -1,0 +1,77 @@
+"""Scores of the article's method, on the slides that it was fitted to and on slides that it was not."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from experiments.article.axis_slides import AxisSlides
+from experiments.article.method import Method, Variant, fit_method
+from experiments.evaluation.bounds import Bound, Verdict, check
+from experiments.evaluation.scoring import score
+from pipeline.recordings.taught import CALIBRATION, taught_depths_mm
+
+FOLDS = 5
+_LINE_MM = 0.5  # lines this close count as one
+
+
+@dataclass(frozen=True)
+class Scored:
+    """A variant on a folder. method: fitted to all calibration slides. fitted, new: rows of `evaluation.scoring.score`
+    for slides that it was fitted to, as in the article, and for slides along other lines; on: what the latter are.
+    depths_mm: that the folder is calibrated at."""
+
+    method: Method
+    fitted: pd.DataFrame
+    new: pd.DataFrame
+    on: str
+    depths_mm: tuple[float, ...]
+
+    def verdicts(self, bounds: Sequence[Bound], which: str) -> list[Verdict]:
+        """Each of the article's bounds on the rows `which`, "fitted" or "new"."""
+        return [check(bound, getattr(self, which), self.depths_mm) for bound in bounds]
+
+
+def score_variant(slides: AxisSlides, variant: Variant) -> Scored:
+    """Fits a variant to the calibration slides and scores it.
+
+    Where the folder has test slides, these are the new ones; else each line in turn is left out of the fit.
+    """
+    taught = slides.table["split"].str.startswith(CALIBRATION).to_numpy()
+    tested = slides.table["split"].str.startswith("test").to_numpy()
+    depths = taught_depths_mm(slides.folder.manifest)
+    method = fit_method(slides[taught].whole, variant)
+    fitted = scored(method, slides[taught])
+    if tested.any():
+        return Scored(method, fitted, scored(method, slides[tested]), "test slides", depths)
+    line = _lines(slides.table)
+    parts = []
+    for fold in range(FOLDS):
+        out = taught & (line % FOLDS == fold)
+        if out.any() and (taught & ~out).any():
+            parts.append(scored(fit_method(slides[taught & ~out].whole, variant), slides[out]))
+    return Scored(method, fitted, pd.concat(parts, ignore_index=True), "lines left out of the fit", depths)
+
+
+def scored(method: Method, slides: AxisSlides) -> pd.DataFrame:
+    """The method's answers on the slides, with their errors, kind and distance."""
+    folder = slides.folder
+    table = score(method.predict(slides), folder.manifest, folder.sensor)
+    return table.assign(
+        kind=slides.table["kind"].to_numpy(), distance_mm=slides.table["distance_mm"].to_numpy()
+    )
+
+
+def _lines(table: pd.DataFrame) -> np.ndarray:
+    """(n,) number of each window's line among those of its kind, by its place."""
+    place = np.where(table["kind"].isin((0, 3)), 1, -1) * table["offset_mm"]
+    axis = table["kind"] % 2
+    key = (place / _LINE_MM).round().astype(int)
+    return (
+        pd.DataFrame({"axis": axis, "key": key})
+        .groupby("axis")["key"]
+        .rank(method="dense")
+        .astype(int)
+        .to_numpy()
+    )
