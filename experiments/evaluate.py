@@ -52,7 +52,12 @@ class Evaluation:
 
 
 def evaluate(
-    bundle: Path, recordings: Path, splits: Sequence[str] | None, out: Path, jobs: int = 2, report: bool = True
+    bundle: Path,
+    recordings: Path,
+    splits: Sequence[str] | None,
+    out: Path,
+    jobs: int = 2,
+    report: bool = True,
 ) -> Evaluation:
     """Writes `predictions.csv`, `metrics.json` and `report.html` to `out`, whole or not at all.
 

@@ -24,7 +24,7 @@ TEMPLATE = Path(__file__).parent / "article.html.j2"
 COMPARED = (
     ("speed_percent_error", "speed", "%"),
     ("offset_mm_error", "distance", "mm"),
-    ("position_percent_error", "position", "%"),
+    ("position_mm_error", "position", "mm"),
 )
 
 

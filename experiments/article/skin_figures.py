@@ -191,7 +191,7 @@ def _largest(values: pd.Series) -> float:
 
 
 def _mm(height: float) -> str:
-    return f"{height:.1f} mm" if np.isfinite(height) else "no height"
+    return f"{height:.1f} mm" if np.isfinite(height) else "none (out of range)"
 
 
 def _formula(static_g: float, sensor: Sensor) -> float:

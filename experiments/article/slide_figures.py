@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+import matplotlib as mpl
 import numpy as np
 import pandas as pd
 
@@ -279,7 +280,9 @@ def _moments(rows: pd.DataFrame, letter: str) -> Panel:
             xlabel="speed, mm/s", ylabel="time since the chamber's edge, s", title="moments of the extremes"
         )
         ax.set_yscale("log")
+        ax.yaxis.set_major_locator(mpl.ticker.LogLocator(subs=(1.0, 2.0, 5.0)))
         ax.yaxis.set_major_formatter("{x:g}")
+        ax.yaxis.set_minor_locator(mpl.ticker.NullLocator())
         ax.legend()
         text = f"Moments of the extremes of V_{letter.lower()} in all {len(rows)} {letter}-slides against the speed."
         return Panel(inline(figure, text), text)
