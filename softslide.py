@@ -26,6 +26,7 @@ COMMAND_EXTRA = {
 PACKAGE_EXTRA = {
     **dict.fromkeys(("fastapi", "serial", "uvicorn", "websockets"), "live"),
     **dict.fromkeys(("dask", "distributed"), "cluster"),
+    "mlflow": "train",
 }
 # A disk that is full, over its quota or read-only, and places that may not be written.
 NO_PLACE = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EPERM)
@@ -37,14 +38,14 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     Returns 0 on success, 2 on bad usage or input, 1 on a bound not met or a failed check, 130 on Ctrl-C.
     """
-    from commands.arguments import check_existing
+    from commands.arguments import located
 
     argv = sys.argv[1:] if argv is None else argv
     name = next((word for word in argv if not word.startswith("-")), "")
     try:
         given = parser().parse_args(argv)
-        check_existing(given)
-        status = given.run(given) or 0
+        with located(given):
+            status = given.run(given) or 0
         # Here and not at the interpreter's end, so that a full disk is an error like others.
         sys.stdout.flush()
         return status

@@ -6,7 +6,9 @@ command's, its docstring the text of `--help`. The rooms are imported when it ru
 
 import argparse
 import inspect
-from collections.abc import Callable, Sequence
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -45,15 +47,30 @@ class Existing(argparse.Action):
         ]
 
 
-def check_existing(given: argparse.Namespace) -> None:
-    """Sees that the paths that have to exist do, before anything that takes time is imported.
+@contextmanager
+def located(given: argparse.Namespace) -> Iterator[None]:
+    """Sees that the paths that have to exist do, before anything that takes time is imported; fetches what `models:/`
+    names from the registry, for as long as the block runs.
 
     Raises:
-        InputError: there is no such file or folder.
+        InputError: there is no such file, folder or registered bundle.
     """
-    for path in getattr(given, "existing", ()):
-        if not path.exists():
+    paths = getattr(given, "existing", ())
+    for path in paths:
+        if not is_registered(path) and not path.exists():
             raise InputError(f"{path}: no such file or folder; name one that exists")
+    with ExitStack() as stack:
+        if is_registered(getattr(given, "model", None)):
+            from experiments.tracking.registry import fetched
+
+            scratch = stack.enter_context(tempfile.TemporaryDirectory(prefix="softslide-"))
+            given.model = fetched(str(given.model), Path(scratch))
+        yield
+
+
+def is_registered(value: object) -> bool:
+    """Whether a bundle is named by its place in the registry, as in `models:/softslide@champion`."""
+    return isinstance(value, Path) and str(value).startswith("models:/")
 
 
 def existing(parser: Parser, name: str, metavar: str, help: str, **options: Any) -> None:
@@ -61,7 +78,11 @@ def existing(parser: Parser, name: str, metavar: str, help: str, **options: Any)
     parser.add_argument(name, type=Path, action=Existing, metavar=metavar, help=help, **options)
 
 
-def model(parser: Parser, required: bool = True, help: str = "a bundle from 'train'") -> None:
+def model(
+    parser: Parser,
+    required: bool = True,
+    help: str = "a bundle from 'train', or models:/softslide@champion (needs the train extra)",
+) -> None:
     """--model BUNDLE"""
     existing(parser, "--model", "BUNDLE", help, required=required)
 
@@ -96,4 +117,14 @@ def jobs(parser: Parser, default: int, help: str, *also: str) -> None:
         default=default,
         metavar="N",
         help=f"{help} (default: %(default)s)",
+    )
+
+
+def scheduler(parser: Parser) -> None:
+    """--scheduler ADDRESS"""
+    parser.add_argument(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="tcp://HOST:PORT of a Dask scheduler (needs the cluster extra): its workers do the work, with "
+        "this program and the same files in the same places",
     )

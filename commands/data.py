@@ -144,10 +144,20 @@ def simulate(parser: Parser) -> Run:
         "--backend", choices=("loky", "dask"), default="loky", help="what runs them (default: %(default)s)"
     )
 
+    arguments.scheduler(parser)
+
     def run(given: argparse.Namespace) -> None:
         from pipeline.atlas.solve import simulate
 
-        simulate(given.sensor, given.out, given.coarse, given.depth, given.jobs, given.backend)
+        simulate(
+            given.sensor,
+            given.out,
+            given.coarse,
+            given.depth,
+            given.jobs,
+            given.backend,
+            given.scheduler or "",
+        )
 
     return run
 

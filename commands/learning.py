@@ -1,4 +1,4 @@
-"""Subcommands around one model: demo, train, sweep, evaluate, export."""
+"""Subcommands around one model: demo, train, sweep, evaluate, export, and the runs that are kept of them."""
 
 import argparse
 import json
@@ -50,8 +50,18 @@ def train(parser: Parser) -> Run:
         metavar="NAME",
         help=f"{', '.join(registry.names()[:-1])} or {registry.names()[-1]} (default: %(default)s)",
     )
-    arguments.existing(parser, "--config", "FILE", "TOML with changes to the model's defaults")
+    arguments.existing(
+        parser,
+        "--config",
+        "FILE",
+        "TOML with changes to the model's defaults, or configuration.json of a run",
+    )
     parser.add_argument("--design-alone", action="store_true", help="use no recording, the design alone")
+    parser.add_argument(
+        "--register",
+        action="store_true",
+        help="register the bundle, as the next version of models:/softslide",
+    )
     arguments.out(parser, "where the bundle goes", metavar="BUNDLE")
 
     def run(given: argparse.Namespace) -> None:
@@ -65,8 +75,9 @@ def train(parser: Parser) -> Run:
             init=given.init,
             config=given.config,
             design_alone=given.design_alone,
+            register=given.register,
         )
-        print(f"softslide train: run {done.run.identifier} in {done.run.store}", file=sys.stderr)
+        print(f"softslide train: {done.run.place}", file=sys.stderr)
         print(done.bundle)
 
     return run
@@ -87,11 +98,12 @@ def sweep(parser: Parser) -> Run:
         softslide train --recordings my-recordings --config best.toml --out my-model
     """
     arguments.existing(parser, "--config", "FILE", "the sweep as TOML", required=True)
+    arguments.scheduler(parser)
 
     def run(given: argparse.Namespace) -> None:
         from experiments.sweep.search import sweep
 
-        print(sweep(given.config), end="")
+        print(sweep(given.config, given.scheduler or ""), end="")
 
     return run
 
@@ -103,8 +115,9 @@ def evaluate(parser: Parser) -> Run:
     Writes predictions.csv (deg, mm/s, mm), metrics.json and report.html.
     Recordings with their truth beside them (slides/NAME.truth.csv) are
     followed over time as well: errors of place, direction and speed, by split.
-    Slides along calibration lines are scored apart. Exit status 1: a bound of
-    the article is not met, or nothing tests it (see --allow-untested).
+    Slides along calibration lines are scored apart. The same command goes on
+    where it was stopped. Exit status 1: a bound of the article is not met, or
+    nothing tests it (see --allow-untested).
 
         softslide evaluate --model my-model --recordings my-recordings --out results
         softslide evaluate --model my-model --recordings paths \\
@@ -127,12 +140,19 @@ def evaluate(parser: Parser) -> Run:
     )
     parser.add_argument("--no-report", action="store_true", help="draw no report.html, which takes seconds")
     arguments.jobs(parser, 2, "recordings at a time")
+    arguments.scheduler(parser)
 
     def run(given: argparse.Namespace) -> int:
         from experiments.evaluate import evaluate
 
         result = evaluate(
-            given.model, given.recordings, given.split, given.out, given.jobs, not given.no_report
+            given.model,
+            given.recordings,
+            given.split,
+            given.out,
+            given.jobs,
+            not given.no_report,
+            scheduler=given.scheduler or "",
         )
         written = "metrics.json" if given.no_report else "report.html"
         print(f"softslide evaluate: wrote {given.out}/{written}", file=sys.stderr)
@@ -174,4 +194,98 @@ def export(parser: Parser) -> Run:
     return run
 
 
-COMMANDS = (demo, train, sweep, evaluate, export)
+def repeat(parser: Parser) -> Run:
+    """run a training or an evaluation again from what it logged
+
+    Takes recordings, settings and bundle from the run, and says what is not as
+    it was: recordings, code, packages, computer. Prints for each file whether
+    it is the same to the byte, or what differs (angles in deg, lengths in mm).
+    Exit status 1: a file differs.
+
+        softslide repeat 5f0c3b8e9d5f4a0f8c1d2e3f4a5b6c7d
+    """
+    parser.add_argument(
+        "identifier", metavar="RUN", help="the run's identifier, as 'train' and the store show it"
+    )
+    arguments.existing(parser, "--recordings", "DIR", "where they are now (default: where they were)")
+    arguments.out(parser, "where the result goes (default: it is not kept)", required=False)
+
+    def run(given: argparse.Namespace) -> int:
+        from experiments.repeat import repeat
+
+        found = repeat(given.identifier, given.recordings, given.out)
+        for name, difference in found.items():
+            print(f"{name}: {difference or 'the same to the byte'}")
+        return int(any(found.values()))
+
+    return run
+
+
+def promote(parser: Parser) -> Run:
+    """let a bundle challenge the registered champion
+
+    Reads the same recordings with both and compares errors at their ends, in
+    degrees (deg), percent (%) and mm, line by line. The bundle becomes
+    models:/softslide@champion when its errors are smaller by more than the
+    margin in a paired t-test over lines, or when there is no champion yet.
+    'predict', 'serve', 'evaluate' and 'export' take that name for a bundle.
+    Exit status 1: the champion stays.
+
+        softslide promote --model my-model --recordings my-recordings
+        softslide predict --model models:/softslide@champion slide.csv
+    """
+    arguments.model(parser)
+    arguments.recordings(parser, "what both are compared on")
+    parser.add_argument(
+        "--split",
+        nargs="+",
+        action="extend",
+        metavar="NAME",
+        help="splits to compare on, by their full names (default: all that begin with validation, or else with test)",
+    )
+    parser.add_argument(
+        "--margin",
+        type=float,
+        default=0.05,
+        metavar="SHARE",
+        help="share by which errors have to be smaller (default: %(default)s)",
+    )
+    arguments.jobs(parser, 2, "recordings at a time")
+
+    def run(given: argparse.Namespace) -> int:
+        from experiments.promote import promote
+
+        better, lines = promote(given.model, given.recordings, given.split, given.margin, given.jobs)
+        print("\n".join(lines))
+        return 0 if better else 1
+
+    return run
+
+
+def sync(parser: Parser) -> Run:
+    """send what a tracking store did not take
+
+    A store that does not answer costs no training: what could not be logged is
+    kept beside the result, in NAME.unsent. This sends it, to where
+    MLFLOW_TRACKING_URI says or else to the store it was meant for, and removes
+    it once all is sent. Exit status 1: the store does not take it.
+
+        softslide sync
+        softslide sync my-model.unsent
+    """
+    arguments.existing(
+        parser, "folders", "DIR", "searched, with all folders below (default: the current folder)", nargs="*"
+    )
+
+    def run(given: argparse.Namespace) -> None:
+        from pathlib import Path
+
+        from experiments.tracking.unsent import sync
+
+        for line in sync(given.folders or [Path(".")]):
+            print(line)
+
+    return run
+
+
+COMMANDS = (demo, train, sweep, evaluate, export, repeat, promote, sync)

@@ -34,10 +34,7 @@ def demo(out: Path) -> str:
     for model in DEMO_MODELS:
         print(f"softslide demo: training and evaluating {model}", file=sys.stderr)
         done = train(SAMPLE, out / model / "bundle", model, change=_shortened, store=store)
-        evaluation = evaluate(done.bundle, SAMPLE, None, out / model / "evaluation")
-        end = evaluation.metrics["end_of_stroke"]
-        done.run.metrics({f"test_{name}_mean": end[name]["mean"] for name in MEANS}, done.logged_model)
-        done.run.files(out / model / "evaluation", "evaluation")
+        evaluation = evaluate(done.bundle, SAMPLE, None, out / model / "evaluation", store=store)
         evaluations[model] = evaluation
     return "\n".join([*_table(evaluations), "", *_ways(out, store)])
 

@@ -1,17 +1,22 @@
-"""Batch evaluation of an exported bundle, through the device's own runtime, against the article's bounds."""
+"""Batch evaluation of an exported bundle, through the device's own runtime, against the article's bounds.
+
+It is logged as a run, a child of the bundle's training where the store has that.
+"""
 
 import json
 import math
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 
+from experiments.evaluation.archive import Archive
 from experiments.evaluation.bounds import Verdict, check, read_bounds
-from experiments.evaluation.readout import predictions
+from experiments.evaluation.readout import check_fits, open_localizer, predictions
 from experiments.evaluation.report import write_report
 from experiments.evaluation.scoring import (
     along_the_stroke,
@@ -22,11 +27,16 @@ from experiments.evaluation.scoring import (
     summary,
 )
 from experiments.evaluation.tracks import Track, by_split, line, tracks, with_truth
+from experiments.provenance import bundle_hash, data_hashes
+from experiments.tracking.run import UNTRACKED, Run, flattened, tracked
 from features.errors import InputError
 from pipeline.progress import progress_bar
 from pipeline.recordings.folder import Folder, read_folder
 from pipeline.recordings.taught import taught_depths_mm, taught_lines
 from pipeline.staging import staged
+
+# A verdict as a run's tag.
+WORDS = {True: "met", False: "missed", None: "not tested"}
 
 
 @dataclass(frozen=True)
@@ -58,24 +68,70 @@ def evaluate(
     out: Path,
     jobs: int = 2,
     report: bool = True,
+    *,
+    scheduler: str = "",
+    store: str | None = None,
+    track: bool = True,
 ) -> Evaluation:
     """Writes `predictions.csv`, `metrics.json` and `report.html` to `out`, whole or not at all.
 
-    splits: the splits to score, by their full names; those that begin with `test` if None. report: whether to draw one.
+    splits: the splits to score, by their full names; those that begin with `test` if None. jobs, scheduler:
+    as in `pipeline.workers.results`. report: whether to draw one. store: as in `tracking.store.store_address`. track:
+    whether a run is logged. A call that was killed goes on where it stopped.
 
     Raises:
         InputError: the bundle, the folder or a recording is not what the contract says, or no such split.
     """
     whole = read_folder(recordings)
-    folder = _chosen(whole, splits)
+    folder = to_score(whole, splits)
+    check_fits(open_localizer(bundle), folder)
+    configuration = {
+        "bundle": str(bundle),
+        "recordings": str(recordings),
+        "splits": sorted(set(folder.manifest["split"])),
+    }
+    with _logged(bundle, folder, configuration, out, store) if track else nullcontext(UNTRACKED) as run:
+        archive = Archive(jobs, scheduler, work_of(out))
+        result = _evaluated(bundle, whole, folder, out, archive, report)
+        run.files(out, "evaluation")
+        run.files(bundle, "bundle")
+        run.metrics(_figures(result.metrics))
+        run.tags({f"bound.{each.bound.name}": WORDS[each.met] for each in result.verdicts})
+    return result
+
+
+def _logged(
+    bundle: Path, folder: Folder, configuration: dict[str, Any], out: Path, store: str | None
+) -> AbstractContextManager[Run]:
+    """The run, tagged with what bundle and data hash to."""
+    digest = bundle_hash(bundle)
+    tags = {"bundle": digest} | {f"data.{name}": value for name, value in data_hashes(folder).items()}
+    parent = {"bundle": digest, "command": "train"}
+    name = f"{bundle.name} on {folder.sensor.name}"
+    return tracked("evaluate", name, configuration, out, tags=tags, parent=parent, store=store)
+
+
+def _figures(metrics: dict[str, Any]) -> dict[str, float]:
+    """Errors at the end of the stroke and shares, by split: the run's metrics."""
+    figures: dict[str, Any] = {}
+    for split, by_fraction in metrics["splits"].items():
+        if "1.0" in by_fraction:
+            figures |= {f"{split}.{name}": value for name, value in flattened(by_fraction["1.0"]).items()}
+    for split, row in metrics.get("tracks", {}).items():
+        figures |= {f"{split}.tracked.{name}": value for name, value in flattened(row).items()}
+    return {name: value for name, value in figures.items() if isinstance(value, int | float)}
+
+
+def _evaluated(
+    bundle: Path, whole: Folder, folder: Folder, out: Path, archive: Archive, report: bool
+) -> Evaluation:
+    """Localizes, scores and writes. whole: the folder with all splits, which tells the taught lines."""
     bounds = read_bounds()
     with staged(out) as scratch:
-        rows = progress_bar(
-            f"localizing with {bundle.name}", "recording", predictions(bundle, folder, jobs), len(folder)
-        )
-        table = pd.concat(rows, ignore_index=True)
+        rows = predictions(bundle, folder, archive)
+        table = pd.concat(_watched(f"localizing with {bundle.name}", rows, len(folder)), ignore_index=True)
         write_predictions(scratch / "predictions.csv", table)
-        followed = _followed(bundle, folder, jobs)
+        followed = _followed(bundle, folder, archive)
         scored = score(table, folder.manifest, folder.sensor)
         taught = scored["recording"].map(taught_lines(whole.manifest)) != ""
         unseen, depths_mm = scored[~taught], taught_depths_mm(whole.manifest)
@@ -88,16 +144,30 @@ def evaluate(
         (scratch / "metrics.json").write_text(text + "\n", encoding="utf-8")
         if report:
             write_report(scratch / "report.html", metrics, verdicts, unseen, followed, whole)
+    archive.close()
     return Evaluation(metrics, verdicts)
 
 
-def _followed(bundle: Path, folder: Folder, jobs: int) -> list[Track]:
+def work_of(out: Path) -> Path:
+    """Where an evaluation into `out` keeps what is done."""
+    return out.with_name(f".{out.name}.work")
+
+
+def _watched(what: str, tables: Iterator[pd.DataFrame], recordings: int) -> Iterator[pd.DataFrame]:
+    """The tables, with a bar that counts their recordings."""
+    with progress_bar(what, "recording", total=recordings) as bar:
+        for table in tables:
+            yield table
+            bar.update(table["recording"].nunique())
+
+
+def _followed(bundle: Path, folder: Folder, archive: Archive) -> list[Track]:
     """Every recording that has its truth beside it, followed; says which of the chosen have none, if some have."""
     names = with_truth(folder)
     if names and len(names) < len(folder):
         left_out = f"{len(folder) - len(names)} of {len(folder)} recordings have no truth beside them"
         print(f"softslide evaluate: {left_out}; these are not followed over time", file=sys.stderr)
-    rows = tracks(bundle, folder, jobs)
+    rows = tracks(bundle, folder, archive)
     return list(progress_bar(f"following with {bundle.name}", "recording", rows, len(names)))
 
 
@@ -134,7 +204,12 @@ def write_predictions(path: Path, table: pd.DataFrame) -> None:
     shown.to_csv(path, index=False, float_format="%.9g", lineterminator="\n")
 
 
-def _chosen(folder: Folder, splits: Sequence[str] | None) -> Folder:
+def to_score(folder: Folder, splits: Sequence[str] | None) -> Folder:
+    """The recordings of these splits, or of those that begin with `test`.
+
+    Raises:
+        InputError: a split that the folder does not have, or none that begins with `test`.
+    """
     present = sorted(set(folder.manifest["split"]))
     place = f"{folder.root / 'manifest.csv'}: it has the splits {', '.join(present)}"
     if splits is None:

@@ -1,8 +1,8 @@
-"""One training: recordings in, a bundle out, an MLflow run kept."""
+"""One training: recordings in, a bundle out, a run logged that suffices to repeat it."""
 
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -10,18 +10,22 @@ from typing import Any
 import onnx
 import pandas as pd
 
-from experiments import tracking
 from experiments.configuration import configured
 from experiments.data_use import report_use
 from experiments.evaluation import figures
+from experiments.evaluation.archive import Archive
 from experiments.evaluation.readout import predictions
 from experiments.evaluation.scoring import score, summary
 from experiments.pages.page import panels_page
+from experiments.provenance import bundle_hash, code_revision, data_hashes
+from experiments.tracking.registry import MODEL
+from experiments.tracking.run import UNTRACKED, Run, tracked
+from features.card import read_card
 from features.errors import InputError
 from models.export.bundle import read_graph, write_bundle
 from models.fitted_model import FittedModel
 from models.registry import default_config, fit_model, uses_design
-from pipeline.atlas.atlas import Atlas
+from pipeline.atlas.atlas import Atlas, atlas_hash
 from pipeline.atlas.library import atlas_of
 from pipeline.progress import progress_bar
 from pipeline.recordings.derived_labels import (
@@ -35,6 +39,7 @@ from pipeline.recordings.windows import labelled_windows
 from pipeline.staging import check_replaceable
 from serve.localizer import Localizer
 
+LEARNT = ("calibration", "train")
 BUNDLE_FILES = ("model.onnx", "model.json")
 # Share of the held-out slides whose direction is lost (models/cnn/fit.py) above which `train` says so.
 LOST = 0.1
@@ -42,12 +47,11 @@ LOST = 0.1
 
 @dataclass(frozen=True)
 class Training:
-    """What `train` made: the bundle, its fit, and where the run is kept."""
+    """What `train` made: the bundle, its fit, and where its run was logged."""
 
     bundle: Path
     fitted: FittedModel
-    run: tracking.Run
-    logged_model: str
+    run: Run
 
 
 def train(
@@ -60,57 +64,71 @@ def train(
     config: Path | None = None,
     change: Callable[[Any], Any] = lambda default: default,
     design_alone: bool = False,
+    register: bool = False,
     store: str | None = None,
+    track: bool = True,
 ) -> Training:
     """Fits one model to the splits that begin with `calibration` or `train`, and exports it.
 
     atlas: what the sensor's design says, from `softslide simulate`; without one, and without labelled
-    recordings, the default sensor's. init: a bundle to start from (warm start). config: TOML over the model's defaults;
-    change: applied to the defaults before it. design_alone: uses no recording. store: as in `tracking.tracked`.
+    recordings, the default sensor's. init: a bundle to start from (warm start). config: TOML over the model's defaults,
+    or `configuration.json` of a run; change: applied to the defaults before it. design_alone: uses no recording.
+    register: whether to register the bundle. store: as in `tracking.store.store_address`. track: whether
+    a run is logged.
 
     Raises:
         InputError: what is read is not as docs/format.md says, there is nothing to train on, or no recording that has
             labels can be used and the design alone was not asked for.
         ParityError: the exported graph and the original disagree; nothing is written.
     """
-    chosen = read_folder(recordings).select("calibration", "train")
-    folder = _learnable(chosen, design_alone)
-    settings = configured(change(default_config(model)), config)
+    whole = read_folder(recordings)
+    folder = to_learn_from(whole, design_alone)
+    settings = configured(change(default_config(model)), config, model)
     start = None if init is None else _graph_of(init)
     check_replaceable(out, BUNDLE_FILES)
     design = design_of(folder, atlas) if uses_design(model) or atlas is not None else None
-    provenance = {
-        "configuration": {
-            "model": model,
-            "recordings": str(recordings),
-            "atlas": None if atlas is None else str(atlas),
-            "init": None if init is None else str(init),
-            "settings": asdict(settings),
-        },
-        "data": tracking.data_hashes(folder),
-        "code": tracking.code_revision(),
+    configuration = {
+        "model": model,
+        "recordings": str(recordings),
+        "atlas": None if atlas is None else str(atlas),
+        "init": None if init is None else str(init),
+        "design_alone": design_alone,
+        "settings": asdict(settings),
     }
-    with _tracked(model, folder, provenance, store) as run:
+    provenance: dict[str, Any] = {
+        "configuration": configuration,
+        "data": data_hashes(folder),
+        "code": code_revision(),
+    }
+    if design is not None:
+        provenance["atlas"] = atlas_hash(design)
+    if init is not None:
+        provenance["init"] = read_card(init / "model.json").graph_sha256
+    with _logged(out, folder, provenance, store) if track else nullcontext(UNTRACKED) as run:
         fitted, losses = _fit(model, folder, settings, design, start)
         _warn_if_lost(fitted)
         if not design_alone:
-            report_use(chosen, folder, fitted)
+            report_use(whole.select(*LEARNT), folder, fitted)
         windows = fitted.windows or labelled_windows(folder, fitted.conditioning)
         parity = write_bundle(fitted, folder.sensor, windows, provenance, out)
-        logged = run.model(out, model)
+        run.model(out, model)
+        run.tags({"bundle": bundle_hash(out)})
         run.losses(losses)
-        run.metrics({**fitted.summary, "parity": parity}, logged)
-        if len(folder):
-            _log_fit(run, out, folder, logged)
-    return Training(out, fitted, run, logged)
+        run.metrics({**fitted.summary, "parity": parity})
+        if len(folder) and track:
+            _log_fit(run, out, folder)
+        if register:
+            run.register(MODEL, {"bundle": bundle_hash(out)})
+    return Training(out, fitted, run)
 
 
-def _learnable(chosen: Folder, design_alone: bool) -> Folder:
-    """The recordings to learn from.
+def to_learn_from(whole: Folder, design_alone: bool) -> Folder:
+    """The recordings to learn from: of the splits LEARNT, those whose line is known.
 
     Raises:
         InputError: some have labels and none can be used.
     """
+    chosen = whole.select(*LEARNT)
     if design_alone:
         return replace(chosen, manifest=chosen.manifest.iloc[:0])
     folder = recordings_to_learn_from(chosen)
@@ -125,13 +143,13 @@ def _learnable(chosen: Folder, design_alone: bool) -> Folder:
 
 
 @contextmanager
-def _tracked(
-    model: str, folder: Folder, provenance: dict[str, Any], store: str | None
-) -> Iterator[tracking.Run]:
-    """The run, tagged with what its data hash to."""
+def _logged(out: Path, folder: Folder, provenance: dict[str, Any], store: str | None) -> Iterator[Run]:
+    """The run, tagged with what its data, atlas and first bundle hash to."""
+    configuration = provenance["configuration"]
     tags = {f"data.{name}": digest for name, digest in provenance["data"].items()}
-    name = f"{model} on {folder.sensor.name}"
-    with tracking.tracked(name, provenance["configuration"], tags, store) as run:
+    tags |= {name: provenance[name] for name in ("atlas", "init") if name in provenance}
+    name = f"{configuration['model']} on {folder.sensor.name}"
+    with tracked("train", name, configuration, out, tags=tags, store=store) as run:
         if len(folder):
             run.data(folder, "training")
         yield run
@@ -193,13 +211,13 @@ def design_of(folder: Folder, atlas: Path | None) -> Atlas | None:
         return None
 
 
-def _log_fit(run: tracking.Run, bundle: Path, folder: Folder, logged: str) -> None:
+def _log_fit(run: Run, bundle: Path, folder: Folder) -> None:
     """Errors of the exported bundle on the recordings that it was fitted to; `evaluate` scores it on others."""
-    table = pd.concat(predictions(bundle, folder), ignore_index=True)
+    table = pd.concat(predictions(bundle, folder, Archive()), ignore_index=True)
     scored = score(table, folder.manifest, folder.sensor)
     for name, error in summary(scored[scored["stroke_fraction"] == 1.0]).items():
         if isinstance(error, dict) and "mean" in error:
-            run.metrics({f"fitted_{name}_{kind}": error[kind] for kind in ("mean", "p95", "max")}, logged)
+            run.metrics({f"fitted_{name}_{kind}": error[kind] for kind in ("mean", "p95", "max")})
     end = scored[scored["stroke_fraction"] == 1.0]
     groups = [
         ("As the stroke goes on", figures.along_the_stroke(scored)),

@@ -10,8 +10,10 @@ from features.errors import InputError
 RATE_TOLERANCE = 0.002
 
 
-def check_clock(path: Path, time_s: np.ndarray, rate_hz: float) -> None:
+def check_clock(place: Path | str, time_s: np.ndarray, rate_hz: float) -> None:
     """Refuses a recording whose time does not increase evenly at the sensor's rate. time_s: (n,) s, n >= 2.
+
+    place: opens an error's message.
 
     Raises:
         InputError: time that stands still or runs back, a gap, or another rate than `rate_hz`.
@@ -20,7 +22,7 @@ def check_clock(path: Path, time_s: np.ndarray, rate_hz: float) -> None:
     if (bad := steps <= 0).any():
         row = int(bad.argmax())
         raise InputError(
-            f"{path}: row {row + 2}, column time_s does not increase ({time_s[row]:.6f} then "
+            f"{place}: row {row + 2}, column time_s does not increase ({time_s[row]:.6f} then "
             f"{time_s[row + 1]:.6f} s); sort the samples and drop repeated ones"
         )
     typical = float(np.median(steps))
@@ -28,13 +30,13 @@ def check_clock(path: Path, time_s: np.ndarray, rate_hz: float) -> None:
         row = int(bad.argmax())
         kind = "a gap" if steps[row] > 1 else "an uneven step"
         raise InputError(
-            f"{path}: row {row + 2}, column time_s: {kind} of {time_s[row + 1] - time_s[row]:.6f} s where "
+            f"{place}: row {row + 2}, column time_s: {kind} of {time_s[row + 1] - time_s[row]:.6f} s where "
             f"samples are {1 / rate_hz:.6f} s apart; resample it with 'softslide import' or drop it"
         )
     rate = (len(time_s) - 1) / (time_s[-1] - time_s[0])
     # Half a sample of jitter at either end changes this rate by 1 / steps.
     if abs(rate / rate_hz - 1) > RATE_TOLERANCE + 1 / len(steps):
         raise InputError(
-            f"{path}: column time_s runs at {rate:.6g} Hz, sensor.toml says sample_rate_hz = {rate_hz:.6g}; "
+            f"{place}: column time_s runs at {rate:.6g} Hz, sensor.toml says sample_rate_hz = {rate_hz:.6g}; "
             "correct the one that is wrong"
         )

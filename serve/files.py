@@ -30,15 +30,28 @@ def read_recording(path: Path, channels: Sequence[str], rate_hz: float) -> np.nd
     check_regular(path, MOST_BYTES, "name a recording")
     columns = ("time_s", *channels)
     values = _read_csv(path, columns) if kind == ".csv" else _read_parquet(path, columns)
+    return checked_volts(path, columns, values, rate_hz)
+
+
+def checked_volts(
+    place: Path | str, columns: Sequence[str], values: np.ndarray, rate_hz: float
+) -> np.ndarray:
+    """The volts (n, C) of a recording's table (n, 1 + C) with these columns, the first its time in s.
+
+    place: opens an error's message.
+
+    Raises:
+        InputError: a cell that is no finite number, too few samples, a gap in time, or another rate than `rate_hz`.
+    """
     if len(values) < 2:
-        raise InputError(f"{path}: {len(values)} samples, at least two are needed; record it again")
+        raise InputError(f"{place}: {len(values)} samples, at least two are needed; record it again")
     if (bad := ~np.isfinite(values)).any():
         row, column = (int(n) for n in np.argwhere(bad)[0])
         raise InputError(
-            f"{path}: row {row + 1}, column {columns[column]} is {values[row, column]}, not a finite number; "
+            f"{place}: row {row + 1}, column {columns[column]} is {values[row, column]}, not a finite number; "
             "record it again"
         )
-    check_clock(path, values[:, 0], rate_hz)
+    check_clock(place, values[:, 0], rate_hz)
     return np.ascontiguousarray(values[:, 1:])
 
 

@@ -18,6 +18,7 @@ from experiments.comparison import efficiency
 from experiments.comparison import figures as comparison_figures
 from experiments.comparison.peers import Study, kept
 from experiments.comparison.table import error_rows, markdown
+from experiments.evaluation.archive import Archive
 from experiments.evaluation.readout import predictions
 from experiments.evaluation.window_readout import window_card, window_predictions
 from features.card import Interval, Validity
@@ -154,7 +155,7 @@ def test_an_estimator_on_windows_is_read_as_a_bundle_is(lab: Folder, tmp_path: P
         return session.run(None, inputs)[0]
 
     some = lab.select("test-diagonal")
-    bundled = pd.concat(predictions(bundle, some, jobs=1), ignore_index=True)
+    bundled = pd.concat(predictions(bundle, some, Archive(jobs=1)), ignore_index=True)
     assert bundled["valid"].any()
     assert bundled["offset_mm"].nunique() > 3
     assert_frame_equal(window_predictions(predict, card, some), bundled, rtol=1e-6)

@@ -35,8 +35,8 @@ def written(tmp_path: Path, text: str) -> Path:
 
 def test_a_file_changes_what_it_names(tmp_path: Path) -> None:
     path = written(tmp_path, "steps = 7\nlayers = [8]\n[inner]\nrate = 2\nsizes = [5, 6]\n")
-    assert configured(Outer(), path) == Outer(7, "n", (8,), Inner(2.0, (5, 6)))
-    assert configured(Outer(), None) == Outer()
+    assert configured(Outer(), path, "outer") == Outer(7, "n", (8,), Inner(2.0, (5, 6)))
+    assert configured(Outer(), None, "outer") == Outer()
 
 
 @pytest.mark.parametrize(
@@ -58,12 +58,12 @@ def test_a_file_changes_what_it_names(tmp_path: Path) -> None:
 def test_what_is_wrong_is_named(tmp_path: Path, text: str, says: str) -> None:
     path = written(tmp_path, text)
     with pytest.raises(InputError) as error:
-        configured(Outer(), path)
+        configured(Outer(), path, "outer")
     assert str(error.value).startswith(str(path))
     assert says in str(error.value)
     assert "\n" not in str(error.value)
 
 
 def test_a_missing_file_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="cannot be read"):
-        configured(Outer(), tmp_path / "none.toml")
+    with pytest.raises(InputError, match="no such file"):
+        configured(Outer(), tmp_path / "none.toml", "outer")

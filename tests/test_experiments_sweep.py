@@ -137,15 +137,25 @@ def test_the_best_has_the_least_error_and_trains(
     assert Localizer.load(out).card.provenance["configuration"]["settings"]["trees"] == settings["trees"]
 
 
-def test_every_trial_is_a_run(stopped: tuple[Path, list[float]], found: Path, store: str) -> None:
+def test_every_trial_is_a_run_below_the_sweeps(
+    stopped: tuple[Path, list[float]], found: Path, store: str
+) -> None:
     client = mlflow.MlflowClient(store)
-    runs = [r for r in client.search_runs(["1"]) if "sweep" in r.data.tags]
+    runs = client.search_runs(["1"], "tags.command = 'trial'")
+    sweeps = {run.info.run_id: run for run in client.search_runs(["1"], "tags.command = 'sweep'")}
     logged = {r.data.metrics["heldout_overall"] for r in runs}
     # The one that was told as the process was killed may be missing.
     assert logged <= {t.value for t in trials(stopped[0], TrialState.COMPLETE)}
     assert len(runs) >= 3
     assert {r.data.params["settings.seed"] for r in runs} == {"1"}
     assert all("data.slides" in r.data.tags for r in runs)
+    assert all(run.data.tags["mlflow.parentRunId"] in sweeps for run in runs)
+    (ended,) = [run for run in sweeps.values() if run.info.status == "FINISHED"]
+    assert ended.data.metrics["heldout_overall"] == min(
+        t.value for t in trials(stopped[0], TrialState.COMPLETE) if t.value is not None
+    )
+    files = {item.path for item in client.list_artifacts(ended.info.run_id, "figures")}
+    assert files == {"figures/history.svg", "figures/importance.svg"}
 
 
 def test_a_spent_budget_tells_the_same_at_once(

@@ -1,14 +1,21 @@
-"""A run keeps what it takes to repeat it, and nobody is told."""
+"""What a run logs, what it keeps when the store is gone, and that nobody else is told."""
 
+import json
+import math
 import os
+import shutil
 from pathlib import Path
 
 import mlflow
-import numpy as np
+import pandas as pd
 import pytest
 from small_bundle import write_small_bundle
 
-from experiments.tracking import code_revision, data_hashes, flattened, tracked
+import softslide
+from experiments.provenance import code_revision, data_hashes
+from experiments.tracking.run import flattened, tracked
+from experiments.tracking.store import find_run
+from features.errors import InputError
 from pipeline.recordings.folder import SAMPLE, Folder, read_folder, write_folder
 
 
@@ -23,67 +30,130 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> str:
 
 
 @pytest.fixture(scope="module")
-def identifier(store: str, folder: Folder, tmp_path_factory: pytest.TempPathFactory) -> str:
+def bundle(folder: Folder, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_small_bundle(tmp_path_factory.mktemp("tracked") / "bundle", folder.sensor)
+
+
+def log_all(bundle: Path, folder: Folder, store: str) -> None:
     """A run with everything that a training logs."""
-    bundle = write_small_bundle(tmp_path_factory.mktemp("tracked") / "bundle", folder.sensor)
     configuration = {"model": "small", "settings": {"training": {"steps": 3}}}
-    with tracked("small on bench-a", configuration, data_hashes(folder), store) as run:
+    tags = data_hashes(folder)
+    with tracked("train", "small on bench-a", configuration, bundle, tags=tags, store=store) as run:
         run.data(folder, "training")
-        logged = run.model(bundle, "small")
+        run.model(bundle, "small")
+        run.tags({"bundle": "its hash"})
         run.losses({0: 2.0, 50: 1.0})
-        run.metrics({"parity": 1e-6}, logged)
+        run.metrics({"parity": 1e-6})
         run.text("<svg/>", "figures/one.svg")
-    return run.identifier
+        run.register("small", {"bundle": "its hash"})
 
 
-def test_a_run_holds_configuration_data_and_metrics(store: str, identifier: str, folder: Folder) -> None:
-    client = mlflow.MlflowClient(store)
-    run = client.get_run(identifier)
-    assert run.info.status == "FINISHED"
-    assert run.data.params == {"model": "small", "settings.training.steps": "3"}
-    assert run.data.metrics == {"parity": 1e-6, "loss": 1.0}
-    assert {m.step: m.value for m in client.get_metric_history(identifier, "loss")} == {0: 2.0, 50: 1.0}
-    assert run.data.tags.items() >= data_hashes(folder).items()
-    assert [d.dataset.name for d in run.inputs.dataset_inputs] == ["bench-a"]
+@pytest.fixture(scope="module")
+def client(store: str, bundle: Path, folder: Folder) -> mlflow.MlflowClient:
+    log_all(bundle, folder, store)
+    return mlflow.MlflowClient(store, store)
 
 
-def test_files_lie_beside_the_store(store: str, identifier: str) -> None:
-    client = mlflow.MlflowClient(store)
-    root = Path(store.removeprefix("sqlite:///")).parent
-    assert client.get_run(identifier).info.artifact_uri.startswith((root / "mlartifacts").as_uri())
-    held = {path.name for path in (root / "mlartifacts").rglob("*") if path.is_file()}
-    assert held >= {
-        "configuration.json",
-        "one.svg",
-        "model.onnx",
-        "model.json",
-        "MLmodel",
-        "requirements.txt",
-    }
+@pytest.fixture(scope="module")
+def logged(client: mlflow.MlflowClient) -> mlflow.entities.Run:
+    found = find_run(client, {"bundle": "its hash"})
+    assert found is not None
+    return found
 
 
-def test_the_model_has_the_graphs_signature_and_pinned_requirements(store: str, identifier: str) -> None:
-    client = mlflow.MlflowClient(store)
-    model = client.get_logged_model(client.get_run(identifier).outputs.model_outputs[0].model_id)
-    assert model.name == "small"
-    files = Path(model.artifact_location.removeprefix("file://"))
-    info = mlflow.models.get_model_info(str(files))
-    inputs = {spec.name: (spec.type, spec.shape) for spec in info.signature.inputs}
-    assert inputs == {
-        "volts": (np.dtype("float32"), (-1, 3, 64)),
-        "elapsed_s": (np.dtype("float32"), (-1,)),
-        "weight": (np.dtype("float32"), (-1, 1)),
-    }
-    assert [spec.shape for spec in info.signature.outputs] == [(-1, 5)]
-    pins = (files / "requirements.txt").read_text().split()
-    assert {pin.partition("==")[0] for pin in pins} >= {"numpy", "onnx", "onnxruntime"}
-    assert all("==" in pin for pin in pins)
+def test_a_run_holds_configuration_data_and_metrics(
+    client: mlflow.MlflowClient, logged: mlflow.entities.Run, folder: Folder
+) -> None:
+    assert logged.info.status == "FINISHED"
+    assert logged.data.params == {"command": "train", "model": "small", "settings.training.steps": "3"}
+    assert logged.data.metrics == {"parity": 1e-6, "loss": 1.0}
+    history = client.get_metric_history(logged.info.run_id, "loss")
+    assert {m.step: m.value for m in history} == {0: 2.0, 50: 1.0}
+    assert logged.data.tags.items() >= {**data_hashes(folder), "code": code_revision()}.items()
+    assert [d.dataset.name for d in logged.inputs.dataset_inputs] == ["bench-a"]
+    files = {item.path for item in client.list_artifacts(logged.info.run_id)}
+    assert files == {"bundle", "configuration.json", "environment.txt", "figures", "machine.json"}
 
 
-def test_a_run_that_breaks_off_is_marked_as_failed(store: str, identifier: str) -> None:
-    with pytest.raises(KeyError), tracked("broken", {}, {}, store) as run:
+def test_files_lie_beside_the_store(
+    store: str, client: mlflow.MlflowClient, logged: mlflow.entities.Run
+) -> None:
+    beside = (Path(store.removeprefix("sqlite:///")).parent / "mlartifacts").as_uri()
+    model = client.get_logged_model(logged.outputs.model_outputs[0].model_id)
+    assert logged.info.artifact_uri.startswith(beside)
+    assert model.artifact_location.startswith(beside)
+
+
+def test_metrics_belong_to_the_model(client: mlflow.MlflowClient, logged: mlflow.entities.Run) -> None:
+    model = client.get_logged_model(logged.outputs.model_outputs[0].model_id)
+    assert {(m.key, m.value) for m in model.metrics} >= {("parity", 1e-6), ("loss", 1.0)}
+
+
+def test_the_model_answers_what_predict_answers(
+    client: mlflow.MlflowClient, folder: Folder, bundle: Path, tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    """From the registry, without a pickle, from a table of time and volts, to the last digit."""
+    files = Path(mlflow.artifacts.download_artifacts("models:/small/1", dst_path=str(tmp_path)))
+    assert not [path for path in files.rglob("*") if path.suffix in (".pkl", ".pickle", ".joblib")]
+    pins = {pin.partition("==")[0] for pin in (files / "requirements.txt").read_text().split()}
+    assert pins == {"mlflow", "numpy", "onnxruntime"}
+    name = str(folder.manifest["speed_mm_s"].idxmax())
+    recording = folder.load(name)
+    table = pd.DataFrame(recording.volts, columns=list(folder.sensor.channels))
+    table.insert(0, "time_s", recording.time_s)
+    table.to_csv(tmp_path / "slide.csv", index=False)
+    model = mlflow.pyfunc.load_model("models:/small/1")
+    for options, params in ((["--track"], {"track": True}), ([], None)):
+        command = ["predict", "--model", bundle, *options, tmp_path / "slide.csv"]
+        assert softslide.main([str(word) for word in command]) == 0
+        told = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+        for line in told:
+            del line["recording"], line["file"]
+        assert json.loads(json.dumps(model.predict(table, params=params))) == told
+    with pytest.raises(InputError, match="row 3, column a0_vx is nan"):
+        model.predict(table.assign(a0_vx=[1.0, 1.0, math.nan, *recording.volts[3:, 0]]))
+
+
+def test_a_run_that_breaks_off_is_marked_as_failed(
+    client: mlflow.MlflowClient, store: str, tmp_path: Path
+) -> None:
+    with pytest.raises(KeyError), tracked("broken", "broken", {}, tmp_path / "out", store=store):
         raise KeyError
-    assert mlflow.MlflowClient(store).get_run(run.identifier).info.status == "FAILED"
+    run = find_run(client, {"command": "broken"})
+    assert run is not None
+    assert run.info.status == "FAILED"
+
+
+def test_what_a_store_does_not_take_is_kept_and_sent_later(
+    bundle: Path,
+    folder: Folder,
+    tmp_path: Path,
+    logged: mlflow.entities.Run,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """A store that cannot be opened for a while: the run is then there as any other, files and model included."""
+    moved = tmp_path / "moved"
+    shutil.copytree(bundle, moved)
+    (tmp_path / "store").write_text("a file where the store's folder should be")
+    later = f"sqlite:///{tmp_path / 'store' / 'mlflow.db'}"
+    log_all(moved, folder, later)
+    kept = tmp_path / "moved.unsent"
+    (line,) = capsys.readouterr().err.splitlines()
+    assert f"softslide sync {kept}" in line
+    shutil.rmtree(moved)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.delenv("MLFLOW_TRACKING_URI")
+        assert softslide.main(["sync", str(kept)]) == 1
+        assert "are kept, run 'softslide sync' again" in capsys.readouterr().err
+        (tmp_path / "store").unlink()
+        assert softslide.main(["sync", str(tmp_path)]) == 0
+    assert not kept.exists()
+    sent = find_run(mlflow.MlflowClient(later, later), {"bundle": "its hash"})
+    assert sent is not None
+    assert sent.data.params == logged.data.params
+    assert sent.data.metrics == logged.data.metrics
+    assert (sent.info.status, len(sent.outputs.model_outputs)) == ("FINISHED", 1)
+    assert mlflow.MlflowClient(later, later).get_model_version("small", "1").tags == {"bundle": "its hash"}
 
 
 def test_nothing_is_sent() -> None:

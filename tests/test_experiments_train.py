@@ -3,6 +3,7 @@
 import json
 import shutil
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import mlflow
@@ -11,6 +12,11 @@ import pandas as pd
 import pytest
 
 import softslide
+from experiments.configuration import configured
+from experiments.provenance import bundle_hash
+from experiments.tracking.store import find_run
+from features.stream.conditioning import Conditioning
+from models.registry import default_config
 from pipeline.recordings.folder import SAMPLE, read_folder
 from serve.localizer import Localizer
 
@@ -69,6 +75,85 @@ def test_the_run_is_kept_with_figures_and_model(bundle: Path, store: str) -> Non
     )
     held = {path.name for path in (Path(store.removeprefix("sqlite:///")).parent / "mlartifacts").rglob("*")}
     assert held >= {"configuration.json", "fitted.html", "MLmodel", "model.json"}
+
+
+def the_run(store: str, **tags: str) -> mlflow.entities.Run:
+    """The last run with these tags."""
+    found = find_run(mlflow.MlflowClient(store, store), tags)
+    assert found is not None
+    return found
+
+
+def test_a_run_repeats_from_itself(
+    bundle: Path, store: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The same bytes, with the bundle gone and its settings in no file but the run's."""
+    run = the_run(store, bundle=bundle_hash(bundle), command="train")
+    assert softslide.main(["repeat", run.info.run_id]) == 0
+    assert capsys.readouterr().out.splitlines() == [
+        "model.onnx: the same to the byte",
+        "model.json: the same to the byte",
+    ]
+
+
+def test_the_configuration_of_a_run_is_one_for_training(
+    bundle: Path, lab: Path, store: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = the_run(store, bundle=bundle_hash(bundle), command="train")
+    path = Path(mlflow.artifacts.download_artifacts(run.info.artifact_uri + "/configuration.json"))
+    default = default_config("interpolation")
+    assert (
+        configured(replace(default, conditioning=Conditioning(trigger_v=1.0)), path, "interpolation")
+        == default
+    )
+    command = ["train", "--recordings", lab, "--config", path, "--out", tmp_path / "out"]
+    assert softslide.main([str(word) for word in command]) == 2
+    assert "of a run of interpolation, not cnn" in capsys.readouterr().err
+
+
+def test_what_differs_is_named(
+    bundle: Path, lab: Path, store: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shutil.copytree(lab, tmp_path / "lab")
+    manifest = pd.read_csv(lab / "manifest.csv")
+    manifest.loc[manifest["split"].str.startswith("calibration"), "speed_mm_s"] *= 1.01
+    manifest.to_csv(tmp_path / "lab" / "manifest.csv", index=False)
+    run = the_run(store, bundle=bundle_hash(bundle), command="train")
+    command = ["repeat", run.info.run_id, "--recordings", tmp_path / "lab", "--out", tmp_path / "again"]
+    assert softslide.main([str(word) for word in command]) == 1
+    told = capsys.readouterr()
+    assert "not as it was: the recordings' manifest" in told.err.splitlines()
+    assert "model.onnx: differs" in told.out.splitlines()
+    assert "provenance.data.manifest" in told.out
+    assert (tmp_path / "again/model.onnx").exists()
+
+
+def test_an_evaluation_is_a_run_below_its_training(
+    bundle: Path, lab: Path, store: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    options = ["--split", "test-diagonal", "--jobs", 1, "--out", tmp_path / "results"]
+    command = ["evaluate", "--model", bundle, "--recordings", SAMPLE, *options]
+    softslide.main([str(word) for word in command])
+    training = the_run(store, bundle=bundle_hash(bundle), command="train")
+    run = the_run(store, bundle=bundle_hash(bundle), command="evaluate")
+    assert run.data.tags["mlflow.parentRunId"] == training.info.run_id
+    assert run.data.tags["bound.direction"] in ("met", "missed", "not tested")
+    metrics = json.loads((tmp_path / "results/metrics.json").read_text())
+    mean = metrics["splits"]["test-diagonal"]["1.0"]["direction_deg"]["mean"]
+    assert run.data.metrics["test-diagonal.direction_deg.mean"] == mean
+    model = mlflow.MlflowClient(store, store).get_logged_model(training.outputs.model_outputs[0].model_id)
+    assert "test-diagonal.direction_deg.mean" in {metric.key for metric in model.metrics}
+    capsys.readouterr()
+    assert softslide.main(["repeat", run.info.run_id]) == 0
+    assert capsys.readouterr().out.count("the same to the byte") == 2
+
+
+@pytest.mark.parametrize("identifier", ["none", "0" * 32])
+def test_a_run_that_is_none_is_refused(identifier: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert softslide.main(["repeat", identifier]) == 2
+    err = capsys.readouterr().err
+    assert err.count("\n") == 1
+    assert f"run {identifier}: not to be had from sqlite" in err
 
 
 def test_labels_of_other_splits_change_nothing(bundle: Path, lab: Path, tmp_path: Path) -> None:

@@ -197,6 +197,9 @@ CALLS = {
     "train": ["--recordings", SAMPLE, "--out", "out"],
     "sweep": ["--config", SAMPLE / "sensor.toml"],
     "evaluate": ["--model", SAMPLE, "--recordings", SAMPLE, "--out", "out"],
+    "repeat": ["0" * 32],
+    "promote": ["--model", SAMPLE, "--recordings", SAMPLE],
+    "sync": [SAMPLE],
     "export": ["--model", SAMPLE, "--to", "ort", "--out", "out"],
     "article": ["--recordings", SAMPLE, "--out", "out"],
     "compare": ["--recordings", SAMPLE, "--out", "out"],
@@ -221,6 +224,12 @@ def test_a_missing_extra_is_said_in_one_line(command: str, device: Path, tmp_pat
     assert last == f"softslide {command} needs softslide[{extra}]: pip install 'softslide[{extra}]'"
     assert "Traceback" not in done.stderr
     assert not (tmp_path / "out").exists()
+
+
+def test_a_registered_bundle_needs_the_extra_that_has_the_registry(device: Path) -> None:
+    done = run("predict", "--model", "models:/softslide@champion", device / "slide.csv")
+    assert done.returncode == 2
+    assert done.stderr == "softslide predict needs softslide[train]: pip install 'softslide[train]'\n"
 
 
 def test_a_module_of_our_own_that_is_missing_is_no_extra(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -11,10 +11,11 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from experiments import tracking
 from experiments.comparison import minirocket
+from experiments.evaluation.archive import Archive
 from experiments.evaluation.readout import predictions
 from experiments.evaluation.window_readout import window_card, window_predictions
+from experiments.provenance import data_hashes
 from experiments.train import design_of, train
 from features.card import HALF_WIDTH_SD, Interval, Validity, read_card
 from features.errors import InputError
@@ -77,7 +78,7 @@ class Study:
     @cached_property
     def hashes(self) -> dict[str, Any]:
         """Hash of the recordings that are learnt from and scored."""
-        return {"taught": tracking.data_hashes(self.taught), "scored": tracking.data_hashes(self.scored)}
+        return {"taught": data_hashes(self.taught), "scored": data_hashes(self.scored)}
 
     def _labelled(self, *splits: str) -> Folder:
         folder = read_folder(self.recordings).select(*splits).labelled()
@@ -161,7 +162,7 @@ def _read_bundle(study: Study, bundle: Path) -> Readout:
     def one(volts: np.ndarray, elapsed_s: np.ndarray) -> None:
         localizer.infer(localizer.inputs(Window(volts[0], float(elapsed_s[0]))))
 
-    table = pd.concat(predictions(bundle, study.scored, study.jobs), ignore_index=True)
+    table = pd.concat(predictions(bundle, study.scored, Archive(study.jobs)), ignore_index=True)
     return Readout(table, *_times_ms(one, study.windows, TIMED))
 
 

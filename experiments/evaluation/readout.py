@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from joblib import Parallel, delayed
 
+from experiments.evaluation.archive import Archive
 from features.errors import InputError
 from features.estimate import Estimate
 from pipeline.recordings.folder import Folder
@@ -74,16 +74,19 @@ def predict_recording(bundle: Path, folder: Folder, name: str) -> list[dict[str,
     ]
 
 
-def predictions(bundle: Path, folder: Folder, jobs: int = 2) -> Iterator[pd.DataFrame]:
-    """Each recording's rows, in the manifest's order, `jobs` recordings at a time.
+def predictions(bundle: Path, folder: Folder, archive: Archive) -> Iterator[pd.DataFrame]:
+    """The recordings' rows in the manifest's order, some recordings at a time.
 
     Raises:
         InputError: the bundle is broken or made for another sensor, or a recording is.
     """
     check_fits(open_localizer(bundle), folder)
-    work = (delayed(predict_recording)(bundle, folder, name) for name in folder.manifest.index)
-    for rows in Parallel(n_jobs=jobs, return_as="generator")(work):
-        yield pd.DataFrame(rows, columns=list(COLUMNS))
+    yield from archive.tables("predictions", _read_out, bundle, folder, list(folder.manifest.index))
+
+
+def _read_out(bundle: Path, folder: Folder, names: list[str]) -> pd.DataFrame:
+    rows = [row for name in names for row in predict_recording(bundle, folder, name)]
+    return pd.DataFrame(rows, columns=list(COLUMNS))
 
 
 def check_fits(localizer: Localizer, folder: Folder) -> None:

@@ -11,12 +11,12 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from joblib import Parallel, delayed
 
+from experiments.evaluation.archive import Archive
 from experiments.evaluation.readout import open_localizer
 from features.angles import wrapped_deg
 from pipeline.recordings.folder import Folder
-from pipeline.recordings.truth import truth_path
+from pipeline.recordings.truth import read_truth, truth_path
 from serve.records import record
 
 # Below this speed a contact counts as standing, without a direction.
@@ -56,24 +56,33 @@ def with_truth(folder: Folder) -> list[str]:
     return [str(n) for n, file in folder.manifest["file"].items() if truth_path(folder.root / file).is_file()]
 
 
-def tracks(bundle: Path, folder: Folder, jobs: int = 2) -> Iterator[Track]:
-    """Every recording that has its truth, in the manifest's order, `jobs` at a time.
+def tracks(bundle: Path, folder: Folder, archive: Archive) -> Iterator[Track]:
+    """Every recording that has its truth, in the manifest's order.
 
     Raises:
         InputError: a recording or its truth is not what the contract says.
     """
-    work = (delayed(_track)(bundle, folder, name) for name in with_truth(folder))
-    yield from Parallel(n_jobs=jobs, return_as="generator")(work)
+    names = with_truth(folder)
+    for table in archive.tables("tracks", _judged, bundle, folder, names):
+        for name, judged in table.groupby("recording", sort=False):
+            row = folder.manifest.loc[str(name)]
+            truth = read_truth(truth_path(folder.root / row["file"]))
+            yield Track(
+                str(name), str(row["split"]), truth, judged.drop(columns="recording").reset_index(drop=True)
+            )
 
 
-def _track(bundle: Path, folder: Folder, name: str) -> Track:
+def _judged(bundle: Path, folder: Folder, names: list[str]) -> pd.DataFrame:
+    return pd.concat([_track(bundle, folder, name).assign(recording=name) for name in names])
+
+
+def _track(bundle: Path, folder: Folder, name: str) -> pd.DataFrame:
     localizer, recording = open_localizer(bundle), folder.load(name)
     assert recording.truth is not None
     localizer.reset()
     said = estimate_table([record(estimate) for estimate in localizer.push(recording.volts)])
     said["time_s"] += recording.time_s[0]
-    judged = judge(said, recording.truth, folder.sensor.reference_mm)
-    return Track(name, str(folder.manifest.at[name, "split"]), recording.truth, judged)
+    return judge(said, recording.truth, folder.sensor.reference_mm)
 
 
 def estimate_table(records: Sequence[dict[str, Any]]) -> pd.DataFrame:

@@ -10,11 +10,10 @@ import json
 import sys
 import time
 from collections.abc import Iterator, Mapping
-from concurrent.futures import FIRST_COMPLETED, Future, wait
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
 from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 import optuna
 import tomli_w
@@ -23,24 +22,28 @@ from optuna.storages import JournalStorage
 from optuna.storages.journal import JournalFileBackend
 from optuna.trial import FrozenTrial, Trial, TrialState
 
-from experiments import tracking
+from experiments.provenance import data_hashes
+from experiments.sweep.pictures import pictures
 from experiments.sweep.space import Sweep, read_sweep
 from experiments.sweep.trial import follow_parent, held_out_errors, overall
+from experiments.tracking.run import tracked
 from experiments.train import design_of
 from features.errors import InputError
-from pipeline.atlas.atlas import Atlas
+from pipeline.atlas.atlas import Atlas, atlas_hash
 from pipeline.progress import progress_bar
 from pipeline.recordings.derived_labels import recordings_to_learn_from
 from pipeline.recordings.folder import Folder, read_folder
+from pipeline.workers import cluster
 
 # A user attribute of a trial: its errors by quantity; or why it has none.
 ERRORS, FAULT = "errors", "fault"
 
 
-def sweep(config: Path, store: str | None = None) -> str:
+def sweep(config: Path, scheduler: str = "", store: str | None = None) -> str:
     """Searches until the budget is used up; the best settings as TOML for `train --config`.
 
-    config: as in experiments/sweep/space.py. store: as in `tracking.tracked`.
+    config: as in experiments/sweep/space.py. scheduler: as in `pipeline.workers.results`. store: as in
+    `tracking.store.store_address`.
 
     Raises:
         InputError: what is read is not what it should be, another sweep uses the journal, or no trial succeeded.
@@ -51,19 +54,36 @@ def sweep(config: Path, store: str | None = None) -> str:
         raise InputError(f"{plan.recordings}: no labelled calibration slides to hold lines out of")
     design = design_of(folder, plan.atlas) if plan.model == "cnn" or plan.atlas else None
     optuna.logging.set_verbosity(optuna.logging.WARNING)
-    data = tracking.data_hashes(folder)
+    hashes = {f"data.{name}": digest for name, digest in data_hashes(folder).items()}
+    hashes |= {} if design is None else {"atlas": atlas_hash(design)}
     with _journal(config.with_suffix(".journal")) as journal:
-        study = _study(plan, data, journal)
-        for trial in _trials(plan, study, folder, design):
-            _track(plan, trial, data, study.study_name, store)
-        finished = study.get_trials(states=[TrialState.COMPLETE])
-        if not finished:
-            faults = [t.user_attrs[FAULT] for t in study.trials if FAULT in t.user_attrs]
-            raise InputError(f"{config}: no trial succeeded ({faults[0] if faults else 'none began'})")
-        best = study.best_trial
+        study = _study(plan, hashes, journal)
+        tags = {"sweep": study.study_name, **hashes}
+        with tracked("sweep", study.study_name, plan.as_table(), config, tags=tags, store=store) as run:
+            for trial in _trials(plan, study, folder, design, scheduler):
+                _track(plan, trial, tags, config, store)
+            best = _best(config, study)
+            text = tomli_w.dumps(plan.table(best.params))
+            run.text(text, "best.toml")
+            run.metrics(_figures(best))
+            for name, picture in pictures(study).items():
+                run.text(picture, f"figures/{name}.svg")
     found = ", ".join(f"{name} {error:.3g}" for name, error in best.user_attrs[ERRORS].items())
-    print(f"softslide sweep: best of {len(finished)} is trial {best.number}: {found}", file=sys.stderr)
-    return tomli_w.dumps(plan.table(best.params))
+    count = len(study.get_trials(states=[TrialState.COMPLETE]))
+    print(f"softslide sweep: best of {count} is trial {best.number}: {found}", file=sys.stderr)
+    return text
+
+
+def _best(config: Path, study: optuna.Study) -> FrozenTrial:
+    """The trial with the least errors.
+
+    Raises:
+        InputError: none succeeded.
+    """
+    if not study.get_trials(states=[TrialState.COMPLETE]):
+        faults = [t.user_attrs[FAULT] for t in study.trials if FAULT in t.user_attrs]
+        raise InputError(f"{config}: no trial succeeded ({faults[0] if faults else 'none began'})")
+    return study.best_trial
 
 
 @contextmanager
@@ -87,14 +107,14 @@ def _journal(path: Path) -> Iterator[Path]:
         yield path
 
 
-def _study(plan: Sweep, data: Mapping[str, str], journal: Path) -> optuna.Study:
+def _study(plan: Sweep, hashes: Mapping[str, str], journal: Path) -> optuna.Study:
     """The study of this search; trials that were interrupted are queued again."""
     what = [
         plan.model,
         plan.settings,
         {k: repr(d) for k, d in plan.space.items()},
         str(plan.atlas),
-        dict(data),
+        dict(hashes),
     ]
     name = f"{plan.model}-{hashlib.sha256(json.dumps(what, sort_keys=True).encode()).hexdigest()[:12]}"
     storage = JournalStorage(JournalFileBackend(str(journal)))
@@ -107,20 +127,17 @@ def _study(plan: Sweep, data: Mapping[str, str], journal: Path) -> optuna.Study:
     return study
 
 
-def _trials(plan: Sweep, study: optuna.Study, folder: Folder, design: Atlas | None) -> Iterator[FrozenTrial]:
+def _trials(
+    plan: Sweep, study: optuna.Study, folder: Folder, design: Atlas | None, scheduler: str
+) -> Iterator[FrozenTrial]:
     """Asks for trials, runs them on workers, and reports their results; yields each trial as it ends."""
     until = time.monotonic() + plan.budget.seconds
     ended = sum(t.state is TrialState.COMPLETE or FAULT in t.user_attrs for t in study.trials)
     if ended:
         print(f"softslide sweep: {ended} trials of an earlier call", file=sys.stderr)
-    pool = get_reusable_executor(
-        plan.budget.workers,
-        env={"OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"},
-        initializer=follow_parent,
-    )
     running: dict[Future, Trial] = {}
     bar = progress_bar(plan.model, "trial", total=plan.budget.trials, done=ended)
-    try:
+    with bar, _pool(plan.budget.workers, scheduler) as pool:
         while True:
             while (
                 len(running) < plan.budget.workers
@@ -142,8 +159,21 @@ def _trials(plan: Sweep, study: optuna.Study, folder: Folder, design: Atlas | No
                 yield _tell(study, running.pop(future), future)
                 ended += 1
                 bar.update()
+
+
+@contextmanager
+def _pool(workers: int, scheduler: str) -> Iterator[Executor]:
+    """Processes of this computer, which end with this one, or those of a Dask cluster."""
+    if scheduler:
+        with cluster(scheduler) as client:
+            yield client.get_executor(pure=False)
+        return
+    pool = get_reusable_executor(
+        workers, env={"OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}, initializer=follow_parent
+    )
+    try:
+        yield pool
     finally:
-        bar.close()
         pool.shutdown(kill_workers=True)
 
 
@@ -161,18 +191,22 @@ def _fail(study: optuna.Study, trial: Trial, error: Exception) -> FrozenTrial:
     return study.tell(trial, state=TrialState.FAIL)
 
 
-def _track(plan: Sweep, trial: FrozenTrial, data: Mapping[str, str], study: str, store: str | None) -> None:
-    """One run a trial, tagged with the study's name."""
+def _track(plan: Sweep, trial: FrozenTrial, tags: Mapping[str, str], config: Path, store: str | None) -> None:
+    """One run a trial, a child of the sweep's."""
     try:
         settings = asdict(plan.configuration(trial.params))
     except InputError:
         settings = plan.table(trial.params)
-    configuration = {"model": plan.model, "recordings": str(plan.recordings), "settings": settings}
-    tags = {"sweep": study, **{f"data.{name}": digest for name, digest in data.items()}}
+    configuration = {**plan.as_table(), "settings": settings}
     if FAULT in trial.user_attrs:
-        tags[FAULT] = trial.user_attrs[FAULT]
-    with tracking.tracked(f"{study} trial {trial.number}", configuration, tags, store) as run:
+        tags = {**tags, FAULT: trial.user_attrs[FAULT]}
+    parent = {"sweep": tags["sweep"], "command": "sweep"}
+    name = f"{tags['sweep']} trial {trial.number}"
+    with tracked("trial", name, configuration, config, tags=tags, parent=parent, store=store) as run:
         if ERRORS in trial.user_attrs:
-            errors: dict[str, Any] = trial.user_attrs[ERRORS]
-            run.metrics({f"heldout_{name}": error for name, error in errors.items()})
-            run.metrics({"heldout_overall": trial.value or 0.0})
+            run.metrics(_figures(trial))
+
+
+def _figures(trial: FrozenTrial) -> dict[str, float]:
+    errors = {f"heldout_{name}": error for name, error in trial.user_attrs[ERRORS].items()}
+    return {**errors, "heldout_overall": trial.value or 0.0}

@@ -14,7 +14,7 @@ least_leaf = [2, 4, 8]
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, is_dataclass
+from dataclasses import asdict, dataclass, is_dataclass
 from pathlib import Path
 from typing import Any
 
@@ -58,6 +58,17 @@ class Sweep:
     budget: Budget
     settings: dict[str, Any]
     space: dict[str, BaseDistribution]
+
+    def as_table(self) -> dict[str, Any]:
+        """The search as JSON takes it: a run's configuration."""
+        return {
+            "model": self.model,
+            "recordings": str(self.recordings),
+            "atlas": None if self.atlas is None else str(self.atlas),
+            "budget": asdict(self.budget),
+            "settings": self.settings,
+            "space": {key: repr(values) for key, values in self.space.items()},
+        }
 
     def table(self, parameters: Mapping[str, Any]) -> dict[str, Any]:
         """The settings with one trial's parameters among them, as a table of `train --config`."""

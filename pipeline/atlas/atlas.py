@@ -11,6 +11,7 @@ which a membrane rises. A pressure level is the model's *effective* pressure in 
 height; it is not the regulator's figure (see `pipeline.sensor.Skin`).
 """
 
+import hashlib
 import json
 import zipfile
 from dataclasses import dataclass
@@ -261,6 +262,14 @@ def check_atlas(atlas: Atlas, sensor: Sensor, source: str = "atlas") -> None:
                 f"run softslide simulate for this sensor"
             )
     raise InputError(f"{source}: its design's hash is wrong; run softslide simulate again")
+
+
+def atlas_hash(atlas: Atlas) -> str:
+    """SHA-256 of an atlas's design and arrays; not of what solving it cost."""
+    digest = hashlib.sha256(json.dumps(atlas.meta["design"], sort_keys=True).encode())
+    for name in _ARRAYS:
+        digest.update(getattr(atlas, name).tobytes())
+    return digest.hexdigest()
 
 
 def write_atlas(atlas: Atlas, path: Path) -> None:

@@ -28,6 +28,7 @@ from pipeline.skin.lines import (
 )
 from pipeline.skin.solver import TOLERANCE_N, NoEquilibrium, Statistics
 from pipeline.skin.system import State
+from pipeline.workers import results
 
 
 @dataclass(frozen=True)
@@ -79,6 +80,7 @@ def solve_atlas(
     *,
     workers: int = 1,
     backend: str = "loky",
+    scheduler: str = "",
     work: Path | None = None,
     progress: Progress | None = None,
     source: str = "sensor",
@@ -87,6 +89,7 @@ def solve_atlas(
 
     Args:
         workers: processes; with backend "dask", the connected (or a local) cluster is used instead of "loky".
+        scheduler: address of a Dask cluster that does the work instead.
         work: folder that keeps each finished line, so that an interrupted solve resumes; removed at the end.
         progress: wraps the stream of finished lines, given their number.
 
@@ -114,7 +117,7 @@ def solve_atlas(
     calls = [
         (sensor, line, (x, y)[line.axis], grid.depth_mm[depth], *levels[level]) for level, depth, line in left
     ]
-    stream = _parallel(list(zip(left, calls, strict=True)), workers, backend)
+    stream = _parallel(list(zip(left, calls, strict=True)), workers, backend, scheduler)
     for task, values, statistics in progress(stream, len(left)) if progress else stream:
         done[task] = (values, statistics)
         if store is not None:
@@ -132,6 +135,7 @@ def simulate(
     depths: list[float] | None,
     jobs: int,
     backend: str,
+    scheduler: str,
 ) -> None:
     """`softslide simulate`: reads a design, solves it, writes the atlas, says what did not converge.
 
@@ -200,25 +204,18 @@ def _solve(task: Task, call: tuple) -> tuple[Task, np.ndarray, dict[str, float]]
     return task, values, asdict(statistics)
 
 
-def _parallel(jobs: list[tuple[Task, tuple]], workers: int, backend: str) -> Iterator[Any]:
+def _parallel(jobs: list[tuple[Task, tuple]], workers: int, backend: str, scheduler: str) -> Iterator[Any]:
     """Results in the order they finish; in this process when one worker is asked for."""
-    if workers == 1 and backend == "loky":
-        yield from (_solve(*job) for job in jobs)
-        return
-    from joblib import Parallel, delayed, parallel_config
-
     with ExitStack() as stack:
-        if backend == "dask":
+        if backend == "dask" and not scheduler:
             from distributed import Client, get_client
 
             try:
-                get_client()
+                client = get_client()
             except ValueError:
-                stack.enter_context(Client(n_workers=workers, threads_per_worker=1))
-        with parallel_config(backend=backend, n_jobs=workers):
-            pool = Parallel(batch_size=1, return_as="generator_unordered")
-            results = pool(delayed(_solve)(*job) for job in jobs)
-        yield from results
+                client = stack.enter_context(Client(n_workers=workers, threads_per_worker=1))
+            scheduler = client.scheduler_info()["address"]
+        yield from results(_solve, jobs, workers, scheduler, ordered=False)
 
 
 def _gather(

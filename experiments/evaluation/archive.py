@@ -1,0 +1,93 @@
+"""A table over many recordings, made chunk by chunk on several processes; what is done survives the process.
+
+A chunk's rows are kept in a file of their own until the whole is written, so that a call that was killed goes on where
+it stopped. Chunks and their order depend on the recordings alone: the result is the same for any number of processes.
+"""
+
+import hashlib
+import json
+import shutil
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from experiments.provenance import bundle_hash, code_revision
+from features.errors import InputError
+from pipeline.recordings.folder import Folder
+from pipeline.recordings.truth import truth_path
+from pipeline.workers import results
+
+# Recordings of a task: of some 0.2 s each, they take long beside the 11 ms that Dask asks for a task.
+CHUNK = 4
+
+
+class Archive:
+    """How a call works through its recordings. jobs, scheduler: as in `pipeline.workers.results`. work: a folder for
+    what is done, removed by `close`; None: nothing is kept."""
+
+    def __init__(self, jobs: int = 2, scheduler: str = "", work: Path | None = None) -> None:
+        self.jobs, self.scheduler, self.work = jobs, scheduler, work
+
+    def tables(
+        self, what: str, make: Callable[..., pd.DataFrame], bundle: Path, folder: Folder, names: Sequence[str]
+    ) -> Iterator[pd.DataFrame]:
+        """Each chunk's table, in the order of the names.
+
+        what: which table. make: called as make(bundle, folder, names), the folder that of a chunk's recordings alone.
+
+        Raises:
+            InputError: as `make`, and where nothing can be kept.
+        """
+        chunks = [_only(folder, list(names[n : n + CHUNK])) for n in range(0, len(names), CHUNK)]
+        of_all = [what, bundle_hash(bundle), code_revision()]
+        places = [self._place(of_all, chunk) for chunk in chunks]
+        missing = [
+            chunk for chunk, place in zip(chunks, places, strict=True) if not (place and place.exists())
+        ]
+        calls = ((bundle, chunk, list(chunk.manifest.index)) for chunk in missing)
+        made = results(make, calls, self.jobs, self.scheduler)
+        for place in places:
+            if place and place.exists():
+                yield pd.read_parquet(place)
+                continue
+            table = next(made)
+            if place:
+                _write(table, place)
+            yield table
+
+    def close(self) -> None:
+        """Removes what was kept: the whole is written."""
+        if self.work is not None:
+            shutil.rmtree(self.work, ignore_errors=True)
+
+    def _place(self, of_all: list[str], chunk: Folder) -> Path | None:
+        """The chunk's file, named by all that its table depends on. of_all: what that of every chunk does."""
+        if self.work is None:
+            return None
+        key = [*of_all, chunk.manifest.to_csv(), _files(chunk)]
+        return self.work / f"{hashlib.sha256(json.dumps(key).encode()).hexdigest()[:24]}.parquet"
+
+
+def _write(table: pd.DataFrame, place: Path) -> None:
+    """Writes a chunk's table, whole or not at all."""
+    try:
+        place.parent.mkdir(parents=True, exist_ok=True)
+        scratch = place.with_suffix(".partial")
+        table.to_parquet(scratch)
+        scratch.replace(place)
+    except OSError as error:
+        raise InputError(f"{place}: cannot be written ({error.strerror}); name another place") from None
+
+
+def _only(folder: Folder, names: list[str]) -> Folder:
+    """The folder with these recordings alone: what a task needs of the manifest."""
+    return Folder(folder.root, folder.sensor, folder.manifest.loc[names])
+
+
+def _files(folder: Folder) -> list[Any]:
+    """Size and time of change of each recording's files."""
+    paths = [folder.root / file for file in folder.manifest["file"]]
+    paths += [truth_path(path) for path in paths]
+    return [[each.st_size, each.st_mtime_ns] for each in (path.stat() for path in paths if path.exists())]
