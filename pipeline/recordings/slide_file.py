@@ -11,7 +11,7 @@ import pyarrow.parquet as pq
 
 from features.errors import InputError
 from features.regular_file import check_regular
-from pipeline.recordings.text_table import read_text_table
+from pipeline.recordings.text_table import numbers, read_text_table
 
 MISSING = "put it there or take its row out of the manifest"
 # An hour of ten accelerometers at 25.6 kHz; beyond it a recording is many.
@@ -31,14 +31,14 @@ def read_slide(path: Path, channels: Sequence[str]) -> tuple[np.ndarray, np.ndar
         raise InputError(f"{path}: {len(table)} samples, at least two are needed; record it again or drop it")
     values = np.empty((len(table), len(columns)))
     for n, column in enumerate(columns):
-        numbers = pd.to_numeric(table[column], errors="coerce").to_numpy(dtype=float, na_value=np.nan)
-        if (bad := ~np.isfinite(numbers)).any():
+        cells = numbers(table[column])
+        if (bad := ~np.isfinite(cells)).any():
             row = int(bad.argmax())
             raise InputError(
                 f"{path}: row {row + 1}, column {column} is {table[column].iloc[row]}, not a finite number; "
                 "record it again or drop the recording"
             )
-        values[:, n] = numbers
+        values[:, n] = cells
     return values[:, 0].copy(), values[:, 1:].copy()
 
 

@@ -8,6 +8,7 @@ import warnings
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
 from features.errors import InputError
@@ -51,6 +52,14 @@ def read_text_table(
     except (ValueError, OverflowError, MemoryError, pd.errors.ParserWarning) as error:
         reason = " ".join(str(error).split())[:120]
         raise InputError(f"{path}: not a comma-separated table ({reason}); correct it") from None
+
+
+def numbers(column: pd.Series) -> np.ndarray:
+    """A column as float64; NaN where a cell is no number."""
+    try:
+        return pd.to_numeric(column, errors="coerce").to_numpy(dtype=float, na_value=np.nan)
+    except OverflowError:  # an integer beyond float
+        return pd.to_numeric(column.astype(str), errors="coerce").to_numpy(dtype=float, na_value=np.nan)
 
 
 def _text(path: Path, content: bytes) -> str:

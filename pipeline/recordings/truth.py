@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from features.errors import InputError
-from pipeline.recordings.text_table import read_text_table
+from pipeline.recordings.text_table import numbers, read_text_table
 
 COLUMNS = ("time_s", "x_mm", "y_mm", "vx_mm_s", "vy_mm_s", "contact", "depth_mm")
 # Cells that may be empty: a lab may not know how deep.
@@ -50,13 +50,13 @@ def read_truth(path: Path) -> pd.DataFrame:
             raise InputError(f"{path}: column '{column}' is missing; add it")
     table = table.reindex(columns=list(COLUMNS))
     for column in COLUMNS:
-        numbers = pd.to_numeric(table[column], errors="coerce").to_numpy(float)
+        values = numbers(table[column])
         allowed = table[column].isna().to_numpy() & (column in _OPTIONAL)
-        if (bad := ~(np.isfinite(numbers) | allowed)).any():
+        if (bad := ~(np.isfinite(values) | allowed)).any():
             raise InputError(
                 f"{path}: row {bad.argmax() + 1}, column {column} is no finite number; write one"
             )
-        table[column] = numbers
+        table[column] = values
     if len(table) < 3:
         raise InputError(f"{path}: {len(table)} rows; at least three are needed")
     if (bad := ~np.isin(table["contact"].to_numpy(), (0.0, 1.0))).any():

@@ -1,29 +1,27 @@
-"""The live page: a web server in a thread of its own, which shows every viewer the latest estimate.
+"""The page's web server: shows every viewer the latest estimate. It runs in a process of its own (process.py).
 
-The stream overwrites one slot and never waits. A viewer asks for each frame, so that at most one is on its way to it: a
-slow viewer sees fewer frames, not older ones.
+A viewer asks for each frame, so that at most one is on its way to it: a slow viewer sees fewer frames, not older ones.
 """
 
 import asyncio
+import csv
+import io
 import json
-import secrets
-import socket
 import struct
 import threading
 import time
-from ipaddress import ip_address
+from collections import deque
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from features.card import Card
-from features.errors import InputError
-from features.estimate import Estimate
+from features.estimate import Contact, Estimate, Reason
 from features.stream.tracker import SlideState
 from serve.page.guard import HEADERS, Guard
 
-PLACE = "write PORT or HOST:PORT, port 0 for any that is free"
 # Blocks come 50 times a second; a screen needs no more than this.
 FRAME_S = 1 / 40
 # After this time without a new estimate the last frame is sent again, so that a viewer that has left is noticed.
@@ -33,42 +31,42 @@ FAREWELL_S = 0.5
 # A browser's request has about 1 kB of headers.
 MOST_HEADER_BYTES = 1 << 14
 MOST_CONNECTIONS = 64
-STATES = tuple(SlideState)
-# What a frame holds besides; the words are not shown.
-NUMBERS = tuple(name for name in Estimate._fields if name not in ("time_s", "state", "contact", "reason"))
+# Frames that can be replayed and downloaded: five minutes of blocks of 20 ms, 3 MB.
+KEPT = 15_000
+STATES, CONTACTS, REASONS = tuple(SlideState), tuple(Contact), tuple(Reason)
+# What a frame holds besides time and state; of a word its index.
+WORDS: dict[str, tuple[str, ...]] = {"contact": CONTACTS, "reason": REASONS}
+NUMBERS = tuple(name for name in Estimate._fields if name not in ("time_s", "state"))
 _FILES = Path(__file__).with_name("static")
 
 
-class Page:
-    """Listens once it is made, serves until it is closed."""
+class Server:
+    """Serves from a thread once it is made, until it is closed."""
 
-    def __init__(self, place: str, card: Card, source: str) -> None:
-        """place: [HOST:]PORT; without a host 127.0.0.1. source: the stream's name, to be shown.
-
-        Raises:
-            InputError: no such address, it is taken, or the live extra is missing.
-        """
-        self._about = json.dumps(about(card, source))
-        self._latest: tuple[Estimate, np.ndarray] | None = None
+    def __init__(self, listener: Any, description: str, token: str | None, zero: Callable[[], None]) -> None:
+        """listener: a socket that listens. description: of `about`, as JSON. zero: asks for a new static output."""
+        self._about, self._zero = description, zero
+        self._kept: deque[bytes] = deque(maxlen=KEPT)
         self._ended = False
         self._viewers = 0
-        application = self._application()
-        listener = _listener(place)
-        host, port = listener.getsockname()[:2]
-        # Whom this machine's own address does not keep out needs a token.
-        token = None if ip_address(host.partition("%")[0]).is_loopback else secrets.token_urlsafe(16)
-        self.address = f"http://{f'[{host}]' if ':' in host else host}:{port}/"
-        if token is not None:
-            self.address += f"?token={token}"
-        self._server = _server(Guard(application, token))
+        self._server = _server(Guard(self._application(), token))
         self._thread = threading.Thread(
             target=self._server.run, kwargs={"sockets": [listener]}, name="page", daemon=True
         )
         self._thread.start()
 
-    def show(self, estimate: Estimate, subtracted_v: np.ndarray) -> None:
-        """Replaces the estimate shown, and with it the subtracted output (C,) V of the same moment."""
-        self._latest = estimate, subtracted_v
+    @property
+    def _latest(self) -> bytes | None:
+        return self._kept[-1] if self._kept else None
+
+    def wait(self) -> None:
+        """Returns once it answers."""
+        while self._thread.is_alive() and not self._server.started:
+            time.sleep(FRAME_S)
+
+    def show(self, shown: bytes) -> None:
+        """Replaces the frame shown."""
+        self._kept.append(shown)
 
     def close(self) -> None:
         """Shows the last estimate, tells viewers that the stream has ended, and frees the address."""
@@ -80,8 +78,6 @@ class Page:
         self._thread.join(timeout=5.0)
 
     def _application(self) -> Any:
-        # uvicorn imports it too late for an error in one line.
-        import websockets  # noqa: F401
         from fastapi import FastAPI, Response, WebSocket, WebSocketDisconnect
         from fastapi.staticfiles import StaticFiles
 
@@ -101,15 +97,27 @@ class Page:
         @application.get("/healthz")
         def healthz() -> dict[str, Any]:
             shown = self._latest
-            return {
-                "status": "ok",
-                "time_s": None if shown is None else shown[0].time_s,
-                "viewers": self._viewers,
-            }
+            time_s = None if shown is None else struct.unpack_from("<d", shown)[0]
+            return {"status": "ok", "time_s": time_s, "viewers": self._viewers}
 
         @application.get("/model")
         def model() -> Response:
             return Response(self._about, media_type="application/json")
+
+        @application.get("/frames")
+        def frames() -> Response:
+            return Response(b"".join(self._kept), media_type="application/octet-stream")
+
+        @application.get("/estimates.csv")
+        def estimates() -> Response:
+            named = {"Content-Disposition": "attachment; filename=estimates.csv"}
+            table = as_csv(list(self._kept), json.loads(self._about)["channels"])
+            return Response(table, media_type="text/csv", headers=named)
+
+        @application.post("/zero")
+        def zero() -> dict[str, str]:
+            self._zero()
+            return {"status": "ok"}
 
         application.mount("/", StaticFiles(directory=_FILES, html=True))
         return application
@@ -117,16 +125,16 @@ class Page:
     async def _attend(self, viewer: Any) -> None:
         """Serves one viewer: the description, then a frame for each request, until it leaves or the stream ends."""
         await viewer.send_text(self._about)
-        shown = None
+        shown: bytes | None = None
         while (await viewer.receive())["type"] != "websocket.disconnect":
             shown = await self._next(shown)
-            await viewer.send_bytes(frame(*shown) if shown else b"")
+            await viewer.send_bytes(shown or b"")
             if self._ended and shown is self._latest:
                 await viewer.close()
                 return
             await asyncio.sleep(FRAME_S)
 
-    async def _next(self, shown: tuple[Estimate, np.ndarray] | None) -> tuple[Estimate, np.ndarray] | None:
+    async def _next(self, shown: bytes | None) -> bytes | None:
         """The first estimate after `shown`; after SILENCE_S, or at the end, the latest one."""
         for _ in range(round(SILENCE_S / FRAME_S)):
             if self._latest is not shown or self._ended:
@@ -143,37 +151,37 @@ def about(card: Card, source: str) -> dict[str, Any]:
         "sensor": card.sensor,
         "reference_mm": card.reference_mm,
         "states": STATES,
+        "words": WORDS,
         "numbers": NUMBERS,
         "channels": card.channels,
     }
 
 
 def frame(estimate: Estimate, subtracted_v: np.ndarray) -> bytes:
-    """Little-endian: time_s as float64; as float32 the state's index, the NUMBERS, and the channels (C,) in V."""
-    numbers = [STATES.index(estimate.state), *(getattr(estimate, name) for name in NUMBERS)]
+    """Little-endian: time_s as float64; as float32 the state's index, the NUMBERS and the channels (C,) in V.
+
+    Of a word its index in WORDS.
+    """
+    numbers = [STATES.index(estimate.state)]
+    for name in NUMBERS:
+        value = getattr(estimate, name)
+        numbers.append(WORDS[name].index(value) if name in WORDS else value)
     return struct.pack("<d", estimate.time_s) + np.array([*numbers, *subtracted_v], "<f4").tobytes()
 
 
-def _listener(place: str) -> socket.socket:
-    host, _, port = place.rpartition(":")
-    if not port.isdigit() or int(port) > 65535:
-        raise InputError(f"{place}: no port; {PLACE}", "page")
-    try:
-        where = socket.getaddrinfo(host.strip("[]") or "127.0.0.1", int(port), type=socket.SOCK_STREAM)[0]
-    except OSError as error:
-        raise InputError(f"{place}: no such host ({error.strerror}); {PLACE}", "page") from None
-    listener = socket.socket(where[0], socket.SOCK_STREAM)
-    listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-    try:
-        listener.bind(where[4])
-        listener.listen()
-    except OSError as error:
-        listener.close()
-        raise InputError(
-            f"{place}: cannot listen there ({error.strerror}); name another port, or 0 for any",
-            "page",
-        ) from None
-    return listener
+def as_csv(frames: list[bytes], channels: list[str]) -> str:
+    """Frames as a table: time and state, NUMBERS with words as words, the subtracted output in V; empty: not known."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(["time_s", "state", *NUMBERS, *(f"{channel}_subtracted_v" for channel in channels)])
+    for shown in frames:
+        state, *values = np.frombuffer(shown, "<f4", offset=8).tolist()
+        cells = [f"{value:.7g}" if np.isfinite(value) else "" for value in values]
+        for name, words in WORDS.items():
+            place = NUMBERS.index(name)
+            cells[place] = words[int(values[place])]
+        writer.writerow([f"{struct.unpack_from('<d', shown)[0]:.6f}", STATES[int(state)], *cells])
+    return text.getvalue()
 
 
 def _server(application: Any) -> Any:

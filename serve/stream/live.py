@@ -12,7 +12,7 @@ from features.errors import InputError
 from features.estimate import Estimate
 from features.track_filter import TrackFilter
 from serve.localizer import Localizer
-from serve.page.server import Page
+from serve.page.process import Page
 from serve.stream.framing import Chunk
 from serve.stream.sinks import Sink, open_sink
 from serve.stream.sources import open_source
@@ -41,18 +41,27 @@ def serve(
     written = 0
     with _stoppable() as stopped, ExitStack() as held:
         opened = [held.enter_context(closing(open_sink(name))) for name in sinks]
-        shown = None if page is None else held.enter_context(closing(Page(page, localizer.card, source)))
+        shown = (
+            None if page is None else held.enter_context(closing(Page(page, localizer.card, _name(source))))
+        )
         chunks = open_source(source, localizer.card, form, fast)
         if shown is not None:
             print(f"softslide serve: the page is at {shown.address}", file=sys.stderr, flush=True)
         for chunk in chunks:
             if stopped:
                 break
+            if shown is not None and shown.zero_wanted():
+                localizer.reset()
             try:
                 written += _hand_on(localizer, chunk, steady, opened, shown)
             except InputError as error:
                 raise InputError(f"{source}: {error}", "source") from None
     return written
+
+
+def _name(source: str) -> str:
+    """What the page calls the source: a file without its folders."""
+    return source if source == "-" or "://" in source else Path(source).name
 
 
 def _hand_on(

@@ -1,7 +1,7 @@
 // Shows the stream on the page: numbers with every frame, pictures with every redraw of the screen.
 import { number } from "./canvas.js";
 import { drawSkin } from "./skin.js";
-import { follow } from "./stream.js";
+import { follow, kept } from "./stream.js";
 import { Traces } from "./traces.js";
 
 const byId = (id) => document.getElementById(id);
@@ -10,9 +10,9 @@ const ESTIMATES = [
   ["direction", "deg", 1, "direction_deg", "direction_lo_deg", "direction_hi_deg"],
   ["speed", "mm/s", 2, "speed_mm_s", "speed_lo_mm_s", "speed_hi_mm_s"],
   ["offset", "mm", 2, "offset_mm", "offset_lo_mm", "offset_hi_mm"],
-  ["depth", "mm", 2, "depth_mm"],
-  ["x", "mm", 1, "x_mm"],
-  ["y", "mm", 1, "y_mm"],
+  ["depth", "mm", 2, "depth_mm", "depth_lo_mm", "depth_hi_mm"],
+  ["x", "mm", 1, "x_mm", "x_lo_mm", "x_hi_mm"],
+  ["y", "mm", 1, "y_mm", "y_lo_mm", "y_hi_mm"],
 ];
 const DEVICE = [
   ["time", "s", 1, "time_s"],
@@ -21,6 +21,20 @@ const DEVICE = [
   ["gain", "", 3, "gain"],
   ["turn", "deg", 1, "turn_deg"],
 ];
+
+// What is told of an estimate that is not valid, by its reason.
+const REASONS = {
+  no_contact: "nothing touches the skin",
+  unknown_zero: "the static output is not known yet: leave the skin alone",
+  too_early: "the contact has not moved enough yet",
+  ambiguous: "several places or headings explain the output",
+  off_map: "outside of what the calibration covers",
+  not_this_sensor: "the output fits no contact on this skin",
+  drift: "gravity's length has changed: the sensor has drifted",
+  dead_channel: "an accelerometer is lost, frozen or clipped",
+};
+// Points of the path that are kept; a contact of four minutes.
+const LONGEST_PATH = 10000;
 
 let sensor = null;
 let latest = null;
@@ -42,18 +56,21 @@ function rows(body, quantities, bounded) {
 
 function show() {
   for (const [value, interval, unit, digits, name, low, high] of cells) {
-    value.textContent = number(latest[name], digits);
-    if (Number.isFinite(latest[name]) && unit) value.append(` ${unit}`);
-    if (!low) continue;
-    const known = Number.isFinite(latest[low] + latest[high]);
+    // Numbers of an estimate that is not valid are no estimate, and without a slide no accelerometer is chosen.
+    const hidden = interval ? !latest.valid : name === "accelerometers" && !latest[name];
+    const shown = hidden ? NaN : latest[name];
+    value.textContent = number(shown, digits);
+    if (Number.isFinite(shown) && unit) value.append(` ${unit}`);
+    if (!interval) continue;
+    const known = low && Number.isFinite(shown + latest[low] + latest[high]);
     interval.textContent = known ? `${number(latest[low], digits)} … ${number(latest[high], digits)}` : "";
   }
   const estimated = Number.isFinite(latest.direction_deg);
-  const trust = estimated ? latest.valid ? "valid" : "abstains" : "no estimate";
+  const trust = latest.valid ? "valid" : estimated ? "abstains" : "no estimate";
   // Written on a change only, because screen readers read these lines aloud.
   say(byId("phase"), latest.state);
   say(byId("trust"), trust, estimated ? trust : "");
-  byId("estimates").className = trust === "abstains" ? "doubtful" : "";
+  say(byId("reason"), latest.valid ? "" : REASONS[latest.reason] ?? latest.reason);
 }
 
 function say(element, text, kind = element.className) {
@@ -74,25 +91,66 @@ function drawSoon() {
   waiting = true;
 }
 
+function clear() {
+  latest = null;
+  trace = [];
+  byId("traces").replaceChildren();
+  traces = new Traces(byId("traces"), sensor.sensor.accelerometers);
+}
+
+// Takes a frame in: the numbers, the path and the traces.
+function take(record) {
+  // A contact's path stays until the next one begins.
+  const touched = (r) => r && r.contact !== "none";
+  if (touched(record) && !touched(latest)) trace = [];
+  if (touched(record)) {
+    const halves = ["x", "y"].map((axis) => (record[`${axis}_hi_mm`] - record[`${axis}_lo_mm`]) / 2);
+    const known = record.valid && Number.isFinite(record.x_mm + record.y_mm);
+    if (known || trace.at(-1)) trace.push(known ? [record.x_mm, record.y_mm, ...halves] : null);
+    if (trace.length > LONGEST_PATH) trace.shift();
+  }
+  latest = record;
+  traces.push(record);
+  drawSoon();
+}
+
+// What is shown: "live" what comes, "pause" what there was, "replay" what the server has kept, from its beginning.
+let mode = "live";
+
+function switchTo(next) {
+  mode = mode === next ? "live" : next;
+  for (const name of ["pause", "replay"]) byId(name).ariaPressed = String(mode === name);
+  return mode === next;
+}
+
+byId("pause").onclick = () => switchTo("pause");
+byId("zero").onclick = () => fetch("zero", { method: "POST" });
+byId("replay").onclick = async () => {
+  if (!switchTo("replay")) return;
+  const records = await kept(sensor);
+  clear();
+  const begun = performance.now();
+  let next = 0;
+  const step = () => {
+    if (mode !== "replay") return;
+    const until = records[0]?.time_s + (performance.now() - begun) / 1000;
+    // A clock that runs back is a stream that began anew: it goes on at once.
+    while (next < records.length && (records[next].time_s <= until || records[next].time_s < records[next - 1]?.time_s)) take(records[next++]);
+    if (next < records.length) setTimeout(step, 20);
+    else switchTo("replay");
+  };
+  step();
+};
+
 follow({
   about(names) {
     sensor = names;
-    latest = null;
-    trace = [];
-    byId("traces").replaceChildren();
-    traces = new Traces(byId("traces"), names.sensor.accelerometers);
+    clear();
     byId("about").textContent = `${names.sensor.name}, ${names.model}, ${names.source === "-" ? "standard input" : names.source}`;
     drawSoon();
   },
   frame(record) {
-    // A slide's path stays until the next one begins.
-    if (record.state === "slide" && latest?.state !== "slide") trace = [];
-    if (record.state === "slide" && record.valid && Number.isFinite(record.x_mm + record.y_mm)) {
-      trace.push([record.x_mm, record.y_mm]);
-    }
-    latest = record;
-    traces.push(record);
-    drawSoon();
+    if (mode === "live") take(record);
   },
   status(kind, text) {
     say(byId("connection"), text, kind);

@@ -12,6 +12,8 @@ export function drawSkin(canvas, { sensor, reference_mm }, estimate, trace) {
   const { context, width, height } = prepared(canvas);
   const ink = colours();
   const half = sensor.chamber_mm.map((side) => side / 2 + MARGIN_MM);
+  // Hidden, or on its way to its size.
+  if (Math.min(width, height) < 2 * AXIS_PX) return;
   const scale = Math.min((width - AXIS_PX) / (2 * half[0]), (height - AXIS_PX) / (2 * half[1]));
   const centre = [(width + AXIS_PX) / 2, (height - AXIS_PX) / 2];
   const at = (x, y) => [centre[0] + x * scale, centre[1] - y * scale];
@@ -19,11 +21,8 @@ export function drawSkin(canvas, { sensor, reference_mm }, estimate, trace) {
   chamber(context, at, sensor.chamber_mm, half, ink);
   context.save();
   clip(context, at, half);
-  if (estimate && Number.isFinite(estimate.direction_deg)) {
-    context.globalAlpha = estimate.valid ? 1 : 0.35;
-    motion(context, at, scale, sensor, reference_mm, estimate, trace, ink);
-    context.globalAlpha = 1;
-  }
+  path(context, at, scale, trace, ink);
+  if (estimate?.valid) motion(context, at, scale, sensor, reference_mm, estimate, ink);
   boards(context, at, sensor.accelerometers, reference_mm, ink);
   context.restore();
 }
@@ -76,7 +75,7 @@ function boards(context, at, accelerometers, [x, y], ink) {
 
 // The slide's line, the contact on it, and its direction. Where the model gives no position (x, y unknown), the line is
 // drawn through its point nearest to the reference point, without a contact.
-function motion(context, at, scale, sensor, reference, estimate, trace, ink) {
+function motion(context, at, scale, sensor, reference, estimate, ink) {
   const angle = estimate.direction_deg * Math.PI / 180;
   const along = [Math.cos(angle), Math.sin(angle)];
   const left = [-along[1], along[0]];
@@ -86,7 +85,6 @@ function motion(context, at, scale, sensor, reference, estimate, trace, ink) {
   const aside = [estimate.offset_lo_mm, estimate.offset_hi_mm].map((mm) => mm - estimate.offset_mm);
 
   stroke(context, [point(-200, 0), point(200, 0)], ink.soft, 1, [3, 5]);
-  stroke(context, trace.map(([x, y]) => at(x, y)), ink.mark, 3);
   wedge(context, at(...place), WEDGE_MM * scale, estimate, ink.mark);
   if (placed) contact(context, at(...place), sensor.indenter_diameter_mm / 2 * scale, ink);
   stroke(context, [point(0, 0), point(ARROW_MM, 0)], ink.mark, 2.5);
@@ -94,6 +92,27 @@ function motion(context, at, scale, sensor, reference, estimate, trace, ink) {
   if (aside.every(Number.isFinite)) {
     stroke(context, aside.map((mm) => point(0, mm)), ink.ink, 2);
     for (const mm of aside) stroke(context, [point(-0.8, mm), point(0.8, mm)], ink.ink, 2);
+  }
+}
+
+// The contact's path, and as wide as its 90 % interval a band of ellipses. A gap, null, is where nothing was valid.
+function path(context, at, scale, trace, ink) {
+  context.globalAlpha = 0.08;
+  context.fillStyle = ink.mark;
+  for (const point of trace) {
+    if (!point || !Number.isFinite(point[2] + point[3])) continue;
+    context.beginPath();
+    context.ellipse(...at(point[0], point[1]), point[2] * scale, point[3] * scale, 0, 0, 2 * Math.PI);
+    context.fill();
+  }
+  context.globalAlpha = 1;
+  let piece = [];
+  for (const point of [...trace, null]) {
+    if (point) piece.push(at(point[0], point[1]));
+    else {
+      stroke(context, piece, ink.mark, 3);
+      piece = [];
+    }
   }
 }
 

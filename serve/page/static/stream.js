@@ -30,11 +30,18 @@ export function follow({ about, frame, status }, ended = false) {
   };
 }
 
-// time_s as float64, then float32: the state's index, the numbers by name, the channels in V.
-function decoded(buffer, { numbers, states }) {
+// The frames that the server has kept, oldest first.
+export async function kept(names) {
+  const all = await (await fetch("frames")).arrayBuffer();
+  const size = 8 + 4 * (1 + names.numbers.length + names.channels.length);
+  return Array.from({ length: Math.floor(all.byteLength / size) }, (_, n) => decoded(all.slice(n * size, (n + 1) * size), names));
+}
+
+// time_s as float64, then float32: the state's index, the numbers by name (of a word its index), the channels in V.
+function decoded(buffer, { numbers, states, words }) {
   const values = new Float32Array(buffer, 8);
   const record = { time_s: new Float64Array(buffer, 0, 1)[0], state: states[values[0]] };
-  numbers.forEach((name, n) => { record[name] = values[1 + n]; });
+  numbers.forEach((name, n) => { record[name] = words[name] ? words[name][values[1 + n]] : values[1 + n]; });
   record.zero_shift_mv = 1000 * record.zero_shift_v;
   record.subtracted_v = values.subarray(1 + numbers.length);
   return record;

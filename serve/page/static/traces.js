@@ -59,6 +59,7 @@ function panel(section, board) {
 function drawPanel(canvas, rows, first, most) {
   const { context, width, height } = prepared(canvas);
   const ink = colours();
+  if (width < 2 * LEFT_PX || height < 2 * BOTTOM_PX) return;
   const end = rows.at(-1).time_s;
   const floor = height - BOTTOM_PX;
   const middle = (TOP_PX + floor) / 2;

@@ -1,0 +1,165 @@
+"""The live page beside the stream, in a process of its own.
+
+Requests of any kind take no time of the interpreter that serves the robot. The stream never waits: what the page does
+not take in time is dropped, and when the page dies the stream goes on.
+"""
+
+import importlib.util
+import json
+import logging
+import multiprocessing
+import os
+import secrets
+import signal
+import socket
+import sys
+import threading
+from collections import deque
+from contextlib import suppress
+from ipaddress import ip_address
+from multiprocessing.connection import Connection
+
+import numpy as np
+
+from features.card import Card
+from features.errors import InputError
+from features.estimate import Estimate
+from serve.page.server import FAREWELL_S, Server, about, frame
+
+PLACE = "write PORT or HOST:PORT, port 0 for any that is free"
+NEEDED = ("fastapi", "uvicorn", "websockets")
+# Estimates that wait for the page, two seconds of them; beyond it the oldest are dropped.
+MOST_WAITING = 100
+# Time that the page's process has to start, s: a second where the machine has little else to do.
+START_S = 60.0
+# Time that the page's process has to end, before it is ended, s.
+END_S = 10.0 + FAREWELL_S
+# Of the page's process, so that it yields to the stream where they share a core.
+NICENESS = 5
+
+
+class Page:
+    """Listens once it is made, serves until it is closed."""
+
+    def __init__(self, place: str, card: Card, source: str) -> None:
+        """place: [HOST:]PORT; without a host 127.0.0.1. source: the stream's name, to be shown.
+
+        Raises:
+            InputError: no such address, or it is taken.
+            ModuleNotFoundError: the live extra is missing.
+        """
+        for name in NEEDED:
+            if importlib.util.find_spec(name) is None:
+                raise ModuleNotFoundError(f"No module named '{name}'", name=name)
+        listener = _listener(place)
+        host, port = listener.getsockname()[:2]
+        # Whom this machine's own address does not keep out needs a token.
+        token = None if ip_address(host.partition("%")[0]).is_loopback else secrets.token_urlsafe(16)
+        self.address = f"http://{f'[{host}]' if ':' in host else host}:{port}/"
+        if token is not None:
+            self.address += f"?token={token}"
+        context = multiprocessing.get_context("spawn")
+        self._pipe, theirs = context.Pipe()
+        self._process = context.Process(
+            target=run_page, args=(theirs, listener, json.dumps(about(card, source)), token), daemon=True
+        )
+        self._process.start()
+        theirs.close()
+        listener.close()
+        # A short recording would be over before its page is there.
+        try:
+            started = self._pipe.poll(START_S) and self._pipe.recv_bytes()
+        except (EOFError, OSError):
+            started = b""
+        if not started:
+            self._process.kill()
+            raise InputError(f"{place}: the page's process did not start; serve without it", "page")
+        self._waiting: deque[tuple[Estimate, np.ndarray] | None] = deque(maxlen=MOST_WAITING)
+        self._some = threading.Event()
+        self._zero = False
+        self._sender = threading.Thread(target=self._send, name="page", daemon=True)
+        self._sender.start()
+        self._listener = threading.Thread(target=self._listen, name="page's requests", daemon=True)
+        self._listener.start()
+
+    def show(self, estimate: Estimate, subtracted_v: np.ndarray) -> None:
+        """Passes on the estimate to be shown, with the subtracted output (C,) V of the same moment. Never waits."""
+        self._waiting.append((estimate, subtracted_v))
+        self._some.set()
+
+    def zero_wanted(self) -> bool:
+        """Whether a viewer has asked for a new static output since the last call."""
+        wanted, self._zero = self._zero, False
+        return wanted
+
+    def close(self) -> None:
+        """Lets the page show the last estimate and say goodbye, and frees the address."""
+        self._waiting.append(None)
+        self._some.set()
+        self._sender.join(END_S)
+        self._process.join(END_S)
+        if self._process.is_alive():
+            self._process.kill()
+            self._process.join()
+
+    def _send(self) -> None:
+        """Sends what waits until the end, or until the page is gone."""
+        while self._some.wait():
+            self._some.clear()
+            while self._waiting:
+                shown = self._waiting.popleft()
+                try:
+                    self._pipe.send_bytes(b"" if shown is None else frame(*shown))
+                except OSError:
+                    print("softslide serve: the page has ended; the stream goes on", file=sys.stderr)
+                    return
+                if shown is None:
+                    return
+
+    def _listen(self) -> None:
+        """Notes requests until the page is gone."""
+        with suppress(EOFError, OSError):
+            while True:
+                self._pipe.recv_bytes()
+                self._zero = True
+
+
+def run_page(pipe: Connection, listener: socket.socket, description: str, token: str | None) -> None:
+    """The page's process: shows the frames that come through the pipe, until an empty one, or the stream is gone."""
+    # Ctrl-C ends the stream, and that the page.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if hasattr(os, "nice"):
+        os.nice(NICENESS)
+    # Whoever sends nonsense must not fill the terminal of the stream.
+    logging.disable(logging.CRITICAL)
+    server = Server(listener, description, token, lambda: pipe.send_bytes(b"zero"))
+    server.wait()
+    try:
+        pipe.send_bytes(b"ready")
+        while shown := pipe.recv_bytes():
+            server.show(shown)
+    except (EOFError, OSError):
+        os._exit(1)
+    server.close()
+
+
+def _listener(place: str) -> socket.socket:
+    host, _, port = place.rpartition(":")
+    if not port.isdigit() or int(port) > 65535:
+        raise InputError(f"{place}: no port; {PLACE}", "page")
+    try:
+        where = socket.getaddrinfo(host.strip("[]") or "127.0.0.1", int(port), type=socket.SOCK_STREAM)[0]
+    except OSError as error:
+        raise InputError(f"{place}: no such host ({error.strerror}); {PLACE}", "page") from None
+    listener = socket.socket(where[0], socket.SOCK_STREAM)
+    listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    try:
+        listener.bind(where[4])
+        listener.listen()
+    except OSError as error:
+        listener.close()
+        raise InputError(
+            f"{place}: cannot listen there ({error.strerror}); name another port, or 0 for any",
+            "page",
+        ) from None
+    return listener
