@@ -1,4 +1,4 @@
-"""Subcommands at the bench: plan, record."""
+"""Subcommands at the bench: design, plan, record."""
 
 import argparse
 import math
@@ -7,6 +7,62 @@ from pathlib import Path
 from commands import arguments
 from commands.arguments import Parser, Run
 from features.errors import InputError
+
+
+def design(parser: Parser) -> Run:
+    """where to put the accelerometers, and what they can reach
+
+    Solves the bare skin of a design (a minute on one core), and finds the
+    places of so many boards at which the Cramer-Rao bound over the skin is
+    least: the least errors in direction (deg), speed (%) and distance (mm) that
+    any unbiased estimate can have. Writes design.html with a map of them,
+    design.csv, and for each number of boards a sensor-N.toml to go on with
+    ('simulate', 'plan'). Prints the table.
+
+        softslide design --sensor sensor.toml --boards 1 2 3 4 --out design
+        softslide design --sensor sensor.toml --boards 2 --chamber 70 60 --height 9 --out design
+    """
+    arguments.existing(parser, "--sensor", "sensor.toml", "the design", required=True)
+    parser.add_argument(
+        "--boards",
+        type=int,
+        nargs="+",
+        default=[1, 2, 3, 4],
+        metavar="N",
+        help="numbers of accelerometers (default: 1 2 3 4)",
+    )
+    parser.add_argument(
+        "--thickness", type=float, metavar="MM", help="of the skin, mm (default: the sensor's)"
+    )
+    parser.add_argument("--height", type=float, metavar="MM", help="of the inflated skin, mm (default: 7)")
+    parser.add_argument(
+        "--chamber",
+        type=float,
+        nargs=2,
+        metavar="MM",
+        help="its sizes along x and y, mm (default: the sensor's)",
+    )
+    parser.add_argument(
+        "--depth", type=float, default=0.5, metavar="MM", help="contact depth, mm (default: %(default)s)"
+    )
+    arguments.out(parser, "where the page, the table and the sensors go")
+
+    def run(given: argparse.Namespace) -> None:
+        from experiments.acquisition.design import design
+
+        table = design(
+            given.sensor,
+            given.boards,
+            given.out,
+            given.thickness,
+            given.height,
+            tuple(given.chamber) if given.chamber else None,
+            given.depth,
+        )
+        print(table.to_string(index=False, float_format="{:.3g}".format))
+        print(given.out / "design.html")
+
+    return run
 
 
 def plan(parser: Parser) -> Run:
@@ -146,4 +202,4 @@ def record(parser: Parser) -> Run:
     return run
 
 
-COMMANDS = (plan, record)
+COMMANDS = (design, plan, record)

@@ -204,6 +204,7 @@ CALLS = {
     "article": ["--recordings", SAMPLE, "--out", "out"],
     "compare": ["--recordings", SAMPLE, "--out", "out"],
     "few": ["--recordings", SAMPLE],
+    "design": ["--sensor", SAMPLE / "sensor.toml", "--out", "out"],
     "plan": ["--sensor", SAMPLE / "sensor.toml", "--out", "out"],
     "record": ["--source", "udp://:9", "--plan", SAMPLE / "manifest.csv", "--out", "out"],
     "drift": ["--model", SAMPLE, "--recordings", SAMPLE],

@@ -54,7 +54,7 @@ def skin_mesh(sensor: Sensor) -> Mesh:
     boards = np.array([(a.x_mm, a.y_mm) for a in sensor.accelerometers])
     reach = np.array(sensor.board.size_mm) / 2
     x, y = (
-        _graded(
+        graded(
             [-half[i], half[i], *(boards[:, i] - reach[i]), *(boards[:, i] + reach[i])], sensor.mesh.size_mm
         )
         for i in range(2)
@@ -118,7 +118,7 @@ def plate(
     )
 
 
-def _graded(marks: list[float], size: float) -> np.ndarray:
+def graded(marks: list[float], size: float) -> np.ndarray:
     """Grid lines through all marks, and between two of them evenly, about `size` apart."""
     edges = np.unique(np.round(marks, 9))
     lines = [np.linspace(a, b, max(1, round((b - a) / size)) + 1)[:-1] for a, b in pairwise(edges)]

@@ -1,0 +1,233 @@
+"""`softslide design`: where to put the accelerometers of a skin, and what they can reach."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+
+from experiments.pages.figures import COLOURS, INK, LABEL, Panel, inline, legend_below, panel
+from experiments.pages.page import panels_page
+from features.errors import InputError
+from models.response_map.board_places import (
+    Arrangement,
+    Lines,
+    arrangement,
+    best_places,
+    draw_lines,
+    information,
+    nearest_places,
+)
+from pipeline.atlas.bare_skin import solve_tilts
+from pipeline.progress import progress_bar
+from pipeline.sensor import Accelerometer, Sensor, read_sensor, write_sensor
+from pipeline.staging import staged
+
+HEIGHT_MM = 7.0  # of the default sensor's three the middle one
+CELL_MM = 5.0
+NEAR_MM = 5.0  # a line counts for a cell within this
+# Quantity of an arrangement's deviations: name, unit and factor to it.
+QUANTITIES = (("direction", "deg", 180 / np.pi), ("speed", "percent", 100.0), ("distance", "mm", 1.0))
+QUANTILES = (0.5, 0.95)
+
+
+def design(
+    sensor_path: Path,
+    boards: Sequence[int],
+    out: Path,
+    thickness_mm: float | None = None,
+    height_mm: float | None = None,
+    chamber_mm: tuple[float, float] | None = None,
+    depth_mm: float = 0.5,
+) -> pd.DataFrame:
+    """Writes `design.html`, `design.csv` and a `sensor-N.toml` for each number of boards; the table.
+
+    The table has a row for the sensor's own boards, each at the nearest place looked at, and one for the best places of
+    each number: bounds of direction (deg), speed (%) and distance (mm), median and 95th percentile over lines.
+
+    Raises:
+        InputError: the sensor or a size is wrong, or so many boards do not fit.
+    """
+    sensor = _changed(read_sensor(sensor_path), thickness_mm, chamber_mm)
+    if not sensor.measures_gravity:
+        raise InputError(f"{sensor_path}: the solved skin tilts accelerometers alone; design with one")
+    if min(boards) < 1:
+        raise InputError(f"{min(boards)}: place at least one", "boards")
+    height = height_mm if height_mm is not None else HEIGHT_MM
+    field = solve_tilts(
+        sensor, height, depth_mm, lambda lines, count: progress_bar("solving", "line", lines, count)
+    )
+    lines = draw_lines(sensor.chamber_mm)
+    told = information(field, sensor, lines)
+    own = nearest_places(field.places_mm, [(a.x_mm, a.y_mm) for a in sensor.accelerometers])
+    found = {"as it is": arrangement(field.places_mm[own], told[own].sum(axis=0))}
+    for count in boards:
+        found[f"{count} best"] = best_places(field.places_mm, told, count, sensor.board.size_mm)
+    table = pd.DataFrame([_row(name, each) for name, each in found.items()])
+    maps = {name: _over_the_skin(each, lines, sensor) for name, each in found.items()}
+    every = np.concatenate([values[np.isfinite(values)] for values in maps.values()])
+    scale = mpl.colors.LogNorm(every.min(), every.max())
+    groups = [
+        (_title(name, each), [_map(each, maps[name], scale, sensor), _distribution(each)])
+        for name, each in found.items()
+    ]
+    with staged(out) as scratch:
+        table.to_csv(scratch / "design.csv", index=False, float_format="%.4g", lineterminator="\n")
+        for name, each in found.items():
+            if name != "as it is":
+                write_sensor(scratch / f"sensor-{len(each.places_mm)}.toml", _with_boards(sensor, each))
+        text = panels_page(
+            f"Where to put the accelerometers of {sensor.name}", _explained(sensor, height, depth_mm), groups
+        )
+        (scratch / "design.html").write_text(text, encoding="utf-8")
+    return table
+
+
+def _changed(sensor: Sensor, thickness_mm: float | None, chamber_mm: tuple[float, float] | None) -> Sensor:
+    try:
+        return replace(
+            sensor,
+            skin_thickness_mm=sensor.skin_thickness_mm if thickness_mm is None else thickness_mm,
+            chamber_mm=sensor.chamber_mm if chamber_mm is None else chamber_mm,
+        )
+    except ValueError as error:
+        raise InputError(str(error)) from None
+
+
+def _with_boards(sensor: Sensor, found: Arrangement) -> Sensor:
+    """The sensor with boards like its first at the places; the reference point is their middle."""
+    first = sensor.accelerometers[0]
+    parts: tuple[Accelerometer, ...] = tuple(
+        replace(first, name=f"a{n}", x_mm=float(x), y_mm=float(y)) for n, (x, y) in enumerate(found.places_mm)
+    )
+    middle = found.places_mm.mean(axis=0)
+    return replace(sensor, accelerometers=parts, reference_mm=(float(middle[0]), float(middle[1])))
+
+
+def _row(name: str, found: Arrangement) -> dict[str, Any]:
+    row: dict[str, Any] = {"boards": name, "places_mm": "; ".join(f"{x:g} {y:g}" for x, y in found.places_mm)}
+    for (quantity, unit, factor), deviations in zip(QUANTITIES, found.deviations, strict=True):
+        median, high = factor * np.quantile(deviations, QUANTILES)
+        row |= {f"{quantity}_median_{unit}": median, f"{quantity}_p95_{unit}": high}
+    return row
+
+
+def _title(name: str, found: Arrangement) -> str:
+    words = "Boards as they are" if name == "as it is" else f"Best places of {len(found.places_mm)}"
+    return f"{words}: {', '.join(f'({x:g}, {y:g})' for x, y in found.places_mm)} mm"
+
+
+def _explained(sensor: Sensor, height_mm: float, depth_mm: float) -> list[str]:
+    return [
+        f"Chamber {sensor.chamber_mm[0]:g} x {sensor.chamber_mm[1]:g} mm, skin {sensor.skin_thickness_mm:g} "
+        "mm thick, inflated to "
+        f"{height_mm:g} mm, contact {depth_mm:g} mm deep. The bare skin is solved; boards are taken to tilt "
+        "with it and not to "
+        "disturb each other.",
+        "Each figure is the Cramer-Rao bound: the least standard deviation that any unbiased estimate can "
+        "have once a slide of "
+        "2 mm/s has crossed the chamber, with the noise and the residual of a calibrated sensor. A real "
+        "sensor has more.",
+    ]
+
+
+def _cells(sensor: Sensor) -> tuple[np.ndarray, np.ndarray]:
+    """Middles of the cells along x and along y, mm."""
+    x, y = (np.arange(-size / 2 + CELL_MM / 2, size / 2, CELL_MM) for size in sensor.chamber_mm)
+    return x, y
+
+
+def _over_the_skin(found: Arrangement, lines: Lines, sensor: Sensor) -> np.ndarray:
+    """(ny, nx) mm: the median bound of the distance of lines that pass near each cell's middle; NaN without any."""
+    x, y = _cells(sensor)
+    normal = np.column_stack([-np.sin(lines.direction_rad), np.cos(lines.direction_rad)])
+    values = np.full((len(y), len(x)), np.nan)
+    for j, i in np.ndindex(len(y), len(x)):
+        near = np.abs(normal @ np.array([x[i], y[j]]) - lines.offset_mm) < NEAR_MM
+        if near.any():
+            values[j, i] = np.median(found.deviations[2, near])
+    return values
+
+
+def _map(found: Arrangement, values: np.ndarray, scale: Any, sensor: Sensor) -> Panel:
+    """The bound of the distance over the skin, with the boards. scale: from mm to colours, the same for every map."""
+    half, board = np.array(sensor.chamber_mm) / 2, np.array(sensor.board.size_mm)
+    x, y = _cells(sensor)
+    colours: Any = mpl.colormaps["viridis"]
+    with panel(4.2, below=0.2) as (figure, ax):
+        for j, i in np.ndindex(len(y), len(x)):
+            if np.isnan(values[j, i]):
+                continue
+            _square(
+                ax,
+                np.array([x[i], y[j]]),
+                (CELL_MM, CELL_MM),
+                facecolor=colours(scale(values[j, i])),
+                linewidth=0,
+            )
+            if (i + j) % 2 == 0:
+                ink = "#ffffff" if scale(values[j, i]) < 0.6 else "#000000"
+                ax.text(
+                    float(x[i]),
+                    float(y[j]),
+                    f"{values[j, i]:.2f}",
+                    ha="center",
+                    va="center",
+                    color=ink,
+                    fontsize=6,
+                )
+        for place in found.places_mm:
+            _square(ax, place, board, fill=False, edgecolor=COLOURS[1], linewidth=2)
+        _square(ax, (0.0, 0.0), 2 * half, fill=False, edgecolor=LABEL)
+        ax.plot([], [], "s", markerfacecolor="none", color=COLOURS[1], label="board")
+        ax.set(xlim=(-half[0] - 3, half[0] + 3), ylim=(-half[1] - 3, half[1] + 3), aspect="equal")
+        ax.set(xlabel="x, mm", ylabel="y, mm", title="attainable error of the distance, mm")
+        ax.grid(visible=False)
+        legend_below(figure, ax)
+        places = ", ".join(f"({px:g}, {py:g})" for px, py in found.places_mm)
+        text = (
+            f"Attainable error of the distance (mm) of lines that pass within {NEAR_MM:g} mm of each place, "
+            "medians, with boards "
+            f"at {places} mm; one scale of colours for all maps."
+        )
+        return Panel(inline(figure, text), text)
+
+
+def _square(
+    ax: Axes, middle: Sequence[float] | np.ndarray, size: Sequence[float] | np.ndarray, **look: Any
+) -> None:
+    """A rectangle of this size (mm) round its middle."""
+    corner = (float(middle[0] - size[0] / 2), float(middle[1] - size[1] / 2))
+    ax.add_patch(mpl.patches.Rectangle(corner, float(size[0]), float(size[1]), **look))
+
+
+def _distribution(found: Arrangement) -> Panel:
+    """What share of lines has a bound below each value."""
+    with panel(4.2, below=0.2) as (figure, ax):
+        share = 100 * (np.arange(found.deviations.shape[1]) + 1) / found.deviations.shape[1]
+        for n, ((quantity, unit, factor), deviations) in enumerate(
+            zip(QUANTITIES, found.deviations, strict=True)
+        ):
+            ax.plot(
+                factor * np.sort(deviations),
+                share,
+                color=COLOURS[n],
+                label=f"{quantity}, {unit.replace('percent', '%')}",
+            )
+        ax.axhline(50, color=INK, linestyle=":", linewidth=1)
+        ax.set_xscale("log")
+        ax.xaxis.set_major_formatter("{x:g}")
+        ax.set(xlabel="attainable error, in its unit", ylabel="share of lines, %", title="over all lines")
+        legend_below(figure, ax, columns=3)
+        median = ", ".join(
+            f"{quantity} {factor * np.median(d):.2g} {unit.replace('percent', '%')}"
+            for (quantity, unit, factor), d in zip(QUANTITIES, found.deviations, strict=True)
+        )
+        text = (
+            f"Share of lines over the chamber whose attainable error is below each value; medians: {median}."
+        )
+        return Panel(inline(figure, text), text)
