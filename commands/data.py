@@ -3,6 +3,7 @@
 import argparse
 import json
 import sys
+from pathlib import Path
 
 from commands import arguments
 from commands.arguments import Parser, Run
@@ -15,24 +16,40 @@ def check(parser: Parser) -> Run:
     Checks a folder's format and its health: clock, clipping, wiring, noise
     (g/sqrt(Hz)), mains, drift, labels, splits, signs of made-up data; each
     finding with its figure and its limit, of all recordings in one pass.
+    Says what the calibration slides do not cover: directions, lines, speeds (deg,
+    mm, mm/s), speed and heading confounded.
     Exit status 2 on an error, 0 with warnings alone.
 
         softslide check my-recordings
         softslide check my-recordings --json
+        softslide check my-recordings --picture coverage.svg
     """
     arguments.existing(parser, "folder", "DIR", "holds sensor.toml, manifest.csv, slides/*.parquet")
     parser.add_argument("--json", action="store_true", help="the findings as one JSON object")
+    parser.add_argument(
+        "--picture",
+        type=Path,
+        metavar="coverage.svg",
+        help="draw what the slides cover: .svg, .png or .pdf (needs the train extra)",
+    )
 
     def run(given: argparse.Namespace) -> None:
+        from pipeline.checks.coverage import not_covered
         from pipeline.checks.findings import as_json, examine, not_checked, refused_folder
         from pipeline.recordings.folder import read_folder
 
+        if given.picture and given.picture.suffix not in (".svg", ".png", ".pdf"):
+            raise InputError(f"{given.picture}: name a .svg, .png or .pdf", "picture")
         try:
             recordings = read_folder(given.folder, files=False)
         except InputError as error:
             if given.json:
                 print(json.dumps(as_json(given.folder, None, [refused_folder(error)]), indent=1))
             raise
+        if given.picture:
+            from experiments.acquisition.coverage_picture import draw_coverage
+
+            draw_coverage(recordings, given.picture)
         findings = examine(recordings)
         errors = [finding for finding in findings if finding.level == "error"]
         if given.json:
@@ -42,6 +59,8 @@ def check(parser: Parser) -> Run:
                 print(finding.line())
             for line in not_checked(recordings.sensor):
                 print(f"not checked: {line}")
+            for line in not_covered(recordings.manifest, recordings.sensor):
+                print(f"not covered: {line}")
             warnings = len(findings) - len(errors)
             print(f"{len(recordings)} recordings, {len(errors)} errors, {warnings} warnings")
         if errors:

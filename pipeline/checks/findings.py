@@ -18,6 +18,7 @@ import numpy as np
 import pandas as pd
 
 from features.errors import InputError
+from pipeline.checks.coverage import not_covered
 from pipeline.checks.measurements import Measurements, measure
 from pipeline.checks.rail_run import MOST_AT_RAIL
 from pipeline.checks.wrong_units import impossible_output, impossible_speed
@@ -135,6 +136,7 @@ def as_json(root: Path, folder: Folder | None, findings: Sequence[Finding]) -> d
         "errors": levels.count("error"),
         "warnings": levels.count("warning"),
         "not_checked": [] if folder is None else not_checked(folder.sensor),
+        "not_covered": [] if folder is None else not_covered(folder.manifest, folder.sensor),
         "findings": [asdict(finding) for finding in findings],
     }
 
