@@ -35,11 +35,14 @@ def add_commands(parser: Parser, commands: Sequence[Command]) -> None:
 
 
 class Existing(argparse.Action):
-    """Keeps one path or several, and notes them among those that have to exist."""
+    """Keeps one path or several, and notes them among those that have to exist. An option that takes several may be
+    given again: all are kept."""
 
     def __call__(
         self, parser: Parser, namespace: argparse.Namespace, values: Any, option_string: str | None = None
     ) -> None:
+        if isinstance(values, list):
+            values = [*(getattr(namespace, self.dest, None) or ()), *values]
         setattr(namespace, self.dest, values)
         namespace.existing = [
             *getattr(namespace, "existing", ()),

@@ -38,10 +38,15 @@ def train(parser: Parser) -> Run:
 
         softslide train --recordings my-recordings --out my-model
         softslide train --recordings my-recordings --model trees --out my-trees
+        softslide train --recordings my-recordings --recordings more --out my-model
     """
     from models import registry
 
-    arguments.recordings(parser, "what to learn from")
+    arguments.recordings(
+        parser,
+        "what to learn from; several folders of one sensor, or the option again, are pooled",
+        nargs="+",
+    )
     arguments.atlas(parser, "the design's response atlas, from 'simulate'")
     arguments.existing(parser, "--init", "BUNDLE", "a bundle of the same model to start from (warm start)")
     parser.add_argument(

@@ -41,13 +41,17 @@ def _assumed(chosen: Folder, folder: Folder, fitted: FittedModel) -> list[str]:
     if (absent := table["depth_mm"].isna()).any():
         depths = folder.manifest["depth_mm"][absent].unique()
         lines.append(f"no depth_mm in {int(absent.sum())}: taken as {depths[0]:g} mm")
-    for label, unit in (("pressure_mpa", "MPa"), ("skin_height_mm", "mm")):
-        if label in table:
-            numbers = pd.to_numeric(table[label], errors="coerce").dropna()
-            if numbers.nunique() > 1:
-                lines.append(
-                    f"{label} from {numbers.min():g} to {numbers.max():g} {unit}: one response map for all of them"
-                )
+    if "skin_height_mm" in table:
+        heights = pd.to_numeric(table["skin_height_mm"], errors="coerce").dropna()
+        if heights.nunique() > 1:
+            lines.append(
+                f"skin_height_mm from {heights.min():g} to {heights.max():g} mm: one response map for all of them"
+            )
+    contact = folder.manifest["depth_mm"]
+    if contact.nunique() > 1:
+        lines.append(
+            f"depth_mm from {contact.min():g} to {contact.max():g}: any depth between them is expected"
+        )
     return lines
 
 

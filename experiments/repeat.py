@@ -15,7 +15,8 @@ from experiments.tracking.run import flattened
 from experiments.tracking.store import LoggedRun, logged_run
 from experiments.train import to_learn_from, train
 from features.errors import InputError
-from pipeline.recordings.folder import Folder, read_folder
+from pipeline.recordings.folder import Folder
+from pipeline.recordings.pooled import read_folders
 from pipeline.toml_tables import changed
 
 SHOWN = 6  # names in a line
@@ -52,8 +53,9 @@ def repeat(
         kind = KINDS[command]
         if missing := [name for name in kind.files if not (run.files / kind.made / name).is_file()]:
             raise InputError(f"run {identifier}: it holds no {missing[0]}; name a run that has finished")
-        source = recordings or Path(configuration["recordings"])
-        for line in _not_as_it_was(run, data_hashes(kind.data(read_folder(source), configuration))):
+        were = configuration["recordings"]
+        source = recordings or (Path(were) if isinstance(were, str) else [Path(root) for root in were])
+        for line in _not_as_it_was(run, data_hashes(kind.data(read_folders(source), configuration))):
             print(line, file=sys.stderr)
         made = out or Path(scratch) / "made"
         kind.again(run, configuration, source, made)
@@ -98,7 +100,9 @@ def _not_as_it_was(run: LoggedRun, hashes: dict[str, str]) -> Iterator[str]:
             yield f"not as it was: {name} {value}, now {here.get(name)}"
 
 
-def _train_again(run: LoggedRun, configuration: dict[str, Any], recordings: Path, out: Path) -> None:
+def _train_again(
+    run: LoggedRun, configuration: dict[str, Any], recordings: Path | Sequence[Path], out: Path
+) -> None:
     settings, place = configuration["settings"], f"run {run.identifier}"
     train(
         recordings,

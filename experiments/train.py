@@ -1,7 +1,7 @@
 """One training: recordings in, a bundle out, a run logged that suffices to repeat it."""
 
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -34,7 +34,8 @@ from pipeline.recordings.derived_labels import (
     why_not_labelled,
     with_derived_labels,
 )
-from pipeline.recordings.folder import Folder, read_folder
+from pipeline.recordings.folder import Folder
+from pipeline.recordings.pooled import read_folders
 from pipeline.recordings.windows import labelled_windows
 from pipeline.staging import check_replaceable
 from serve.localizer import Localizer
@@ -55,7 +56,7 @@ class Training:
 
 
 def train(
-    recordings: Path,
+    recordings: Path | Sequence[Path],
     out: Path,
     model: str = "cnn",
     *,
@@ -70,6 +71,7 @@ def train(
 ) -> Training:
     """Fits one model to the splits that begin with `calibration` or `train`, and exports it.
 
+    recordings: a folder, or several of one sensor, which are pooled.
     atlas: what the sensor's design says, from `softslide simulate`; without one, and without labelled
     recordings, the default sensor's. init: a bundle to start from (warm start). config: TOML over the model's defaults,
     or `configuration.json` of a run; change: applied to the defaults before it. design_alone: uses no recording.
@@ -81,7 +83,8 @@ def train(
             labels can be used and the design alone was not asked for.
         ParityError: the exported graph and the original disagree; nothing is written.
     """
-    whole = read_folder(recordings)
+    roots = [recordings] if isinstance(recordings, Path) else list(recordings)
+    whole = read_folders(roots)
     folder = to_learn_from(whole, design_alone)
     settings = configured(change(default_config(model)), config, model)
     start = None if init is None else _graph_of(init)
@@ -89,7 +92,7 @@ def train(
     design = design_of(folder, atlas) if uses_design(model) or atlas is not None else None
     configuration = {
         "model": model,
-        "recordings": str(recordings),
+        "recordings": str(roots[0]) if len(roots) == 1 else [str(root) for root in roots],
         "atlas": None if atlas is None else str(atlas),
         "init": None if init is None else str(init),
         "design_alone": design_alone,

@@ -32,6 +32,7 @@ UNITS = {
     "direction_sd_deg": "deg",
     "log_speed_sd": "1",
     "offset_sd_mm": "mm",
+    "depth_sd_mm": "mm",
     "misfit": "1",
 }
 
@@ -76,9 +77,9 @@ class Card:
     model: the model's name. input: "window" or "features", what the graph reads (INPUTS). outputs: the columns of the
     graph's row, keys of UNITS. sensor: as in sensor.toml. channels: a0_vx, a0_vy, a0_vz, a1_vx, ...
     reference_mm: the point that offsets are measured from. intervals: by quantity (direction_deg, log_speed,
-    offset_mm). provenance: what the model was trained from. golden: one worked example, the graph's inputs by name and
-    its row for them. graph_sha256: of the graph's file. contact: what contacts are tracked with, None: straight slides
-    alone.
+    offset_mm, depth_mm). provenance: what the model was trained from. golden: one worked example, the graph's inputs
+    by name and its row for them. graph_sha256: of the graph's file. contact: what contacts are tracked with, None:
+    straight slides alone.
 
     Raises:
         ValueError: an unknown input or output, channels that are no whole number of accelerometers, or a field of

@@ -111,6 +111,8 @@ def decode(
     # Clamped, so that exp cannot overflow whatever a graph answers.
     speed_factor = math.exp(min(card.intervals.get("log_speed", _NO_INTERVAL).half_width(speed_sd), 50.0))
     offset_half = card.intervals.get("offset_mm", _NO_INTERVAL).half_width(value.get("offset_sd_mm", 0.0))
+    depth = value.get("depth_mm", math.nan)
+    depth_half = card.intervals.get("depth_mm", _NO_INTERVAL).half_width(value.get("depth_sd_mm", math.nan))
     degrees = math.degrees(direction) % 360.0
     speed = math.exp(min(max(log_speed, -50.0), 50.0))
     cos, sin = math.cos(direction), math.sin(direction)
@@ -136,7 +138,7 @@ def decode(
         offset_mm=offset,
         offset_lo_mm=offset - offset_half,
         offset_hi_mm=offset + offset_half,
-        depth_mm=value.get("depth_mm", math.nan),
+        depth_mm=depth,
         x_mm=card.reference_mm[0] - offset * sin + along * cos,
         y_mm=card.reference_mm[1] + offset * cos + along * sin,
         valid=reason is Reason.NONE,
@@ -144,5 +146,7 @@ def decode(
         reason=reason,
         vx_mm_s=speed * cos,
         vy_mm_s=speed * sin,
+        depth_lo_mm=depth - depth_half,
+        depth_hi_mm=depth + depth_half,
         misfit=value.get("misfit", math.nan),
     )

@@ -154,6 +154,8 @@ def with_place(straight: Estimate, tracked: Estimate) -> Estimate:
     across = (straight.offset_hi_mm - straight.offset_lo_mm) / 2
     along_x, along_y = (tracked.x_hi_mm - tracked.x_lo_mm) / 2, (tracked.y_hi_mm - tracked.y_lo_mm) / 2
     x_half, y_half = math.hypot(across * sin, along_x * cos), math.hypot(across * cos, along_y * sin)
+    if math.isnan(straight.depth_lo_mm):
+        straight = straight._replace(depth_lo_mm=tracked.depth_lo_mm, depth_hi_mm=tracked.depth_hi_mm)
     speed_half = (straight.speed_hi_mm_s - straight.speed_lo_mm_s) / 2
     turn_half = straight.speed_mm_s * math.radians(straight.direction_hi_deg - straight.direction_lo_deg) / 2
     vx_half, vy_half = (
@@ -170,6 +172,4 @@ def with_place(straight: Estimate, tracked: Estimate) -> Estimate:
         vx_hi_mm_s=straight.vx_mm_s + vx_half,
         vy_lo_mm_s=straight.vy_mm_s - vy_half,
         vy_hi_mm_s=straight.vy_mm_s + vy_half,
-        depth_lo_mm=tracked.depth_lo_mm,
-        depth_hi_mm=tracked.depth_hi_mm,
     )

@@ -225,18 +225,19 @@ def test_it_says_what_it_did_not_use_and_what_it_took_for_granted(
     lab: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder = _relabelled(lab, tmp_path / "lab", direction_deg="", pressure_mpa="0.04")
-    third = read_folder(folder).select("calibration").manifest.index[2]
-    table = pd.read_csv(folder / "manifest.csv", dtype=str).set_index("recording")
-    table.loc[third, ["depth_mm", "pressure_mpa"]] = ["", "0.03"]
-    table.to_csv(folder / "manifest.csv")
     names = read_folder(folder).select("calibration").manifest.index
+    table = pd.read_csv(folder / "manifest.csv", dtype=str).set_index("recording")
+    table.loc[names[2], "depth_mm"] = ""
+    table.loc[names[3], "pressure_mpa"] = "0.03"
+    table.to_csv(folder / "manifest.csv")
     command = ["train", "--recordings", folder, "--model", "interpolation", "--out", tmp_path / "out"]
     assert softslide.main([str(word) for word in command]) == 0
     lines = capsys.readouterr().err.splitlines()
-    assert f"learnt from {len(names) - 2} of {len(names)} recordings" in lines
+    assert f"learnt from {len(names) - 3} of {len(names)} recordings" in lines
     assert f"left out 2: no direction_deg ({names[0]}, {names[1]})" in lines
     assert "no depth_mm in 1: taken as 0.5 mm" in lines
-    assert "pressure_mpa from 0.03 to 0.035 MPa: one response map for all of them" in lines
+    why = "pressure_mpa is 0.03, that of most is 0.035: a model is for one pressure"
+    assert f"left out 1: {why} ({names[3]})" in lines
 
 
 def test_labels_of_which_none_can_be_used_are_refused(

@@ -129,6 +129,25 @@ def test_refinement_finds_the_line_from_a_start_beside_it(windows):
     assert 0.3 < np.median(ratio) < 2.5
 
 
+def test_a_depth_that_calibration_says_may_be_any_is_estimated_without_bias():
+    """Slides 0.3 mm deeper and shallower: taken for the calibration's depth they are pulled to it, else not."""
+    one = bump_map(gain_sd=0.005)
+    several = bump_map(gain_sd=0.005, depth_sd_mm=0.5)
+    for off in (-0.3, 0.3):
+        shifted = bump_map(
+            coefficients=one.coefficients
+            + off * np.stack([one.depth_slope, *np.zeros((2, *one.depth_slope.shape))])
+        )
+        batch = WindowSource(shifted, BLOCK_S, WHOLE).draw(200, torch.Generator().manual_seed(6))
+        truth = batch.targets[:, :5]
+        near = truth[:, 3].abs() < 15
+        start = truth[near]
+        drawn = type(batch)(batch.volts[near], batch.elapsed_s[near], batch.weight[near], batch.targets[near])
+        depths = [np.mean(refine(response, drawn, start)[1][:, 5].numpy()) for response in (one, several)]
+        assert depths[1] == pytest.approx(off, abs=0.04)
+        assert abs(depths[0]) < abs(depths[1])
+
+
 def test_refinement_sees_time_only_as_a_scale():
     quiet = bump_map(noise_v=np.full(2, 1e-9))
     batch = WindowSource(quiet, BLOCK_S, WHOLE).draw(64, torch.Generator().manual_seed(4))

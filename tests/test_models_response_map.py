@@ -10,7 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from models.response_map.calibrate import MAP_VARIANCE, RIM_MM, CalibrationConfig, calibrate
+from models.response_map.from_atlas import SensorSpread, prior_map
 from models.response_map.map import spline_basis, spline_coefficients
+from pipeline.atlas.atlas import DEFAULT_SENSOR, read_atlas
+from pipeline.sensor import read_sensor
 
 HALF_MM = 30.0
 
@@ -140,3 +143,49 @@ def test_the_map_is_silent_on_the_rim_whatever_the_slides_show_inside():
     rim = np.full(len(along), half + 0.5)
     for x, y in ((rim, along), (-rim, along), (along, rim), (along, -rim)):
         assert np.abs(found.response(x, y, 0.3)).max() < 0.15 * 0.05
+
+
+@pytest.fixture(scope="module")
+def deepened():
+    """Slides at three depths over a map whose change with depth is 1.5 times the design's and 0.1 of itself."""
+    design = bump_map()
+    slope = 1.5 * design.depth_slope * np.array([1.0, 0.5]) + 0.1 * design.coefficients[0]
+    truth = replace(design, depth_slope=slope)
+    design = replace(design, depth_slope=design.depth_slope * np.array([1.0, 0.5]))
+    rng = np.random.default_rng(2)
+    depths = rng.choice([0.3, 0.5, 0.9], len(LINES), p=[0.2, 0.6, 0.2])
+    gains = 1 + 0.02 * rng.standard_normal(len(LINES))
+    slides = slides_of(truth, LINES, np.full(len(LINES), 3.0), gains / gains.mean(), 1.4e-3, depths_mm=depths)
+    return design, truth, slides
+
+
+def test_slides_of_several_depths_tell_how_the_response_changes_with_depth(deepened):
+    design, truth, slides = deepened
+    blank = replace(design, coefficients=0 * design.coefficients)
+    found, _ = calibrate(slides, blank, False, CalibrationConfig())
+    size = np.abs(truth.depth_slope).max()
+    assert np.abs(design.depth_slope - truth.depth_slope).max() > 0.4 * size
+    assert np.abs(found.depth_slope - truth.depth_slope).max() < 0.12 * size
+    assert error_of(found, truth) < 1.5e-3
+    assert found.depth_sd_mm == pytest.approx(0.4)  # from 0.5 to 0.9
+
+
+def test_slides_of_one_depth_leave_the_change_with_depth_as_it_is(deepened):
+    design, _, slides = deepened
+    blank = replace(design, coefficients=0 * design.coefficients)
+    found, _ = calibrate([s for s in slides if s.depth_mm == 0.5], blank, False, CalibrationConfig())
+    assert np.array_equal(found.depth_slope, design.depth_slope)
+    assert found.depth_sd_mm == 0.0
+
+
+def test_the_rim_stays_where_it_is_however_far_the_response_reaches():
+    """The skin is clamped at the chamber's edge: nothing answers beyond it, also where the design is widened."""
+    atlas, sensor = read_atlas(), read_sensor(DEFAULT_SENSOR)
+    wide, _ = prior_map(atlas, sensor, [], 0.5, SensorSpread(width=(0.2, 0.05)))
+    plain, _ = prior_map(atlas, sensor, [], 0.5, SensorSpread(width=(0.0, 0.05)))
+    along = np.arange(-20.0, 21.0, 1.0)
+    for depth in (0.5, 1.0):
+        inside, beyond = (wide.response(np.full(41, x), along, 0.0, depth) for x in (15.0, 26.5))
+        assert np.abs(beyond).max() < 0.02 * np.abs(inside).max()
+        narrower = np.abs(plain.response(np.full(41, 18.0), along, 0.0, depth)).max()
+        assert np.abs(wide.response(np.full(41, 18.0), along, 0.0, depth)).max() > 1.1 * narrower

@@ -34,7 +34,7 @@ def bound(response: ResponseMap, block_s: float, windows: LabelledWindows) -> pd
     least = cramer_rao(response, block_s, windows)
     return pd.DataFrame(
         {"recording": windows.recording, "stroke_fraction": windows.stroke_fraction}
-        | {f"{name}_bound": column for name, column in zip(QUANTITIES, least.T, strict=True)}
+        | {f"{name}_bound": column for name, column in zip(QUANTITIES, least[:, :3].T, strict=True)}
     )
 
 

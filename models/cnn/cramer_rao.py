@@ -1,5 +1,7 @@
 """The Cramer-Rao bound of a response map (Kay 1993, chapter 3): what no unbiased estimate of a line can beat."""
 
+from dataclasses import replace
+
 import numpy as np
 import torch
 from torch import Tensor
@@ -8,12 +10,18 @@ from models.cnn.gauss_newton import Refinement, RefinementConfig
 from models.response_map.map import ResponseMap
 from pipeline.recordings.windows import LabelledWindows
 
+KNOWN_MM = 1e-6
 
-def cramer_rao(response: ResponseMap, block_s: float, windows: LabelledWindows) -> np.ndarray:
-    """Least standard deviations (n, 3) that any unbiased estimate can have: direction deg, log speed, offset mm.
+
+def cramer_rao(
+    response: ResponseMap, block_s: float, windows: LabelledWindows, depth_sd_mm: float = KNOWN_MM
+) -> np.ndarray:
+    """Least standard deviations (n, 4) that any unbiased estimate can have: direction deg, log speed, offset mm, depth
+    mm.
 
     The inverse Fisher information of the map at the true line, with gain and zero unknown within their spread, and the
-    depth known. The place along the line is fitted: a slide that has ended stands still while its label moves on.
+    depth within depth_sd_mm: known, unless given. The place along the line is fitted: a slide that has ended stands
+    still while its label moves on.
     """
     angle = np.radians(windows.direction_deg)
     truth = np.stack(
@@ -22,8 +30,10 @@ def cramer_rao(response: ResponseMap, block_s: float, windows: LabelledWindows) 
     )
     line, boards = torch.tensor(truth, dtype=torch.float32), windows.volts.shape[1] // 3
 
+    response = replace(response, depth_sd_mm=depth_sd_mm)
+
     def refined(steps: int, least_prior: tuple[float, float, float, float]) -> tuple[Tensor, ...]:
-        config = RefinementConfig(steps=steps, trust=1.0, least_prior=least_prior, depth_sd_mm=1e-6)
+        config = RefinementConfig(steps=steps, trust=1.0, least_prior=least_prior)
         with torch.no_grad():
             columns = Refinement(response, block_s, config)(
                 torch.tensor(windows.volts, dtype=torch.float32).unflatten(1, (boards, 3)),
@@ -39,4 +49,4 @@ def cramer_rao(response: ResponseMap, block_s: float, windows: LabelledWindows) 
     line = torch.cat([line[:, :4], state[:, 3:4].float()], 1)
     _, _, variance, _ = refined(1, (1e3, 1e3, 1e3, 1e3))
     sd = variance.sqrt().numpy()
-    return np.stack([np.degrees(sd[:, 0]), sd[:, 1], sd[:, 2]], axis=1)
+    return np.stack([np.degrees(sd[:, 0]), sd[:, 1], sd[:, 2], sd[:, 5]], axis=1)

@@ -33,6 +33,7 @@ UNCALIBRATED = {
     "direction_deg": Interval(HALF_WIDTH_SD, 4.0),
     "log_speed": Interval(HALF_WIDTH_SD, 0.06),
     "offset_mm": Interval(HALF_WIDTH_SD, 1.0),
+    "depth_mm": Interval(HALF_WIDTH_SD, 0.2),
 }
 # Nor does anything say what is no slide of this sensor.
 UNCALIBRATED_VALIDITY = Validity(misfit=10.0, direction_sd_deg=15.0, log_speed_sd=0.3)
@@ -41,6 +42,8 @@ UNCALIBRATED_STEPS = 2
 # A held-out window that is further off than this was lost; its misfit says nothing of those that were not.
 LOST_DEG = 20.0
 EARLY = 0.35  # share of the stroke before which slides that differ look alike
+# Rows (n, K) of the network, and the windows that they are of.
+Held = tuple[np.ndarray, LabelledWindows]
 LEAST_WINDOWS = 20  # to set intervals on: with fewer a 90 % quantile is the largest error
 
 
@@ -88,7 +91,8 @@ def fit_cnn(
     intervals, validity, summary = UNCALIBRATED, UNCALIBRATED_VALIDITY, found.summary
     if found.held_out:
         held = _held_out(found.folder, found, proposal, config)
-        intervals, validity = _judge(*held)
+        beside = None if found.response.depth_sd_mm else _other_depths(found.response, network, config, held)
+        intervals, validity = _judge(*held, network.outputs, beside)
         summary = summary | {f"heldout_{k}": v for k, v in _errors(*held).items()}
     return FittedModel(
         name="cnn",
@@ -145,27 +149,42 @@ def _run(network: SlideNetwork, volts: np.ndarray, elapsed_s: np.ndarray, weight
     return row.numpy()
 
 
-def _held_out(
-    folder: Folder, found: CalibratedMap, proposal: Proposal, config: CnnConfig
-) -> tuple[np.ndarray, LabelledWindows]:
+def _held_out(folder: Folder, found: CalibratedMap, proposal: Proposal, config: CnnConfig) -> Held:
     """Rows (n, K) for windows of lines that the map behind them was not fitted to, and those windows."""
     windows = labelled_windows(folder, config.conditioning)
-    rows = np.full((len(windows), len(OUTPUTS)), np.nan, dtype=np.float32)
+    columns = _network(proposal, found.response, config).outputs
+    rows = np.full((len(windows), len(columns)), np.nan, dtype=np.float32)
     for response, unseen in found.held_out:
         mask = np.isin(windows.recording, unseen)
         if mask.any():
             weight = np.ones((int(mask.sum()), windows.volts.shape[1] // 3))
             network = _network(proposal, response, config)
-            answers = _run(network, windows.volts[mask], windows.elapsed_s[mask], weight)
-            rows[mask] = answers[:, : len(OUTPUTS)]
+            rows[mask] = _run(network, windows.volts[mask], windows.elapsed_s[mask], weight)
     known = np.isfinite(rows[:, 0])
     return rows[known], windows[known]
 
 
-def _judge(rows: np.ndarray, windows: LabelledWindows) -> tuple[dict[str, Interval], Validity]:
-    """Intervals and validity from held-out windows."""
-    column = dict(zip(OUTPUTS, rows.T.astype(float), strict=True))
-    errors = signed_errors(rows, OUTPUTS, windows)
+def _other_depths(response: ResponseMap, network: SlideNetwork, config: CnnConfig, held: Held) -> Held:
+    """As many windows of slides drawn from the map at other depths, where recordings have one depth alone.
+
+    Of how far other depths are from it nothing is known but the refinement's own prior.
+    """
+    spread = replace(config.synthesis, depth_mm=config.network.refinement.depth_sd_mm)
+    source = WindowSource(response, config.conditioning.block_s, spread)
+    windows = source.draw(len(held[1]), torch.Generator().manual_seed(2)).labelled()
+    weight = np.ones((len(windows), windows.volts.shape[1] // 3))
+    return _run(network, windows.volts, windows.elapsed_s, weight), windows
+
+
+def _judge(
+    rows: np.ndarray, windows: LabelledWindows, outputs: tuple[str, ...], beside: Held | None = None
+) -> tuple[dict[str, Interval], Validity]:
+    """Intervals and validity from held-out windows; intervals hold over those and further ones together.
+
+    outputs: names of the rows' columns.
+    """
+    column = dict(zip(outputs, rows.T.astype(float), strict=True))
+    errors = signed_errors(rows, outputs, windows)
     late = windows.stroke_fraction > EARLY
     ordinary = late & (np.abs(errors["direction_deg"]) < LOST_DEG)
     misfit = UNCALIBRATED_VALIDITY.misfit
@@ -175,21 +194,58 @@ def _judge(rows: np.ndarray, windows: LabelledWindows) -> tuple[dict[str, Interv
     validity = Validity(
         misfit=misfit, direction_sd_deg=6.0, log_speed_sd=0.1, offset_mm=offset_reach_mm(windows)
     )
+    groups = [_believed(rows, windows, outputs, validity)]
+    if len(groups[0].slide) < LEAST_WINDOWS:
+        return UNCALIBRATED, validity
+    if beside is not None:
+        groups.append(_believed(*beside, outputs, validity))
+    slide = np.concatenate([group.slide for group in groups])
+    return {
+        name: conformal_interval(
+            np.concatenate([group.errors[name] for group in groups]),
+            np.concatenate([group.sd[name] for group in groups]),
+            slide,
+        )
+        for name in groups[0].sd
+    }, validity
+
+
+@dataclass(frozen=True)
+class _Believed:
+    """Valid windows (n,): which slide each is of, and by quantity the errors and the graph's deviations."""
+
+    slide: np.ndarray
+    errors: dict[str, np.ndarray]
+    sd: dict[str, np.ndarray]
+
+
+def _believed(
+    rows: np.ndarray, windows: LabelledWindows, outputs: tuple[str, ...], validity: Validity
+) -> _Believed:
+    """The windows whose rows are valid."""
+    column = dict(zip(outputs, rows.T.astype(float), strict=True))
+    errors = signed_errors(rows, outputs, windows)
     valid = (
         (column["misfit"] <= validity.misfit)
         & (column["direction_sd_deg"] <= validity.direction_sd_deg)
         & (column["log_speed_sd"] <= validity.log_speed_sd)
         & (np.abs(column["offset_mm"]) <= validity.offset_mm)
     )
-    if valid.sum() < LEAST_WINDOWS:
-        return UNCALIBRATED, validity
     sd = {
         "direction_deg": column["direction_sd_deg"],
         "log_speed": column["log_speed_sd"],
         "offset_mm": column["offset_sd_mm"],
     }
-    slide = windows.recording[valid]
-    return {k: conformal_interval(errors[k][valid], sd[k][valid], slide) for k in sd}, validity
+    if "depth_mm" in column:
+        errors, sd = (
+            errors | {"depth_mm": column["depth_mm"] - windows.depth_mm},
+            sd | {"depth_mm": column["depth_sd_mm"]},
+        )
+    return _Believed(
+        windows.recording[valid],
+        {name: errors[name][valid] for name in sd},
+        {name: values[valid] for name, values in sd.items()},
+    )
 
 
 def _errors(rows: np.ndarray, windows: LabelledWindows) -> dict[str, float]:

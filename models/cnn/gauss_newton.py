@@ -31,7 +31,7 @@ class RefinementConfig:
     trust: the proposal's standard deviations times this are the prior, but never less than least_prior (rad, log, mm,
         mm): so that a wrong proposal can be left.
     same_depth: prior probability that a slide has the calibration's contact depth; depth_sd_mm: standard deviation
-        about it of those that do not.
+        about it of those that do not. Where calibration slides have several depths, the map tells what is expected.
     askew: standard deviation of V_z's coupling into V_x and V_y after a change of the mounting's tilt.
     lean_v: standard deviation, in V, of what a slow tilt of the sensor adds to every V_x, and to every V_y, by a
         slide's end; 0 for a sensor that does not tilt. An accelerometer off the skin measures it separately.
@@ -78,7 +78,7 @@ class Refinement(nn.Module):
         assert response.noise_v is not None
         assert response.drift_v is not None
         self.boards, self.predicted = response.channels // 2, Prediction(response)
-        nuisance = (response.gain_sd, config.depth_sd_mm)
+        nuisance = (response.gain_sd, response.depth_sd_mm or config.depth_sd_mm)
         middle = (np.arange(BINS) + 0.5) / BINS
         buffers = {
             "noise": response.noise_v.reshape(self.boards, 2, 1, 1) ** 2,
@@ -102,7 +102,8 @@ class Refinement(nn.Module):
             self.register_buffer(name, torch.tensor(value, dtype=torch.float64))
         self.block_s, self.floor_v, self.cross_axis_sd = block_s, response.floor_v, config.askew
         self.depth_mm = response.depth_mm
-        self.depth_sd_mm, self.same_depth = config.depth_sd_mm, config.same_depth
+        self.depth_sd_mm = config.depth_sd_mm
+        self.same_depth = 0.0 if response.depth_sd_mm else config.same_depth
         self.knows_depth = bool(np.any(response.depth_slope))
         self.steps = config.steps
         self.leans = config.lean_v > 0
@@ -142,7 +143,9 @@ class Refinement(nn.Module):
             move = covariance @ normal[..., STATE:]
             state = state + torch.maximum(torch.minimum(move, self.longest_step), -self.longest_step)
         misfit = gram[..., STATE:, STATE:] / (2 * BINS * weight.sum(1, keepdim=True)).clamp(min=1.0)
-        state, variance = self._same_depth(state, covariance)
+        variance = (covariance * self.each[:, :STATE]).sum(4, keepdim=True)
+        if self.same_depth:
+            state, variance = self._same_depth(state, covariance, variance)
         heading = start @ (state[..., :1, :] + self.phases).sin()
         return heading, state, variance, misfit
 
@@ -154,7 +157,7 @@ class Refinement(nn.Module):
         leaning = (rows @ along).sum(1, keepdim=True)
         return (leaning @ (leaning / (1.0 + known)).transpose(3, 4)).sum(2, keepdim=True)
 
-    def _same_depth(self, state: Tensor, covariance: Tensor) -> tuple[Tensor, Tensor]:
+    def _same_depth(self, state: Tensor, covariance: Tensor, variance: Tensor) -> tuple[Tensor, Tensor]:
         """Averages two hypotheses: the calibration's depth, or one of its own. -> state, its variance.
 
         The odds are prior odds times the Savage-Dickey ratio, posterior over prior density at no difference; the
@@ -170,8 +173,7 @@ class Refinement(nn.Module):
         same = torch.sigmoid(log_odds - 0.5 * (widened.log() + off * off / widened))
         gain = same * column / spread
         shift = gain * off
-        variance = (covariance * self.each[:, :STATE]).sum(4, keepdim=True) - gain * column + shift * shift
-        return state - shift, variance
+        return state - shift, variance - gain * column + shift * shift
 
     def _inverse_covariance(self, tilt: Tensor, ripple: Tensor, elapsed_s: Tensor, weight: Tensor) -> Tensor:
         """(B, A, 2, 16, 16) 1/V^2 of each channel's residuals; zero for a dead accelerometer.

@@ -29,7 +29,7 @@ OUTPUTS = (
     "offset_sd_mm",
     "misfit",
 )
-DEPTH_OUTPUT = "depth_mm"  # a further column where an atlas says how depth shows
+DEPTH_OUTPUTS = ("depth_mm", "depth_sd_mm")  # further columns where it is known how depth shows
 SILU_GAIN = 1.68  # keeps a normal input's mean square through silu, E silu(x)^2 = 0.355
 LENGTH_MM = 10.0  # scale of offsets and places inside the network
 
@@ -117,7 +117,7 @@ class SlideNetwork(nn.Module):
     @property
     def outputs(self) -> tuple[str, ...]:
         """Names of the graph's columns."""
-        return (*OUTPUTS, DEPTH_OUTPUT) if self.refinement.knows_depth else OUTPUTS
+        return (*OUTPUTS, *DEPTH_OUTPUTS) if self.refinement.knows_depth else OUTPUTS
 
     def forward(self, volts: Tensor, elapsed_s: Tensor, weight: Tensor) -> Tensor:
         """volts (B, 3 A, 64) V, elapsed_s (B,) s, weight (B, A) -> (B, K), the columns that `outputs` names."""
@@ -128,5 +128,6 @@ class SlideNetwork(nn.Module):
         sd = variance[..., :3, :].clamp(min=0).sqrt() * self.sd_unit
         columns = [heading, state[..., 1:4, :], sd, misfit]
         if self.refinement.knows_depth:
-            columns.append(state[..., DEPTH:, :] + self.refinement.depth_mm)
+            depth_sd = variance[..., DEPTH:, :].clamp(min=0).sqrt()
+            columns += [state[..., DEPTH:, :] + self.refinement.depth_mm, depth_sd]
         return torch.cat(columns, 3).reshape(-1, len(self.outputs)).float()

@@ -30,6 +30,9 @@ RIDGE, LEAST_RIDGE = (
     1e-6,
 )  # hold coefficients that no slide touches: share of the smoothing, and at least
 PENALTY_NOISE_V = 1.35e-3  # a block's noise on the recordings that the penalties were chosen on
+LEAST_DEPTHS_MM = 0.1  # what depths differ by at least; a gain of 2 % is worth as much
+# Priors of the change with depth: of its factor on the design's, and of what it holds of the response itself, 1/mm.
+DEPTH_CHANGE_SD = (0.5, 0.1)
 OUTLIER = 4.0  # times the median residual: a slide beyond it has a wrong label
 PRIOR_SLIDES = 4  # how many slides' worth the priors of gain and drift count
 CLEAR = 0.3  # share of the largest peak below which a slide's gain is mostly noise
@@ -100,6 +103,8 @@ def calibrate(
         response = _fit_splines(
             kept, gains[keep], shifts[keep], response, prior if informed else None, config
         )
+        if several_depths(kept):
+            response = _fit_depth_slope(kept, gains[keep], shifts[keep], response, prior.depth_slope)
         for i, slide in enumerate(slides):
             fit = fit_slide(slide, response, config, gains[i], shifts[i])
             gains[i], shifts[i], rms[i] = fit.gain, fit.shift_mm, fit.rms_v
@@ -117,6 +122,9 @@ def calibrate(
     gain_sd = float(_deviation(gains[clear] - 1, config.gain_sd))
     drift = _deviation(means[keep], LEAST_DRIFT_V)
     response = replace(response, gain_sd=gain_sd, floor_v=residual, drift_v=drift)
+    if several_depths(slides):
+        farthest = max(abs(slide.depth_mm - response.depth_mm) for slide in slides)
+        response = replace(response, depth_sd_mm=float(farthest))
     return response, {
         "slides": float(len(slides)),
         "outliers": float((~keep).sum()),
@@ -224,6 +232,44 @@ def _fit_splines(
     right -= RIM_WEIGHT * (rim @ start.reshape(size, -1)).reshape(start.shape)
     solution = start + _solved(normal, right.reshape(PARTS * size, -1)).reshape(start.shape)
     return replace(response, coefficients=solution.reshape(k, k, PARTS, -1).transpose(2, 0, 1, 3))
+
+
+def several_depths(slides: list[CalibrationSlide]) -> bool:
+    """Whether the slides' contact depths differ enough to tell how the response changes with depth."""
+    return bool(np.ptp([slide.depth_mm for slide in slides]) > LEAST_DEPTHS_MM)
+
+
+def _fit_depth_slope(
+    slides: list[CalibrationSlide],
+    gains: np.ndarray,
+    shifts: np.ndarray,
+    response: ResponseMap,
+    design: np.ndarray,
+) -> ResponseMap:
+    """The map with D = c D_design + b M, its two numbers c and b fitted to slides of several depths by least squares.
+
+    design: (K, K, C) V/mm, D_design. The lines of each depth are too few for a D that is free in place: held-out lines
+    are predicted worse by it (experiments/LOG.md).
+    """
+    assert response.noise_v is not None
+    still, flat = response.coefficients[0], np.zeros_like(design)
+    parts = [replace(response, coefficients=np.stack([part, flat, flat])) for part in (design, still)]
+    # In units of a block's noise.
+    noise = float(np.median(response.noise_v))
+    normal, right = (
+        np.diag(1.0 / np.square(DEPTH_CHANGE_SD)),
+        np.array([1.0, 0.0]) / np.square(DEPTH_CHANGE_SD),
+    )
+    for slide, gain, shift in zip(slides, gains, shifts, strict=True):
+        place, a = slide.place(shift, response.lag_s), slide.direction_rad
+        rest = (slide.volts - gain * response.response(*place, a)) / noise
+        scale = gain * (slide.depth_mm - response.depth_mm) / noise
+        rows = scale * np.stack([part.response(*place, a).ravel() for part in parts], axis=1)
+        weight = 1.0 / (1.0 / slide.blocks + MAP_VARIANCE)
+        normal += weight * rows.T @ rows
+        right += weight * rows.T @ rest.ravel()
+    factor, share = np.linalg.solve(normal, right)
+    return replace(response, depth_slope=factor * design + share * still)
 
 
 def roughness(k: int) -> sparse.spmatrix:

@@ -25,7 +25,9 @@ class ResponseMap:
     depth_slope: (K, K, C) V/mm, spline coefficients of D; zero without an atlas.
     chamber_mm: sizes of the chamber along x and y; over its rim the skin lies on the base and shows nothing.
     reference_mm: the point that offsets are measured from.
-    depth_mm: d0, the depth of the recordings that M was fitted to.
+    depth_mm: d0, the middle of the contact depths of the recordings that the map was fitted to.
+    depth_sd_mm: standard deviation about d0 of the depths that are to be expected, where the recordings have several;
+        0: they have one, and tell nothing of others.
     lag_s: the skin's lag behind the contact.
     noise_v: (C,) V, standard deviation of one block's mean at rest.
     drift_v: (C,) V, standard deviation of the static output between a slide's start and end.
@@ -38,6 +40,7 @@ class ResponseMap:
     chamber_mm: tuple[float, float]
     reference_mm: tuple[float, float]
     depth_mm: float = 0.5
+    depth_sd_mm: float = 0.0
     lag_s: float = 0.0
     noise_v: np.ndarray | None = None
     drift_v: np.ndarray | None = None
