@@ -3,7 +3,7 @@
 import json
 import sys
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -25,12 +25,13 @@ SHOWN = 6  # names in a line
 @dataclass(frozen=True)
 class _Kind:
     """What a command's run is repeated with. files: what it made, in the run's folder `made`. data: the recordings that
-    it read, of a folder. again: runs it from its configuration and its files to a new folder."""
+    it read, of a folder. again: runs it from its configuration and its recordings to a new folder: (run, configuration,
+    recordings, folder)."""
 
     made: str
     files: tuple[str, ...]
     data: Callable[[Folder, dict[str, Any]], Folder]
-    again: Callable[[LoggedRun, dict[str, Any], Path, Path], object]
+    again: Callable[..., object]
 
 
 def repeat(

@@ -285,7 +285,7 @@ def contact_tracker(card: Card, noise_gain: float) -> ContactTracker | None:
         gain_sd=contact.gain_sd,
         trigger_v=card.conditioning.trigger_v,
         release_v=card.conditioning.release_v,
-        config=TrackingConfig(),
+        config=TrackingConfig(depth_sd_mm=contact.depth_sd_mm),
     )
 
 

@@ -20,7 +20,7 @@ class ContactCalibration:
     coefficients: base64 of float16, little-endian, (4, K, K, C) in units of scale_v: the splines of M, Fx, Fy (V) and D
     (V/mm). knots: K. half_mm: the splines cover [-half_mm, half_mm]. spacing_mm: of the knots.
     chamber_mm: sizes of the chamber. depth_mm: the calibration's. noise_v: (C,) V, of a block's mean. floor_v: V, the
-    map's residual. gain_sd: of the gain from slide to slide.
+    map's residual. gain_sd: of the gain from slide to slide. depth_sd_mm: of the contact depth about the calibration's.
 
     Raises:
         ValueError: a number is out of range, or the coefficients are not as many as K and C say.
@@ -36,10 +36,11 @@ class ContactCalibration:
     noise_v: tuple[float, ...]
     floor_v: float
     gain_sd: float
+    depth_sd_mm: float = 0.02
 
     def __post_init__(self) -> None:
         numbers = (self.scale_v, self.half_mm, self.spacing_mm, *self.chamber_mm, *self.noise_v, self.floor_v)
-        for value in (*numbers, self.gain_sd, self.depth_mm):
+        for value in (*numbers, self.gain_sd, self.depth_mm, self.depth_sd_mm):
             if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < LARGEST:
                 raise ValueError(f"contact: {value!r:.40} is no number above 0 and below {LARGEST:g}")
         if type(self.knots) is not int or not 4 <= self.knots <= MOST_KNOTS or len(self.chamber_mm) != 2:

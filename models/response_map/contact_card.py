@@ -21,4 +21,5 @@ def contact_calibration(response: ResponseMap) -> ContactCalibration:
         noise_v=tuple(float(v) for v in response.noise_v),
         floor_v=float(response.floor_v),
         gain_sd=float(response.gain_sd),
+        depth_sd_mm=response.depth_sd_mm or ContactCalibration.depth_sd_mm,
     )
