@@ -28,9 +28,12 @@ from models.cnn.gauss_newton import Refinement
 from models.cnn.network import OUTPUTS, NetworkConfig, SlideNetwork
 from models.cnn.training import TrainingConfig, train_proposal
 from models.cnn.training_windows import SynthesisConfig, WindowBatch, WindowSource
+from models.export.bundle import PARITY
 from models.export.c99.memory import layout
+from models.export.c99.precision import in_single
 from models.export.c99.program import program
 from models.export.c99.tensors import Buffer
+from models.export.formats import export
 from models.graph.from_torch import export_graph
 
 pytestmark = NEEDS_COMPILER
@@ -101,6 +104,38 @@ def model(request: pytest.FixtureRequest) -> Case:
 
 def test_a_model_computes_the_same(model: Case, card: Card, tmp_path: Path) -> None:
     assert difference(model.c_rows(tmp_path, card), model.onnx_rows()) < 1e-5
+
+
+def test_in_single_precision_a_model_computes_the_same(model: Case, card: Card, tmp_path: Path) -> None:
+    """On slides, where it is believed; the C code then holds no double at all."""
+    slides = {name: rows[: len(rows) // 2] for name, rows in model.inputs.items()}
+    single, whole = Case(in_single(model.graph), slides), Case(model.graph, slides)
+    assert difference(single.c_rows(tmp_path, card), whole.onnx_rows()) < PARITY
+    assert "double" not in (tmp_path / "model.c").read_text()
+
+
+def test_a_graph_that_loses_its_digits_stays_as_it_was_trained(tmp_path: Path) -> None:
+    """x + 1e9 - 1e9: in single precision nothing of x is left."""
+    bundle = write_small_bundle(tmp_path / "b", a_sensor(), offset_mm_per_v=50.0)
+    graph = onnx.load_model_from_string((bundle / "model.onnx").read_bytes())
+    name = graph.graph.node[-1].output[0]
+    graph.graph.node[-1].output[0] = "row"
+    make = onnx.helper.make_node
+    graph.graph.initializer.append(onnx.numpy_helper.from_array(np.array([1e9]), "large"))
+    graph.graph.node.extend(
+        [
+            make("Cast", ["row"], ["wide"], to=onnx.TensorProto.DOUBLE),
+            make("Add", ["wide", "large"], ["sum"]),
+            make("Sub", ["sum", "large"], ["rest"]),
+            make("Cast", ["rest"], [name], to=onnx.TensorProto.FLOAT),
+        ]
+    )
+    (bundle / "model.onnx").write_bytes(graph.SerializeToString())
+    resigned(bundle)
+    told = export(bundle, "c", tmp_path / "c")
+    assert told["precision"] == "as trained"
+    assert told["single_differs"] > PARITY
+    assert "double" in (tmp_path / "c" / "model.c").read_text()
 
 
 def test_a_model_keeps_to_its_memory(model: Case, card: Card, tmp_path: Path) -> None:

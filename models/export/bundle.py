@@ -93,7 +93,7 @@ def write_bundle(
     return difference
 
 
-def believed(rows: np.ndarray, fitted: FittedModel) -> np.ndarray:
+def believed(rows: np.ndarray, fitted: FittedModel | Card) -> np.ndarray:
     """Which rows (n, K) are valid by the model's own deviations and misfit -> (n,) bool."""
     limits = {name: getattr(fitted.validity, name) for name in ("misfit", "direction_sd_deg", "log_speed_sd")}
     columns = [

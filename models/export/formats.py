@@ -2,6 +2,7 @@
 
 import hashlib
 import logging
+import math
 import shutil
 import tempfile
 from collections import defaultdict
@@ -17,8 +18,9 @@ from onnxruntime.quantization import CalibrationDataReader, QuantFormat, QuantTy
 from features.angles import wrapped_deg
 from features.card import Card, write_card
 from features.errors import InputError
-from models.export.bundle import graph_inputs, read_graph
+from models.export.bundle import PARITY, believed, graph_inputs, read_graph, relative_differences
 from models.export.c99.node import NoForm
+from models.export.c99.precision import in_single
 from models.export.c99.source import sources
 from models.graph.packing import pack
 from pipeline.recordings.folder import SAMPLE, read_folder
@@ -28,6 +30,8 @@ from serve.bundle import open_bundle, open_session
 
 # What int8 may add to any mean error before it is refused.
 WORSE = 1.1
+# Of the sample's recordings one in so many is compared: fifteen, of every split.
+EVERY = 4
 
 
 def export(bundle: Path, shape: str, out: Path) -> dict[str, Any]:
@@ -45,9 +49,15 @@ def export(bundle: Path, shape: str, out: Path) -> dict[str, Any]:
 
 
 def _as_c(card: Card, path: Path, out: Path) -> dict[str, Any]:
-    """model.c and model.h, check.c that works the card's example with them, and the card as it is."""
+    """model.c and model.h, check.c that works the card's example with them, and the card as it is.
+
+    In single precision where that gives the same rows, else in that of the graph.
+    """
+    graph = read_graph(path.parent)
+    single = in_single(graph)
+    differs = precision_difference(card, graph, single)
     try:
-        files, figures = sources(read_graph(path.parent), card)
+        files, figures = sources(single if differs <= PARITY else graph, card)
     except NoForm as error:
         raise InputError(
             f"{path}: {error} has no form in C; use the ORT format on a small processor"
@@ -56,7 +66,34 @@ def _as_c(card: Card, path: Path, out: Path) -> dict[str, Any]:
         for name, text in files.items():
             (folder / name).write_text(text, encoding="utf-8")
         shutil.copyfile(path.parent / "model.json", folder / "model.json")
+    figures |= {
+        "precision": "single" if differs <= PARITY else "as trained",
+        "single_differs": differs if math.isfinite(differs) else None,
+    }
     return {"shape": "c", "source_kb": len(files["model.c"]) / 1e3, **figures}
+
+
+def precision_difference(card: Card, graph: onnx.ModelProto, single: onnx.ModelProto) -> float:
+    """The largest relative difference of two graphs' believed rows, on the card's example and windows of the sample."""
+    inputs = {name: np.array(value, np.float32) for name, value in card.golden["inputs"].items()}
+    folder = read_folder(SAMPLE)
+    if folder.sensor.channels == card.channels:
+        some = replace(folder, manifest=folder.manifest.iloc[::EVERY])
+        windows = labelled_windows(some, card.conditioning, (0.6, 0.8, 1.0))
+        more = graph_inputs(card.input, windows.volts, windows.elapsed_s)
+        inputs = {name: np.concatenate([value, more[name]]) for name, value in inputs.items()}
+    rows, other = (_rows(content.SerializeToString(), inputs) for content in (graph, single))
+    stands = believed(rows, card)
+    return float(relative_differences(other[stands], rows[stands]).max()) if stands.any() else math.inf
+
+
+def _rows(graph: bytes, inputs: dict[str, np.ndarray]) -> np.ndarray:
+    """Rows (n, K) of a graph, one window at a time, as on a device."""
+    session = ort.InferenceSession(graph, providers=["CPUExecutionProvider"])
+    count = len(next(iter(inputs.values())))
+    return np.concatenate(
+        [session.run(None, {k: v[n : n + 1] for k, v in inputs.items()})[0] for n in range(count)]
+    )
 
 
 def _as_ort(card: Card, path: Path, out: Path) -> dict[str, Any]:

@@ -69,7 +69,9 @@ class Nest:
         body = [f"{entries[0]} = {formula(self.finish)};"]
         if self.update:
             gather = _looped(within, names[len(over) :], [formula(self.update)])
-            body = [f"double s = {self.start};", *gather, *body]
+            # In the numbers' own precision: a double costs a small processor twenty times as much.
+            total = "float" if self.out.kind == np.float32 else "double"
+            body = [f"{total} s = {self.start};", *gather, *body]
         return [f"/* {self.kind} */", *_looped(over, names, body)]
 
 
