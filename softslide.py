@@ -1,6 +1,7 @@
 """softslide: where is it, which way, how fast? One command, a subcommand for each job.
 
 Each subcommand is a function in commands/. Here is what holds for all of them: exit statuses, and errors in one line.
+`import softslide` offers the same jobs as functions (docs/api.md).
 """
 
 import argparse
@@ -8,10 +9,38 @@ import errno
 import os
 import sys
 from collections.abc import Sequence
+from importlib import import_module
+from typing import Any
 
-from features.errors import CheckFailed, InputError, printable
+try:
+    from features.errors import CheckFailed, InputError, printable
+except ImportError as error:
+    # A folder of a lab beside it, say, which Python finds first.
+    import features
+
+    found = getattr(features, "__file__", None) or next(iter(features.__path__))
+    text = f"softslide: another package 'features' ({found}) is in the way; run it from another folder"
+    raise (SystemExit if __name__ == "__main__" else ImportError)(text) from error
 
 __version__ = "0.2.0"
+
+# What `import softslide` offers, and where it is. Each is imported when it is first asked for.
+OFFERED = {
+    "SAMPLE": "pipeline.recordings.folder",
+    "Estimate": "features.estimate",
+    "Evaluation": "experiments.evaluate",
+    "Folder": "pipeline.recordings.folder",
+    "Localizer": "serve.localizer",
+    "Recording": "pipeline.recordings.folder",
+    "evaluate": "experiments.evaluate",
+    "examine": "pipeline.checks.findings",
+    "predict": "serve.predict",
+    "read_folder": "pipeline.recordings.folder",
+    "read_sensor": "pipeline.sensor",
+    "synthesize": "pipeline.synthesis.synthesize",
+    "train": "experiments.train",
+    "write_folder": "pipeline.recordings.folder",
+}
 
 # The extra that a subcommand needs beyond the base install. Device commands need one for some of their options only,
 # which the package that is missing tells: so does a package of another extra than the subcommand's own.
@@ -31,6 +60,17 @@ PACKAGE_EXTRA = {
 # A disk that is full, over its quota or read-only, and places that may not be written.
 NO_PLACE = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EPERM)
 OWN = ("commands", "experiments", "features", "models", "pipeline", "serve")
+
+
+def __getattr__(name: str) -> Any:
+    """A name of OFFERED, from its room."""
+    if name not in OFFERED:
+        raise AttributeError(f"softslide has no '{name}'; it offers {', '.join(OFFERED)}")
+    return getattr(import_module(OFFERED[name]), name)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *OFFERED})
 
 
 def main(argv: Sequence[str] | None = None) -> int:

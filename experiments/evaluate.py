@@ -62,10 +62,10 @@ class Evaluation:
 
 
 def evaluate(
-    bundle: Path,
-    recordings: Path,
+    bundle: str | Path,
+    recordings: str | Path,
     splits: Sequence[str] | None,
-    out: Path,
+    out: str | Path,
     jobs: int = 2,
     report: bool = True,
     *,
@@ -82,6 +82,7 @@ def evaluate(
     Raises:
         InputError: the bundle, the folder or a recording is not what the contract says, or no such split.
     """
+    bundle, recordings, out = Path(bundle), Path(recordings), Path(out)
     whole = read_folder(recordings)
     folder = to_score(whole, splits)
     check_fits(open_localizer(bundle), folder)

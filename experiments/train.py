@@ -56,13 +56,13 @@ class Training:
 
 
 def train(
-    recordings: Path | Sequence[Path],
-    out: Path,
+    recordings: str | Path | Sequence[str | Path],
+    out: str | Path,
     model: str = "cnn",
     *,
-    atlas: Path | None = None,
-    init: Path | None = None,
-    config: Path | None = None,
+    atlas: str | Path | None = None,
+    init: str | Path | None = None,
+    config: str | Path | None = None,
     change: Callable[[Any], Any] = lambda default: default,
     design_alone: bool = False,
     register: bool = False,
@@ -83,7 +83,8 @@ def train(
             labels can be used and the design alone was not asked for.
         ParityError: the exported graph and the original disagree; nothing is written.
     """
-    roots = [recordings] if isinstance(recordings, Path) else list(recordings)
+    out, atlas, init, config = Path(out), _path(atlas), _path(init), _path(config)
+    roots = [Path(recordings)] if isinstance(recordings, str | Path) else [Path(root) for root in recordings]
     whole = read_folders(roots)
     folder = to_learn_from(whole, design_alone)
     settings = configured(change(default_config(model)), config, model)
@@ -156,6 +157,10 @@ def _logged(out: Path, folder: Folder, provenance: dict[str, Any], store: str | 
         if len(folder):
             run.data(folder, "training")
         yield run
+
+
+def _path(given: str | Path | None) -> Path | None:
+    return None if given is None else Path(given)
 
 
 def _fit(

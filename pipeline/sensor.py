@@ -204,14 +204,14 @@ class Sensor:
         return all(a.measures_gravity for a in self.accelerometers)
 
 
-def read_sensor(path: Path) -> Sensor:
+def read_sensor(path: str | Path) -> Sensor:
     """Reads and validates a `sensor.toml`.
 
     Raises:
         InputError: the file is missing, is no TOML, misses a key, holds an unknown one or a bad value.
     """
     remedy = "a folder of recordings and a design need a sensor.toml"
-    return from_table(Sensor, read_toml(path, remedy), str(path))
+    return from_table(Sensor, read_toml(Path(path), remedy), str(path))
 
 
 def check_design(sensor: Sensor, source: str = "sensor") -> None:

@@ -27,13 +27,14 @@ T = TypeVar("T")
 _NEEDED = ("direction_cos", "direction_sin", "offset_mm")
 
 
-def open_bundle(bundle: Path) -> tuple[Card, ort.InferenceSession]:
+def open_bundle(bundle: str | Path) -> tuple[Card, ort.InferenceSession]:
     """The card and a session of its graph, model.onnx or model.ort.
 
     Raises:
         InputError: the bundle is missing, altered or truncated, its channels and its sensor disagree, or it does not
             give the result of its card's example.
     """
+    bundle = Path(bundle)
     path = next((bundle / name for name in GRAPHS if (bundle / name).is_file()), bundle / GRAPHS[0])
     card = read_card(bundle / "model.json")
     _check_card(card, bundle / "model.json")

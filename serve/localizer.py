@@ -63,7 +63,7 @@ class Localizer:
         self.reset()
 
     @classmethod
-    def load(cls, bundle: Path) -> "Localizer":
+    def load(cls, bundle: str | Path) -> "Localizer":
         """Opens a bundle and checks the example of its card.
 
         Raises:

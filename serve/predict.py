@@ -11,8 +11,8 @@ from serve.records import record
 
 
 def predict(
-    bundle: Path,
-    paths: Sequence[Path],
+    bundle: str | Path,
+    paths: Sequence[str | Path],
     track: bool = False,
     refused: Callable[[InputError], None] | None = None,
 ) -> Iterator[dict[str, Any]]:
@@ -26,7 +26,7 @@ def predict(
     """
     localizer = Localizer.load(bundle)
     card = localizer.card
-    for path in paths:
+    for path in map(Path, paths):
         try:
             volts = read_recording(path, card.channels, card.sample_rate_hz)
         except InputError as error:

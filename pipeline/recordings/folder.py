@@ -82,7 +82,7 @@ class Folder:
         return replace(self, manifest=self.manifest[known])
 
 
-def read_folder(root: Path, files: bool = True) -> Folder:
+def read_folder(root: str | Path, files: bool = True) -> Folder:
     """Reads `sensor.toml` and `manifest.csv`. files: see that every file named exists; else `Folder.load` does.
 
     Raises:
@@ -104,7 +104,7 @@ def read_folder(root: Path, files: bool = True) -> Folder:
 
 
 def write_folder(
-    out: Path,
+    out: str | Path,
     sensor: Sensor,
     manifest: pd.DataFrame,
     recordings: Iterable[Recording],
