@@ -181,6 +181,41 @@ def simulate(parser: Parser) -> Run:
     return run
 
 
+def height(parser: Parser) -> Run:
+    """the inflated skin's height (mm) at each pressure of a folder
+
+    From the static tilts (g): by the article's formula, by the solved design,
+    and by the solved design with the factor on the tilts that one reading of
+    a laser gives (column skin_height_mm of the manifest, at the pressure that
+    is nearest to the sensor's). A line for each pressure (MPa).
+
+        softslide height my-recordings
+        softslide height my-recordings --atlas atlas.npz --json
+    """
+    arguments.existing(parser, "folder", "DIR", "holds sensor.toml, manifest.csv, slides/*.parquet")
+    arguments.atlas(parser, "of the sensor's design (default: the one that ships, or solved now)")
+    parser.add_argument("--json", action="store_true", help="one JSON object a pressure")
+
+    def run(given: argparse.Namespace) -> None:
+        from pipeline.atlas.library import atlas_of
+        from pipeline.atlas.skin_height import skin_heights, told
+        from pipeline.recordings.folder import read_folder
+
+        recordings = read_folder(given.folder)
+        rows = skin_heights(recordings, atlas_of(recordings.sensor, given.atlas))
+        for row, line in zip(rows, told(rows), strict=True):
+            if given.json:
+                numbers = {
+                    key: None if isinstance(value, float) and value != value else value
+                    for key, value in (row | {"static_g": row["static_g"].tolist()}).items()
+                }
+                print(json.dumps(numbers, allow_nan=False))
+            else:
+                print(line)
+
+    return run
+
+
 def synthesize(parser: Parser) -> Run:
     """write a folder of synthetic recordings from an atlas
 
@@ -244,4 +279,4 @@ def synthesize(parser: Parser) -> Run:
     return run
 
 
-COMMANDS = (check, import_, simulate, synthesize)
+COMMANDS = (check, height, import_, simulate, synthesize)

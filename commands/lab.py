@@ -20,7 +20,7 @@ def design(parser: Parser) -> Run:
     ('simulate', 'plan'). Prints the table.
 
         softslide design --sensor sensor.toml --boards 1 2 3 4 --out design
-        softslide design --sensor sensor.toml --boards 2 --chamber 70 60 --height 9 --out design
+        softslide design --sensor sensor.toml --boards 2 --height 9 --out design
     """
     arguments.existing(parser, "--sensor", "sensor.toml", "the design", required=True)
     parser.add_argument(

@@ -1,0 +1,59 @@
+"""The skin's height from static tilts, with the factor that one reading of a laser gives."""
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import softslide
+from pipeline.atlas.atlas import DEFAULT_SENSOR, read_atlas
+from pipeline.atlas.skin_height import skin_heights
+from pipeline.recordings.folder import Folder, Recording, write_folder
+from pipeline.sensor import read_sensor
+
+HEIGHTS_MM, PRESSURES_MPA, FACTOR = (5.5, 7.0, 8.5), (0.03, 0.035, 0.04), 0.8
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Folder:
+    """A skin whose board tilts by 0.8 of what is solved, at rest at three pressures; a laser at the middle one."""
+    atlas, sensor = read_atlas(), read_sensor(DEFAULT_SENSOR)
+    recordings, rows = [], []
+    for n, (height, pressure) in enumerate(zip(HEIGHTS_MM, PRESSURES_MPA, strict=True)):
+        static = atlas.static(atlas.pressure_at(height))[0] * [FACTOR, FACTOR, 1.0]
+        noise = np.random.default_rng(n).normal(0.0, 0.005, (1000, 3))
+        recordings.append(Recording(f"r{n}", np.arange(1000) / 1000.0, 1.65 + 0.8 * static + noise))
+        laser = height if pressure == sensor.pressure_mpa else np.nan
+        rows.append(
+            {"recording": f"r{n}", "split": "calibration", "pressure_mpa": pressure, "skin_height_mm": laser}
+        )
+    return write_folder(tmp_path_factory.mktemp("heights") / "skin", sensor, pd.DataFrame(rows), recordings)
+
+
+def test_one_reading_of_a_laser_makes_the_solved_design_right_at_other_pressures(folder: Folder) -> None:
+    rows = skin_heights(folder, read_atlas())
+    assert [row["used"] for row in rows] == [False, True, False]
+    for row, height in zip(rows, HEIGHTS_MM, strict=True):
+        assert row["fitted_mm"] == pytest.approx(height, rel=0.02)
+        # Without it the solved tilts give another height, or none that was solved.
+        assert not abs(row["atlas_mm"] / height - 1) < 0.1
+
+
+def test_without_a_laser_nothing_is_fitted(folder: Folder) -> None:
+    bare = Folder(folder.root, folder.sensor, folder.manifest.assign(skin_height_mm=np.nan))
+    assert all(np.isnan(row["fitted_mm"]) and not row["used"] for row in skin_heights(bare, read_atlas()))
+
+
+def test_recordings_for_reporting_fit_nothing(folder: Folder) -> None:
+    reported = Folder(folder.root, folder.sensor, folder.manifest.assign(split="test"))
+    assert all(np.isnan(row["fitted_mm"]) for row in skin_heights(reported, read_atlas()))
+
+
+def test_the_command_says_a_line_for_each_pressure(
+    folder: Folder, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert softslide.main(["height", str(Path(folder.root))]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split()[0] for line in lines] == ["0.03", "0.035", "0.04"]
+    assert "fits the factor" in lines[1]
