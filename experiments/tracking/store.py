@@ -17,6 +17,8 @@ os.environ.setdefault("MLFLOW_DISABLE_TELEMETRY", "true")
 os.environ.setdefault("MLFLOW_HTTP_REQUEST_MAX_RETRIES", "2")
 os.environ.setdefault("MLFLOW_HTTP_REQUEST_TIMEOUT", "30")
 os.environ.setdefault("MLFLOW_ENABLE_ARTIFACTS_PROGRESS_BAR", "false")
+# Standard output is for results.
+os.environ.setdefault("MLFLOW_SUPPRESS_PRINTING_URL_TO_STDOUT", "true")
 
 import mlflow
 from mlflow.entities import Dataset, DatasetInput, InputTag, Metric, Param, RunTag
@@ -24,6 +26,7 @@ from mlflow.exceptions import MlflowException
 from mlflow.utils.mlflow_tags import MLFLOW_DATASET_CONTEXT, MLFLOW_PARENT_RUN_ID
 from sqlalchemy.exc import SQLAlchemyError
 
+from experiments.provenance import machine
 from experiments.tracking.recording_model import log_recording_model
 from features.errors import InputError
 
@@ -48,8 +51,14 @@ def client_of(address: str) -> mlflow.MlflowClient:
     # A new store logs each of its migrations, a lost connection each attempt.
     for chatty in ("alembic", "mlflow.store.db.utils", "mlflow.tracking.fluent", "urllib3.connectionpool"):
         logging.getLogger(chatty).setLevel(logging.ERROR)
+    named = os.environ.get("MLFLOW_TRACKING_URI")
     mlflow.set_tracking_uri(address)
     mlflow.set_registry_uri(address)
+    # MLflow puts the address into the environment, where it would look like the user's choice.
+    if named is None:
+        os.environ.pop("MLFLOW_TRACKING_URI", None)
+    else:
+        os.environ["MLFLOW_TRACKING_URI"] = named
     with _alone(address):
         return mlflow.MlflowClient(address, address)
 
@@ -152,7 +161,12 @@ class Sender:
                 raise
         source = client.get_logged_model(self.model).artifact_location
         version = client.create_model_version(
-            record["name"], source, self.run, tags=dict(record["tags"]), model_id=self.model
+            record["name"],
+            source,
+            self.run,
+            tags=dict(record["tags"]),
+            await_creation_for=0,
+            model_id=self.model,
         )
         client.set_tag(self.run, "registered", f"{record['name']} {version.version}")
 
@@ -176,14 +190,28 @@ def open_experiment(client: mlflow.MlflowClient, address: str) -> str:
             raise
 
 
-def find_run(client: mlflow.MlflowClient, tags: Mapping[str, str]) -> mlflow.entities.Run | None:
-    """The last run with all these tags; None if there is none."""
+def find_run(
+    client: mlflow.MlflowClient, tags: Mapping[str, str], status: str = ""
+) -> mlflow.entities.Run | None:
+    """The last run with all these tags, and this status if one is given; None if there is none."""
     experiment = client.get_experiment_by_name(EXPERIMENT)
     if experiment is None:
         return None
     wanted = " and ".join(f"tags.`{name}` = '{value}'" for name, value in tags.items())
+    if status:
+        wanted += f" and attributes.status = '{status}'"
     runs = client.search_runs([experiment.experiment_id], wanted, max_results=1)
     return runs[0] if runs else None
+
+
+def last_duration_s(tags: Mapping[str, str], named: str | None = None) -> float | None:
+    """How long the last such run took that finished on a computer like this one; None: there is none to be had."""
+    try:
+        here = {**tags, "processor": machine()["processor"]}
+        run = find_run(client_of(store_address(named)), here, "FINISHED")
+    except STORE_ERRORS:
+        return None
+    return None if run is None else (run.info.end_time - run.info.start_time) / 1000
 
 
 def first_line(error: BaseException) -> str:

@@ -5,13 +5,14 @@ run in it (empty before it began), the logged model, and how many records were s
 """
 
 import json
+import os
 import shutil
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from experiments.tracking.store import STORE_ERRORS, Record, Sender, first_line, store_address
+from experiments.tracking.store import STORE_ERRORS, Record, Sender, first_line
 from features.errors import CheckFailed, InputError
 
 SUFFIX = ".unsent"
@@ -59,7 +60,7 @@ def sync(places: Iterable[Path]) -> list[str]:
     lines = []
     for folder in sorted({folder for place in places for folder in _folders(place)}):
         state, records = _read(folder)
-        sender = Sender(store_address(state.store), state.run, state.model)
+        sender = Sender(os.environ.get("MLFLOW_TRACKING_URI") or state.store, state.run, state.model)
         for number, record in enumerate(records[state.sent :], state.sent):
             try:
                 sender.send(record, folder)
