@@ -2,6 +2,7 @@
 
 import argparse
 import json
+import shlex
 import sys
 
 from commands import arguments
@@ -83,6 +84,13 @@ def train(parser: Parser) -> Run:
             register=given.register,
         )
         print(f"softslide train: {done.run.place}", file=sys.stderr)
+        model, folder = shlex.quote(str(done.bundle)), shlex.quote(str(given.recordings[0]))
+        for line in (
+            f"softslide evaluate --model {model} --recordings {folder} --out {model}-results",
+            f"softslide predict --model {model} slide.csv",
+            f"softslide serve --model {model} --source slide.csv --page 8000",
+        ):
+            print(f"next: {line}", file=sys.stderr)
         print(done.bundle)
 
     return run

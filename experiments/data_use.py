@@ -1,4 +1,4 @@
-"""What `train` made of a folder's recordings, said on standard error: a line for each reason."""
+"""What `train` is about to do with a folder's recordings, and what it did, said on standard error."""
 
 import sys
 
@@ -9,6 +9,28 @@ from pipeline.recordings.derived_labels import why_not_labelled, with_derived_la
 from pipeline.recordings.folder import Folder
 
 EXAMPLES = 3  # recordings named for each reason
+
+
+def report_plan(model: str, chosen: Folder, folder: Folder, design: bool, last_s: float | None) -> None:
+    """Says, before anything that takes time, what is trained on what, and how long it may take.
+
+    chosen: the recordings of the calibration splits. folder: those to learn from. design: whether an atlas is used.
+    last_s: how long the last such training took, s; None: not known.
+    """
+    left_out = len(chosen) - len(folder)
+    source = f"{len(folder)} recordings" if len(folder) else "the design alone"
+    parts = [f"training {model} of {folder.sensor.name} from {source}"]
+    if len(folder) and design:
+        parts[0] += " and the design's atlas"
+    if left_out:
+        parts.append(f"{left_out} of {len(chosen)} left out")
+    if last_s is not None:
+        parts.append(f"the last {model} on this computer took {_time(last_s)}")
+    print("; ".join(parts), file=sys.stderr)
+
+
+def _time(seconds: float) -> str:
+    return f"{seconds:.0f} s" if seconds < 90 else f"{seconds / 60:.0f} min"
 
 
 def report_use(chosen: Folder, folder: Folder, fitted: FittedModel) -> None:

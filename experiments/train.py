@@ -11,7 +11,7 @@ import onnx
 import pandas as pd
 
 from experiments.configuration import configured
-from experiments.data_use import report_use
+from experiments.data_use import report_plan, report_use
 from experiments.evaluation import figures
 from experiments.evaluation.archive import Archive
 from experiments.evaluation.readout import predictions
@@ -20,6 +20,7 @@ from experiments.pages.page import panels_page
 from experiments.provenance import bundle_hash, code_revision, data_hashes
 from experiments.tracking.registry import MODEL
 from experiments.tracking.run import UNTRACKED, Run, tracked
+from experiments.tracking.store import last_duration_s
 from features.card import read_card
 from features.errors import InputError
 from models.export.bundle import read_graph, write_bundle
@@ -108,6 +109,8 @@ def train(
         provenance["atlas"] = atlas_hash(design)
     if init is not None:
         provenance["init"] = read_card(init / "model.json").graph_sha256
+    last_s = last_duration_s({"command": "train", "model": model}, store) if track else None
+    report_plan(model, whole.select(*LEARNT), folder, design is not None, last_s)
     with _logged(out, folder, provenance, store) if track else nullcontext(UNTRACKED) as run:
         fitted, losses = _fit(model, folder, settings, design, start)
         _warn_if_lost(fitted)
@@ -152,6 +155,7 @@ def _logged(out: Path, folder: Folder, provenance: dict[str, Any], store: str | 
     configuration = provenance["configuration"]
     tags = {f"data.{name}": digest for name, digest in provenance["data"].items()}
     tags |= {name: provenance[name] for name in ("atlas", "init") if name in provenance}
+    tags["model"] = configuration["model"]
     name = f"{configuration['model']} on {folder.sensor.name}"
     with tracked("train", name, configuration, out, tags=tags, store=store) as run:
         if len(folder):
@@ -166,11 +170,17 @@ def _path(given: str | Path | None) -> Path | None:
 def _fit(
     model: str, folder: Folder, settings: Any, design: Atlas | None, start: onnx.ModelProto | None
 ) -> tuple[FittedModel, dict[int, float]]:
-    """The fitted model and its loss by step, with a bar for who watches."""
+    """The fitted model and its loss by step, with a bar for who watches: the map's calibration, then the steps."""
     losses: dict[int, float] = {}
-    with progress_bar(f"fitting {model}", "step") as bar:
+    steps = settings.training.steps if hasattr(settings, "training") else None
+    stage = "calibrating the response map" if uses_design(model) else f"fitting {model}"
+    with progress_bar(stage, "step", total=steps) as bar:
 
         def progress(step: int, loss: float) -> None:
+            if not losses:
+                # The time left is that of the steps alone.
+                bar.reset(steps)
+                bar.set_description("training the network")
             losses[step] = loss
             bar.set_postfix(loss=f"{loss:.3f}", refresh=False)
             bar.update(step - bar.n)

@@ -222,7 +222,7 @@ def _relabelled(lab: Path, root: Path, **labels: str) -> Path:
 
 
 def test_it_says_what_it_did_not_use_and_what_it_took_for_granted(
-    lab: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    bundle: Path, lab: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder = _relabelled(lab, tmp_path / "lab", direction_deg="", pressure_mpa="0.04")
     names = read_folder(folder).select("calibration").manifest.index
@@ -233,6 +233,10 @@ def test_it_says_what_it_did_not_use_and_what_it_took_for_granted(
     command = ["train", "--recordings", folder, "--model", "interpolation", "--out", tmp_path / "out"]
     assert softslide.main([str(word) for word in command]) == 0
     lines = capsys.readouterr().err.splitlines()
+    plan = f"training interpolation of bench-a from {len(names) - 3} recordings; 3 of {len(names)} left out"
+    assert lines[0].startswith(f"{plan}; the last interpolation on this computer took ")
+    nexts = [line.removeprefix("next: ") for line in lines if line.startswith("next: ")]
+    assert [words.split()[1] for words in nexts] == ["evaluate", "predict", "serve"]
     assert f"learnt from {len(names) - 3} of {len(names)} recordings" in lines
     assert f"left out 2: no direction_deg ({names[0]}, {names[1]})" in lines
     assert "no depth_mm in 1: taken as 0.5 mm" in lines
