@@ -13,7 +13,6 @@ from small_bundle import write_small_bundle
 from team_server import PATIENCE_S, binaries, free_port, mlflow_server, postgres
 from trial_folder import SENSOR
 
-import softslide
 from experiments.tracking.registry import fetched
 from experiments.tracking.store import find_run
 from serve.localizer import Localizer
@@ -68,7 +67,7 @@ def database() -> Iterator[str]:
 def test_a_team_shares_a_server_that_may_die(
     database: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Two members at once; then the server dies in the middle of a run, and is back for `sync`."""
+    """Two members at once; then a server dies in the middle of a run, which costs a line and no traceback."""
     port, artifacts = free_port(), tmp_path / "artifacts"
     bundle = write_small_bundle(tmp_path / "caught", SENSOR)
     with mlflow_server(database, artifacts, port) as store:
@@ -86,7 +85,4 @@ def test_a_team_shares_a_server_that_may_die(
         log_run(bundle, "caught", short_lived, midway=lambda: dying.__exit__(None, None, None))
         (line,) = capsys.readouterr().err.splitlines()
         assert line.startswith(f"run not logged: {short_lived} does not take it")
-        assert softslide.main(["sync", str(tmp_path)]) == 0
-        assert "caught.unsent" in capsys.readouterr().out
-        assert not (tmp_path / "caught.unsent").exists()
-        assert_whole(client, "caught")
+        assert (tmp_path / "caught.unsent" / "records.jsonl").read_text().count('"kind": "model"') == 1
