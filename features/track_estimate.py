@@ -74,7 +74,7 @@ def judged(
     heading_half = min(limits.heading_width * math.degrees(heading_sd) + limits.heading_deg, 180.0)
     offset, offset_half = float(across @ from_reference), limits.half_width * offset_sd + limits.place_mm
     contact = Contact.SLIDE
-    if track.partial > 0.5 or track.way_mm < limits.way_mm:
+    if track.partial > 0.5 or track.way_mm < limits.way_mm or track.one_way:
         contact = Contact.PRESS
     elif speed < limits.stopped_mm_s:
         contact = Contact.STOPPED
@@ -126,6 +126,8 @@ def _reason(
     unclear = place_sd_mm > limits.place_sd_mm or (
         heading_sd_deg > limits.heading_sd_deg and contact is not Contact.STOPPED
     )
+    # What one press at a place nearby shows as well is ambiguous.
+    unclear = unclear or track.one_way
     if unclear or track.certain < limits.certain or track.partial > limits.partial:
         return Reason.AMBIGUOUS
     return Reason.NONE

@@ -124,7 +124,7 @@ def test_prediction_moves_along_an_arc() -> None:
     bank.state[:, 4], bank.state[:, 5] = 0.0, 0.05
     before = bank.state.copy()
     for _ in range(50):
-        predict(bank, 0.04, 1e-3, MotionNoise())
+        predict(bank, 0.04, 1e-3, 0.0, MotionNoise())
     radius, turned = 1 / 0.05, 2.0 * before[:, SPEED] * 0.05
     left = np.stack([-np.sin(before[:, HEADING]), np.cos(before[:, HEADING])], axis=1)
     centre = before[:, :2] + radius * left
@@ -259,9 +259,10 @@ def test_a_slide_has_more_evidence_than_a_sine_wave() -> None:
     sine = sine + np.random.default_rng(3).normal(0.0, 1e-3, sine.shape)
     tracked = tracker(response)
     tracks = [tracked.push(v, n > 10) for n, v in enumerate(sine)]
-    waves = [t.evidence for t in tracks if t is not None]
+    # A wave along one direction may be a press that comes and goes, but no slide.
+    slides = [t is not None and t.evidence > 0.0 and t.partial < 0.3 for t in tracks]
     assert np.median(slide) > 2.0
-    assert np.median(waves) < 0.0
+    assert np.mean(slides) < 0.02
 
 
 @pytest.mark.parametrize("seed", range(4))

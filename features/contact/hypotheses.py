@@ -1,8 +1,9 @@
 """A bank of hypotheses about one contact: a Gaussian sum (Alspach and Sorenson 1972) of extended Kalman filters.
 
-Each holds a state and its covariance. The state of a sensor with C tilt channels, n = 8 + C numbers:
+Each holds a state and its covariance. The state of a sensor with C tilt channels, n = 9 + C numbers:
 x, y (mm), heading (rad), speed along it (mm/s, negative: backwards), acceleration (mm/s2), curvature (1/mm), gain
-(1: the calibration's), depth (mm off the map's), and the map's residual in each channel (V).
+(1: the calibration's), depth (mm off the map's), rise (1/s: of the gain, while the contact is pressed on or lifted),
+and the map's residual in each channel (V).
 """
 
 from dataclasses import dataclass, fields
@@ -12,8 +13,8 @@ import numpy as np
 
 from features.contact.response_surface import ResponseSurface
 
-X, Y, HEADING, SPEED, ACCELERATION, CURVATURE, GAIN, DEPTH = range(8)
-RESIDUAL = 8
+X, Y, HEADING, SPEED, ACCELERATION, CURVATURE, GAIN, DEPTH, RISE = range(9)
+RESIDUAL = 9
 
 FRICTION_MM = (
     0.35  # of way, over which the friction's direction follows the motion's (measured on the emulator)
@@ -26,6 +27,8 @@ MANOEUVRE_MM = 25.0  # of way, over which manoeuvres are remembered
 PEAK_SHARE = (
     0.01  # of the present output: what friction's dependence on the path adds at 0.1 (rms, simulated)
 )
+# Of the present output, over 1 s: how much the shape of the response changes while a contact is pressed on.
+PARTIAL_SHARE = 0.05
 MISFIT_S = 0.5  # memory of the misfit
 
 
@@ -34,7 +37,7 @@ class MotionNoise:
     """Standard deviations that a hypothesis grows by over 1 mm of way between manoeuvres.
 
     place: mm. heading: rad. speed, acceleration: shares (of the speed; of its square). curvature: 1/mm. gain: 1.
-    depth: mm. rising: of the gain, a second, while the contact is pressed on or lifted.
+    depth: mm. rise: 1/s, over 1 s, while the contact is pressed on or lifted.
     """
 
     place: float = 0.01
@@ -44,7 +47,7 @@ class MotionNoise:
     curvature: float = 0.003
     gain: float = 0.003
     depth: float = 0.005
-    rising: float = 0.42
+    rise: float = 0.5
 
 
 @dataclass
@@ -107,8 +110,9 @@ def started(
     )
 
 
-def predict(bank: Hypotheses, elapsed_s: float, floor_v: float, noise: MotionNoise) -> None:
-    """Moves every hypothesis on by elapsed_s along its arc. floor_v: V, standard deviation of the map's residual."""
+def predict(bank: Hypotheses, elapsed_s: float, floor_v: float, partial_v: float, noise: MotionNoise) -> None:
+    """Moves every hypothesis on by elapsed_s along its arc. floor_v: V, standard deviation of the map's residual;
+    partial_v: V, what it grows by in 1 s while a contact is pressed on or lifted."""
     state, count, size = bank.state, len(bank), bank.state.shape[1]
     state[:, SPEED] += elapsed_s * state[:, ACCELERATION]
     speed, curvature = state[:, SPEED], state[:, CURVATURE]
@@ -122,7 +126,7 @@ def predict(bank: Hypotheses, elapsed_s: float, floor_v: float, noise: MotionNoi
     slope[:, X, HEADING], slope[:, X, SPEED] = -step * sin, elapsed_s * cos
     slope[:, Y, HEADING], slope[:, Y, SPEED] = step * cos, elapsed_s * sin
     slope[:, HEADING, SPEED], slope[:, HEADING, CURVATURE] = elapsed_s * curvature, step
-    slope[:, SPEED, ACCELERATION] = elapsed_s
+    slope[:, SPEED, ACCELERATION] = slope[:, GAIN, RISE] = elapsed_s
     kept = np.exp(-way[:, None] / np.array([ACCELERATION_MM, RESIDUAL_MM, FRICTION_MM, MANOEUVRE_MM]))
     diagonal[:, ACCELERATION] = kept[:, 0]
     diagonal[:, RESIDUAL:] = kept[:, 1:2]
@@ -130,6 +134,7 @@ def predict(bank: Hypotheses, elapsed_s: float, floor_v: float, noise: MotionNoi
     state[:, Y] += step * sin
     state[:, HEADING] += curvature * step
     state[:, ACCELERATION] *= kept[:, 0]
+    state[:, GAIN] += elapsed_s * state[:, RISE]
     state[:, RESIDUAL:] *= kept[:, 1:2]
     covariance = slope @ bank.covariance @ slope.transpose(0, 2, 1)
     grown = covariance.reshape(count, -1)[:, :: size + 1]
@@ -139,9 +144,11 @@ def predict(bank: Hypotheses, elapsed_s: float, floor_v: float, noise: MotionNoi
     grown[:, SPEED] += (noise.speed * speed) ** 2 * way
     grown[:, ACCELERATION] += (noise.acceleration * speed * speed) ** 2 * way
     grown[:, CURVATURE] += noise.curvature**2 * way
-    grown[:, GAIN] += np.where(bank.partial, noise.rising**2 * elapsed_s, noise.gain**2 * way)
+    grown[:, GAIN] += noise.gain**2 * way
+    grown[:, RISE] += np.where(bank.partial, noise.rise**2 * elapsed_s, 0.0)
     grown[:, DEPTH] += noise.depth**2 * way
     grown[:, RESIDUAL:] += (floor_v**2 * (1.0 - kept[:, 1] ** 2))[:, None]
+    grown[:, RESIDUAL:] += np.where(bank.partial, partial_v**2 * elapsed_s, 0.0)[:, None]
     bank.covariance = covariance
     turning = 1.0 - kept[:, 2:3]
     bank.friction += turning * (_motion(state) - bank.friction)

@@ -14,6 +14,7 @@ from features.contact.hypotheses import (
     CURVATURE,
     GAIN,
     HEADING,
+    RISE,
     SPEED,
     Hypotheses,
     joined,
@@ -27,7 +28,7 @@ class Manoeuvres:
     prior_count, prior_mm: gamma prior of the manoeuvres' rate, 1/mm. steering: shares of a change of speed, a bend and
     both. speed: standard deviation of a change, a share of the speed; speed_mm_s: and at least this.
     acceleration: a share of the speed's square, 1/mm. curvature: 1/mm.
-    stop, back, corner, lift: rates, 1/mm. whole, restart: probabilities at each branching.
+    stop, back, corner, lift: rates, 1/mm. rise: of a lift's gain, 1/s. whole, restart: probabilities at each branching.
     """
 
     prior_count: float = 0.5
@@ -41,11 +42,13 @@ class Manoeuvres:
     back: float = 0.006
     corner: float = 0.008
     lift: float = 0.006
+    rise: float = 0.7
     whole: float = 0.3
     restart: float = 0.004
 
 
 SLOW_MM_S = 0.3  # a contact this slow may start again in any direction
+SLOW_PARENTS = 6
 RESTART_HEADINGS = 6
 RESTART_SPEEDS = ((0.8, 0.4), (3.0, 1.3))  # mm/s: mean and standard deviation
 STOPPED_MM_S = 0.05
@@ -87,24 +90,30 @@ def branched(
         corner.covariance[:, HEADING, HEADING] += 0.5**2
         _set(corner, CURVATURE, np.zeros(len(corner)), np.full(len(corner), 0.02))
         children.append(corner)
-    slow = parent.take(speed < SLOW_MM_S)
-    if len(slow):
-        children += _restarts(slow, p.restart)
+    slow = np.abs(bank.state[:, SPEED]) < SLOW_MM_S
+    slow &= bank.log_weight > -log_odds
+    if slow.any():
+        at = np.flatnonzero(slow)
+        at = at[np.argsort(-bank.log_weight[at], kind="stable")[:SLOW_PARENTS]]
+        children += _restarts(bank.take(at), p.restart)
     whole = ~parent.partial
     if whole.any():
         lift = _child(parent.take(whole), np.minimum(p.lift * way[whole], 0.1))
         lift.partial[:] = True
-        lift.covariance[:, GAIN, GAIN] += 0.05**2
+        lift.covariance[:, RISE, RISE] += p.rise**2
         children.append(lift)
     if parent.partial.any():
         children.append(_made_whole(parent.take(parent.partial), gain_sd, p.whole))
     return joined(children)
 
 
-def merged(bank: Hypotheses, most: int, log_odds: float) -> Hypotheses:
-    """The best hypotheses, like ones in one: at most `most`, within `log_odds` of the best."""
+def merged(bank: Hypotheses, most: int, most_partial: int, log_odds: float) -> Hypotheses:
+    """The best hypotheses, like ones in one: at most `most` of a whole contact and `most_partial` of one that is
+    pressed on or lifted, within `log_odds` of the best."""
     order = np.argsort(-bank.log_weight, kind="stable")
-    order = order[bank.log_weight[order] > -log_odds][: 3 * most]
+    order = order[bank.log_weight[order] > -log_odds]
+    partial = bank.partial[order]
+    order = order[np.where(partial, partial.cumsum() <= 3 * most_partial, (~partial).cumsum() <= 3 * most)]
     bank = bank.take(order)
     # x, y, heading, speed, acceleration, curvature, gain
     state = bank.state[:, :7]
@@ -119,15 +128,15 @@ def merged(bank: Hypotheses, most: int, log_odds: float) -> Hypotheses:
         & (bank.partial[:, None] == bank.partial[None])
     )
     kept: list[int] = []
+    left = {False: most, True: most_partial}
     free = np.ones(len(bank), dtype=bool)
     for n in range(len(bank)):
-        if free[n]:
+        if free[n] and left[bool(bank.partial[n])]:
             same = alike[n] & free
             bank.log_weight[n] = np.logaddexp.reduce(bank.log_weight[same])
             free &= ~same
             kept.append(n)
-            if len(kept) == most:
-                break
+            left[bool(bank.partial[n])] -= 1
     bank = bank.take(np.array(kept))
     bank.log_weight -= bank.log_weight.max()
     return bank
@@ -179,4 +188,5 @@ def _made_whole(partial: Hypotheses, gain_sd: float, chance: float) -> Hypothese
     child.covariance -= column[:, :, None] * column[:, None] / total[:, None, None]
     child.partial[:] = False
     child.manoeuvres -= 1.0
+    _set(child, RISE, np.zeros(len(child)), np.zeros(len(child)))
     return child

@@ -1,26 +1,92 @@
-"""The alternative to a contact: a smooth signal of no known origin, by which a track's evidence is judged.
+"""The alternatives to a slide, by which a track's evidence is judged: signals that need no response map.
 
-Each channel follows an integrated random walk (level and slope) of one of several strengths, in steady state, so that
-a step costs a few operations. What such a model predicts as well as the response map does is no evidence of a contact.
+Two families, each of several strengths, in steady state, so that a step costs a few operations. In one each channel
+follows an integrated random walk (level and slope) of its own: a smooth signal of no known origin. In the other a
+single amplitude does, along a fixed direction of the channels: a press at one place, a tilt, a change of pressure, a
+drift. What these predict as well as the response map does is no evidence of a slide.
 """
+
+import math
 
 import numpy as np
 
-# V/s^1.5: from a contact of 0.3 mm/s to one of 15 mm/s over 25 mV/mm that change within 5 mm.
-STRENGTHS = 1e-3 * np.array([0.5, 2.0, 8.0, 32.0, 128.0, 512.0])
-SETTLED = 400  # steps of the Riccati recursion; the slowest strength settles in 300
-SWITCH = 0.01  # probability a step that the strength changes
+# V/s^1.5: rest, then from a contact of 0.3 mm/s to one of 15 mm/s over 25 mV/mm that change within 5 mm.
+STRENGTHS = 1e-3 * np.array([0.02, 0.5, 2.0, 8.0, 32.0, 128.0, 512.0])
+SETTLED = 3000  # steps of the Riccati recursion; the slowest strength settles in 2500
+SWITCH = 0.01  # probability a step that the strength or the family changes
+# Of the amplitude: how far a press leaves its direction while the object is pressed on (synthetic presses).
+BENT = 0.03
+# Outputs whose part across their common direction is less than this share (root mean square) have kept it.
+STRAIGHT = 0.03
 
 
 class SmoothSignal:
     """One stream. noise_v: (C,) V of one step's measurement; step_s: its length."""
 
     def __init__(self, noise_v: np.ndarray, step_s: float) -> None:
+        self._step_s, self._noise = step_s, noise_v
+        self._free = Walks(
+            np.broadcast_to(STRENGTHS[:, None], (len(STRENGTHS), len(noise_v))), noise_v, step_s
+        )
+        # The amplitude's walks are of the outputs divided by their noise.
+        each = STRENGTHS[:, None] / math.sqrt(float((noise_v**2).mean()))
+        self._along = Walks(each, np.ones(1), step_s)
+        self.reset(np.zeros(len(noise_v)), np.zeros(len(noise_v)))
+
+    def reset(self, level_v: np.ndarray, slope_v_s: np.ndarray) -> None:
+        """Starts from a level (C,) V and a slope (C,) V/s."""
+        self._free.reset(level_v, slope_v_s)
+        level = level_v / self._noise
+        self._moment = np.outer(level, level)
+        self._steps, self._lowest, self._highest = 1, 0.0, 0.0
+        self._direction = level / max(float(np.hypot.reduce(level)), 1e-9)
+        self._along.reset(
+            np.array([level @ self._direction]), np.array([slope_v_s / self._noise @ self._direction])
+        )
+        self._weight = np.full(2 * len(STRENGTHS), 0.5 / len(STRENGTHS))
+
+    @property
+    def one_way(self) -> bool:
+        """Whether the outputs since the reset have kept one direction and one sign, as a press does."""
+        along = float(self._direction @ self._moment @ self._direction)
+        across = float(self._moment.trace()) - along - self._steps * (len(self._noise) - 1)
+        return across < STRAIGHT**2 * along and self._lowest > -STRAIGHT * self._highest
+
+    def push(self, volts: np.ndarray) -> float:
+        """One measurement (C,) V -> the logarithm of its predicted density, less C/2 log(2 pi)."""
+        log_density = np.concatenate([self._free.push(volts), self._push_along(volts / self._noise)])
+        most = log_density.max()
+        weight = self._weight * np.exp(log_density - most)
+        total = weight.sum()
+        self._weight = (1 - SWITCH) * weight / total + SWITCH / len(weight)
+        self._free.join(self._weight[: len(STRENGTHS)])
+        self._along.join(self._weight[len(STRENGTHS) :])
+        return float(most + np.log(total))
+
+    def _push_along(self, whitened: np.ndarray) -> np.ndarray:
+        amplitude = float(whitened @ self._direction)
+        self._lowest, self._highest = min(self._lowest, amplitude), max(self._highest, amplitude)
+        self._steps += 1
+        across = float(whitened @ whitened) - amplitude**2
+        variance = 1.0 + (BENT * amplitude) ** 2
+        others = len(whitened) - 1
+        density = self._along.push(np.array([amplitude])) - 0.5 * (
+            across / variance + others * math.log(variance)
+        )
+        self._moment += np.outer(whitened, whitened)
+        # One step of the power method follows the direction of largest moment.
+        turned = self._moment @ self._direction
+        self._direction = turned / max(float(np.hypot.reduce(turned)), 1e-9)
+        return density - np.log(self._noise).sum()
+
+
+class Walks:
+    """Kalman filters of integrated random walks, in steady state. strengths: (S, C) V/s^1.5; noise_v: (C,) V."""
+
+    def __init__(self, strengths: np.ndarray, noise_v: np.ndarray, step_s: float) -> None:
         self._step_s = step_s
-        shape = (len(STRENGTHS), len(noise_v))
-        drive = np.broadcast_to(STRENGTHS[:, None] ** 2, shape)
-        noise = np.broadcast_to(noise_v**2, shape)
-        level, both, slope = noise * 10.0, np.zeros(shape), np.full(shape, 0.01)
+        drive, noise = strengths**2, np.broadcast_to(noise_v**2, strengths.shape)
+        level, both, slope = noise * 10.0, np.zeros(strengths.shape), 100.0 * drive
         for _ in range(SETTLED):
             ahead = level + 2 * step_s * both + step_s**2 * slope + drive * step_s**3 / 3
             mixed = both + step_s * slope + drive * step_s**2 / 2
@@ -30,23 +96,25 @@ class SmoothSignal:
             gain = ahead / spread, mixed / spread
         self._level_gain, self._slope_gain, self._spread = *gain, spread
         self._log_spread = np.log(spread).sum(1)
-        self.reset(np.zeros(len(noise_v)), np.zeros(len(noise_v)))
 
-    def reset(self, level_v: np.ndarray, slope_v_s: np.ndarray) -> None:
-        """Starts from a level (C,) V and a slope (C,) V/s."""
-        self._level = np.tile(level_v, (len(STRENGTHS), 1))
-        self._slope = np.tile(slope_v_s, (len(STRENGTHS), 1))
-        self._weight = np.full(len(STRENGTHS), 1.0 / len(STRENGTHS))
+    def reset(self, level: np.ndarray, slope: np.ndarray) -> None:
+        """Starts all walks from a level and a slope (C,)."""
+        self._level = np.tile(level, (len(self._spread), 1))
+        self._slope = np.tile(slope, (len(self._spread), 1))
 
-    def push(self, volts: np.ndarray) -> float:
-        """One measurement (C,) V -> the logarithm of its predicted density, less C/2 log(2 pi)."""
+    def join(self, weight: np.ndarray) -> None:
+        """Unlikely walks go on from where the likely ones are. weight: (S,)."""
+        weight = weight / weight.sum()
+        lost = weight < 2 * SWITCH
+        self._level[lost] = weight @ self._level
+        self._slope[lost] = weight @ self._slope
+        if lost[0]:
+            self._slope[0] = 0.0  # a press or a tilt may end at once
+
+    def push(self, measured: np.ndarray) -> np.ndarray:
+        """One measurement (C,) -> (S,), the logarithms of its predicted densities, less C/2 log(2 pi)."""
         self._level += self._step_s * self._slope
-        gap = volts - self._level
-        log_density = -0.5 * ((gap**2 / self._spread).sum(1) + self._log_spread)
-        most = log_density.max()
-        weight = self._weight * np.exp(log_density - most)
-        total = weight.sum()
-        self._weight = (1 - SWITCH) * weight / total + SWITCH / len(weight)
+        gap = measured - self._level
         self._level += self._level_gain * gap
         self._slope += self._slope_gain * gap
-        return float(most + np.log(total))
+        return -0.5 * ((gap**2 / self._spread).sum(1) + self._log_spread)

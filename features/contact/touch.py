@@ -13,6 +13,7 @@ from features.contact.hypotheses import (
     GAIN,
     HEADING,
     RESIDUAL,
+    RISE,
     SPEED,
     Hypotheses,
     X,
@@ -44,7 +45,8 @@ class Onset:
 
 
 def onset(recent: np.ndarray, block_s: float, noise_v: np.ndarray) -> Onset:
-    """A line through the last blocks (m, C) V, read at the last one. noise_v: (C,) V of one block."""
+    """A line through the last blocks (m, C) V, read at the last one. noise_v: (C,) V of one block, infinite for a
+    channel that is left out."""
     time = (np.arange(len(recent)) - len(recent) + 1.0) * block_s
     design = np.stack([np.ones_like(time), time], axis=1)
     covariance = np.linalg.inv(design.T @ design)
@@ -67,7 +69,7 @@ def at_touch(
 
     half_mm: half the chamber's sizes along x and y. anywhere: at full depth not only near the rim.
     """
-    scale = np.array([GRID_MM / 2, GRID_MM / 2, 0.35, 0.0, 0.0, 0.01, gain_sd, depth_sd_mm])
+    scale = np.array([GRID_MM / 2, GRID_MM / 2, 0.35, 0.0, 0.0, 0.01, gain_sd, depth_sd_mm, 0.0])
     parts = [
         _over_rim(seen, surface, half_mm, floor_v, scale, anywhere),
         _pressed_on(seen, surface, half_mm, floor_v, scale),
@@ -78,6 +80,30 @@ def at_touch(
     best = bank.take(np.argsort(-bank.log_weight, kind="stable")[:most])
     best.log_weight -= best.log_weight.max()
     return best
+
+
+def at_rest(
+    seen: Onset,
+    surface: ResponseSurface,
+    half_mm: tuple[float, float],
+    floor_v: float,
+    gain_sd: float,
+    depth_sd_mm: float,
+) -> Hypotheses | None:
+    """Whole contacts that rest where they were pressed on: wherever the map answers as the level; None if nowhere."""
+    x, y = _grid(half_mm)
+    response = surface.at(x, y)
+    shown, slopes = response[:, 0, 0], response[:, 1:, 0]
+    variance = seen.level_sd**2 + floor_v**2 + (slopes**2).sum(1) * (GRID_MM / 2) ** 2
+    misfit = ((seen.level - shown) ** 2 / variance).sum(1)
+    n = np.flatnonzero(misfit < GATE)
+    if not len(n):
+        return None
+    state = np.zeros((len(n), RESIDUAL + surface.channels))
+    state[:, X], state[:, Y], state[:, SPEED], state[:, GAIN] = x[n], y[n], 0.01, 1.0
+    sd = np.full(state.shape, floor_v)
+    sd[:, :RESIDUAL] = GRID_MM / 2, GRID_MM / 2, 3.0, 0.05, 0.01, 0.01, gain_sd, depth_sd_mm, 0.0
+    return started(state, sd, np.zeros((len(n), 2)), -0.5 * misfit[n] - np.log(len(n)), partial=False)
 
 
 def _grid(half_mm: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
@@ -142,15 +168,19 @@ def _pressed_on(
     inner = (np.abs(x) < half_mm[0] - GRID_MM) & (np.abs(y) < half_mm[1] - GRID_MM)
     x, y = x[inner], y[inner]
     shown = surface.at(x, y)[:, 0, 0]
-    gain = (shown * seen.level).sum(1) / ((shown**2).sum(1) + 1e-12)
+    use = np.isfinite(seen.level_sd)
+    size = (shown[:, use] ** 2).sum(1) + 1e-12
+    gain, rise = (shown[:, use] @ each[use] / size for each in (seen.level, seen.slope))
+    rise_sd = np.sqrt(shown[:, use] ** 2 @ seen.slope_sd[use] ** 2) / size
     variance = seen.level_sd**2 + floor_v**2 + (PRESSED_SHARE * np.abs(seen.level).max()) ** 2
     misfit = ((seen.level - gain[:, None] * shown) ** 2 / variance).sum(1)
     n = np.flatnonzero((gain > 0.005) & (gain < 1.1) & (misfit < GATE))
     state = np.zeros((len(n), RESIDUAL + surface.channels))
     state[:, X], state[:, Y], state[:, SPEED], state[:, GAIN] = x[n], y[n], 0.01, gain[n]
+    state[:, RISE] = rise[n]
     sd = np.concatenate([np.tile(scale, (len(n), 1)), np.full((len(n), surface.channels), floor_v)], axis=1)
     sd[:, HEADING], sd[:, SPEED], sd[:, ACCELERATION] = 3.0, 1.0, 0.01
-    sd[:, GAIN] = 0.3 * gain[n] + 0.05
+    sd[:, GAIN], sd[:, RISE] = 0.3 * gain[n] + 0.05, np.hypot(0.3 * rise[n], rise_sd[n])
     # The prior is shared among the places that fit.
     log_prior = np.log(PRESSED) - np.log(max(len(n), 1) / 30)
     return started(state, sd, np.zeros((len(n), 2)), log_prior - 0.5 * misfit[n], partial=True)

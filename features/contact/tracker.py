@@ -10,19 +10,21 @@ from features.contact.hypotheses import (
     DEPTH,
     GAIN,
     HEADING,
+    PARTIAL_SHARE,
     PEAK_SHARE,
     SPEED,
     Hypotheses,
     MotionNoise,
     X,
     Y,
+    joined,
     predict,
     update,
 )
-from features.contact.manoeuvres import Manoeuvres, branched, merged
+from features.contact.manoeuvres import SLOW_MM_S, Manoeuvres, branched, merged
 from features.contact.response_surface import ResponseSurface
 from features.contact.smooth_signal import SmoothSignal
-from features.contact.touch import at_touch, onset
+from features.contact.touch import at_rest, at_touch, onset
 
 STEP_BLOCKS = (
     2  # a filter's step: 40 ms, in which the fastest slide calibrated for (13 mm/s) goes half a millimetre
@@ -33,21 +35,35 @@ TRIGGER_BLOCKS = 5
 NEAR_MM = 2.5  # hypotheses this near the best one tell of the same place
 RELEASE_S = 0.3
 LOST_S = 0.5
-EVIDENCE_S = 4.0  # memory of the evidence for a contact
+# An output rests when its slope is within so many standard deviations and so large a share of it a second: a contact
+# pressed on at 2 mm/s rises tenfold as fast, the creep after it is below.
+SETTLED_SD = 5.0
+SETTLED_SHARE = 0.03
+# Memory of the evidence for a contact: of way, and of time, so that a signal that comes to rest earns nothing by it
+# (synthetic paths and tilts, experiments/LOG.md).
+EVIDENCE_MM = 15.0
+EVIDENCE_S = 20.0
 
 
 @dataclass(frozen=True)
 class TrackingConfig:
-    """most: hypotheses kept after a branching; at first, until the best has gone first_mm, and at a touch: more.
-    parents: hypotheses that get children. log_odds: of a hypothesis to the best, beyond which it is dropped.
-    depth_sd_mm: contact depth about the calibration's. lost: misfit of a track that is lost."""
+    """most, most_partial: hypotheses kept after a branching, of a whole contact and of one pressed on or lifted; more
+    for first_s after the touch and while a likely one rests (first_most, first_partial), and at a touch (touch_most).
+    young_s: after the touch, in which an output that comes to rest may have been pressed on there, with log odds `rest`
+    to the other hypotheses. parents: hypotheses that get children, within parent_odds of the best. log_odds: of a
+    hypothesis to the best, beyond which it is dropped. depth_sd_mm: contact depth about the calibration's. lost: misfit
+    of a track that is lost."""
 
     noise: MotionNoise = field(default_factory=MotionNoise)
     manoeuvres: Manoeuvres = field(default_factory=Manoeuvres)
     most: int = 14
+    most_partial: int = 6
     first_most: int = 50
+    first_partial: int = 50
     touch_most: int = 200
-    first_mm: float = 4.0
+    first_s: float = 1.0
+    young_s: float = 4.0
+    rest: float = -2.0
     parents: int = 3
     parent_odds: float = 5.0
     log_odds: float = 15.0
@@ -59,7 +75,8 @@ class Track(NamedTuple):
     """One moment. mean: (4,) x, y (mm), vx, vy (mm/s); covariance: (4, 4). certain: weight of the hypotheses near the
     best one. misfit: chi-square over its degrees of freedom. partial: weight of hypotheses that the contact is being
     pressed on or lifted. gain, depth_mm (off the map's): means; depth_sd_mm. way_mm: since the touch, at most 25.
-    evidence: logarithm of the odds of a contact against a smooth signal, forgotten over EVIDENCE_S.
+    evidence: logarithm of the odds of a contact against a signal that needs no map, forgotten over EVIDENCE_MM of way
+    and EVIDENCE_S. one_way: whether the output has kept one direction since the touch, as at a press.
     """
 
     mean: np.ndarray
@@ -73,6 +90,7 @@ class Track(NamedTuple):
     hypotheses: int
     way_mm: float
     evidence: float = 0.0
+    one_way: bool = False
 
 
 class ContactTracker:
@@ -107,6 +125,7 @@ class ContactTracker:
         """Forgets the contact and the last blocks."""
         self._bank: Hypotheses | None = None
         self._track: Track | None = None
+        self._rested = False
         self._filled = self._steps = self._blocks = self._quiet = self._lost = 0
 
     @property
@@ -124,7 +143,7 @@ class ContactTracker:
             # A slide's end is noticed later than the output is gone: no new track begins in what is left of it.
             level = self._recent[-TRIGGER_BLOCKS:].mean(axis=0)
             if touched and self._filled >= TRIGGER_BLOCKS and np.abs(level).max() > self._trigger_v:
-                self._start(anywhere=False)
+                self._start(anywhere=False, usable=usable)
             return self._track
         self._blocks += 1
         if self._blocks % STEP_BLOCKS:
@@ -133,9 +152,10 @@ class ContactTracker:
             self._step(usable)
         return self._track
 
-    def _start(self, anywhere: bool) -> None:
+    def _start(self, anywhere: bool, usable: np.ndarray | None) -> None:
         recent = self._recent[-self._filled :]
-        seen = onset(recent, self._block_s, self._noise_v)
+        noise_v = self._noise_v if usable is None else np.where(usable, self._noise_v, np.inf)
+        seen = onset(recent, self._block_s, noise_v)
         self._bank = at_touch(
             seen,
             self._surface,
@@ -149,6 +169,7 @@ class ContactTracker:
         self._smooth.reset(seen.level, seen.slope)
         self._blocks = self._steps = self._quiet = self._lost = 0
         self._evidence = 0.0
+        self._rested = False
         self._track = None if self._bank is None else read(self._bank)
 
     def _step(self, usable: np.ndarray | None) -> None:
@@ -161,30 +182,59 @@ class ContactTracker:
             self._bank = self._track = None
             return
         variance = self._noise_v**2 / STEP_BLOCKS
-        if usable is not None and not usable.all():
+        whole = usable is None or bool(usable.all())
+        if not whole:
             variance = np.where(usable, variance, np.inf)
-        predict(self._bank, elapsed_s, self._floor_v + PEAK_SHARE * peak_v, config.noise)
+        predict(
+            self._bank,
+            elapsed_s,
+            self._floor_v + PEAK_SHARE * peak_v,
+            PARTIAL_SHARE * peak_v,
+            config.noise,
+        )
         gained = update(self._bank, volts, variance, self._surface, elapsed_s)
-        gained -= self._smooth.push(volts)
+        simple = self._smooth.push(volts)
+        # The alternatives know no channel that is left out.
+        gained = gained - simple if whole else 0.0
         sound = np.isfinite(self._bank.log_weight) & np.isfinite(self._bank.state).all(1)
         if not sound.all():
             # A signal that no contact makes can drive a covariance out of the positive definite.
             if not sound.any():
-                self._start(anywhere=True)
+                self._start(anywhere=True, usable=usable)
                 return
             self._bank = self._bank.take(sound)
             gained = 0.0
-        self._evidence += gained - self._evidence * elapsed_s / EVIDENCE_S
+        way_mm = elapsed_s * abs(float(self._bank.state[self._bank.log_weight.argmax(), SPEED]))
+        self._evidence += gained - self._evidence * min(elapsed_s / EVIDENCE_S + way_mm / EVIDENCE_MM, 1.0)
         self._leave_skin()
         self._steps += 1
+        if whole and not self._rested and self._steps * elapsed_s < config.young_s:
+            self._rest()
         if self._steps % BRANCH_STEPS == 0:
-            first = self._bank.age_mm[self._bank.log_weight.argmax()] < config.first_mm
-            bank = merged(self._bank, config.first_most if first else config.most, config.log_odds)
+            slow = np.abs(self._bank.state[:, SPEED]) < SLOW_MM_S
+            likely = self._bank.log_weight > -config.parent_odds
+            first = (slow & likely).any() or self._steps * elapsed_s < config.first_s
+            most = (config.first_most, config.first_partial) if first else (config.most, config.most_partial)
+            bank = merged(self._bank, *most, config.log_odds)
             self._bank = branched(bank, config.parents, config.parent_odds, self._gain_sd, config.manoeuvres)
-        self._track = read(self._bank)._replace(evidence=self._evidence)
+        self._track = read(self._bank)._replace(evidence=self._evidence, one_way=self._smooth.one_way)
         self._lost = self._lost + 1 if self._track.misfit > config.lost else 0
         if self._lost * elapsed_s > LOST_S:
-            self._start(anywhere=True)
+            self._start(anywhere=True, usable=usable)
+
+    def _rest(self) -> None:
+        """When the output first settles after the touch: the contact may have been pressed on where it rests."""
+        assert self._bank is not None
+        seen = onset(self._recent[-self._filled :], self._block_s, self._noise_v)
+        still = SETTLED_SD * seen.slope_sd + SETTLED_SHARE * np.abs(seen.level).max()
+        if self._filled < ONSET_BLOCKS or (np.abs(seen.slope) > still).any():
+            return
+        self._rested = True
+        config = self._config
+        resting = at_rest(seen, self._surface, self._half, self._floor_v, self._gain_sd, config.depth_sd_mm)
+        if resting is not None:
+            resting.log_weight += config.rest - np.logaddexp.reduce(resting.log_weight)
+            self._bank = joined([self._bank, resting])
 
     def _leave_skin(self) -> None:
         """A place far off the chamber, or a gain beyond reason, is unlikely."""
