@@ -183,7 +183,7 @@ class ContactTracker:
             return
         variance = self._noise_v**2 / STEP_BLOCKS
         whole = usable is None or bool(usable.all())
-        if not whole:
+        if usable is not None and not whole:
             variance = np.where(usable, variance, np.inf)
         predict(
             self._bank,
