@@ -45,7 +45,8 @@ def check_fields(card: "Card") -> None:
     for name in ("offset_mm", "misfit", "direction_sd_deg", "log_speed_sd"):
         if (limit := getattr(card.validity, name)) != math.inf:
             number(limit, f"validity: {name}", 0.0, LARGEST)
-    if card.contact is not None and 3 * len(card.contact.noise_v) != 2 * len(card.channels):
+    axes = len(card.conditioning.touch_axes)
+    if card.contact is not None and 3 * len(card.contact.noise_v) != axes * len(card.channels):
         raise ValueError(
             f"contact: noise_v has {len(card.contact.noise_v)} channels, the card {len(card.channels)}"
         )

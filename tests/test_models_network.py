@@ -52,7 +52,7 @@ def test_training_is_seeded_and_lowers_the_loss(trained):
         assert torch.equal(a, b)
     batch = source.draw(256, torch.Generator().manual_seed(9))
     torch.manual_seed(7)
-    fresh = Proposal(2, NetworkConfig())
+    fresh = Proposal(2, 1, NetworkConfig())
     with torch.no_grad():
         before, after = (
             likelihood_loss(*net(batch.volts, batch.elapsed_s, batch.weight), batch.targets)
@@ -74,11 +74,11 @@ def test_export_agrees_and_can_be_gone_on_from(trained, windows):
     assert row.shape == (len(volts), len(network.outputs))
     # After sixty steps of training some proposals do not converge; `write_bundle` requires this of every valid window.
     assert np.quantile(np.abs(row - expected) / np.abs(expected).max(axis=0), 0.99) < 1e-4
-    again = initial_proposal(graph, 2, config)
+    again = initial_proposal(graph, bump_map(), config)
     for a, b in zip(trained.state_dict().values(), again.state_dict().values(), strict=True):
         assert torch.equal(a, b)
     with pytest.raises(InputError, match="another shape"):
-        initial_proposal(graph, 4, config)
+        initial_proposal(graph, bump_map(((-9.0, 0.0), (9.0, 0.0))), config)
     assert sum(p.numel() for p in trained.parameters()) < 60_000
 
 

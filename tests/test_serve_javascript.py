@@ -40,7 +40,7 @@ def network_bundle(folder: Path) -> Path:
     """The default model's graph, not trained, with an example worked out by ONNX Runtime."""
     torch.manual_seed(0)
     config = NetworkConfig()
-    network = SlideNetwork(Proposal(2, config), Refinement(bump_map(), 0.02, config.refinement)).eval()
+    network = SlideNetwork(Proposal(2, 1, config), Refinement(bump_map(), 0.02, config.refinement)).eval()
     bundle = write_small_bundle(folder, a_sensor())
     (bundle / "model.onnx").write_bytes(export_graph(network, 1).SerializeToString())
     card = read_card(bundle / "model.json")

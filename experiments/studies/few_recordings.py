@@ -18,6 +18,7 @@ from models.held_out import signed_errors
 from models.response_map.select import calibrated_map
 from pipeline.atlas.atlas import Atlas
 from pipeline.atlas.library import atlas_of
+from pipeline.recordings.at_rest import conditioning_for
 from pipeline.recordings.derived_labels import recordings_to_learn_from
 from pipeline.recordings.folder import Folder, read_folder
 from pipeline.recordings.manifest import read_table
@@ -29,18 +30,21 @@ def few(
 ) -> Iterator[dict[str, float]]:
     """`study` of a folder, with the atlas of its sensor's design; or `planned`, where a plan's CSV names recordings.
 
+    Sensors that are no accelerometers have no such atlas: their maps come from the recordings alone.
+
     Raises:
         InputError: as in `study` and `planned`, or the folder or its sensor is not valid.
     """
     folder = read_folder(recordings)
+    atlas = atlas_of(folder.sensor) if folder.sensor.measures_gravity else None
     if plan is None:
-        yield from study(folder, slides, draws, splits, atlas_of(folder.sensor))
+        yield from study(folder, slides, draws, splits, atlas)
     else:
-        yield planned(folder, plan, splits, atlas_of(folder.sensor))
+        yield planned(folder, plan, splits, atlas)
 
 
 def study(
-    folder: Folder, counts: Sequence[int], draws: int, splits: Sequence[str], atlas: Atlas
+    folder: Folder, counts: Sequence[int], draws: int, splits: Sequence[str], atlas: Atlas | None
 ) -> Iterator[dict[str, float]]:
     """Mean and largest errors at the end of the stroke for each number of slides and each random draw of them.
 
@@ -61,7 +65,7 @@ def study(
             yield {"slides": len(part), "draw": draw, **_result(part, scored, atlas)}
 
 
-def planned(folder: Folder, plan: Path, splits: Sequence[str], atlas: Atlas) -> dict[str, float]:
+def planned(folder: Folder, plan: Path, splits: Sequence[str], atlas: Atlas | None) -> dict[str, float]:
     """The same errors for the calibration slides that a plan names.
 
     Raises:
@@ -86,10 +90,11 @@ def _scored(folder: Folder, splits: Sequence[str]) -> Folder:
     return scored
 
 
-def _result(part: Folder, scored: Folder, atlas: Atlas) -> dict[str, float]:
+def _result(part: Folder, scored: Folder, atlas: Atlas | None) -> dict[str, float]:
     """Errors on the slides `scored` of the map calibrated on `part`."""
     config = CnnConfig()
-    found = calibrated_map(part, atlas, config.conditioning, config.calibration, config.spread)
+    conditioning = conditioning_for(part, config.conditioning)
+    found = calibrated_map(part, atlas, conditioning, config.calibration, config.spread)
     windows = labelled_windows(scored, found.conditioning, (1.0,))
     inversion = Inversion(found.response, found.conditioning.block_s)
     rows = inversion.predict(windows.volts, windows.elapsed_s)

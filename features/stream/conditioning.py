@@ -16,6 +16,7 @@ ROUNDING = 1e-4
 # Shares of a block's first and last sample, where it holds whole samples alone.
 WHOLE = (1.0, 1.0)
 TOUCH_AXES = ("xy", "xyz")
+ONSETS = ("rim", "touch")
 
 
 @dataclass(frozen=True)
@@ -48,6 +49,9 @@ class Conditioning:
         retardation time `tau_s` in s. It is undone in a slide's history; `delayed` 0: no lag is known.
     touch_axes: of each sensing element that answer to a touch: "xy", V_x and V_y, of accelerometers; "xyz" where V_z
         does too. The figures in V are in the sensor's own unit where that is another.
+    onset: how a slide begins and ends: "rim", the contact comes in over the chamber's rim and leaves over it, where
+        nothing shows; "touch", it comes down and is lifted anywhere, and the output jumps. What lies before and after
+        the jump is then no part of the slide.
 
     Raises:
         ValueError: a value of another type, not positive or not finite; `delayed` of 1 or more; `release_v` above
@@ -70,10 +74,13 @@ class Conditioning:
     delayed: float = 0.0
     tau_s: float = 0.15
     touch_axes: str = TOUCH_AXES[0]
+    onset: str = ONSETS[0]
 
     def __post_init__(self) -> None:
         if self.touch_axes not in TOUCH_AXES:
             raise ValueError(f"touch_axes is {self.touch_axes!r}; it must be one of {', '.join(TOUCH_AXES)}")
+        if self.onset not in ONSETS:
+            raise ValueError(f"onset is {self.onset!r}; it must be one of {', '.join(ONSETS)}")
         for field in fields(self):
             value = getattr(self, field.name)
             if field.type is str:

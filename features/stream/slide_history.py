@@ -23,7 +23,8 @@ class SlideHistory:
     static_v: (C,) V, the static output as it was at the trigger.
     usable: (A,), the accelerometers that the slide is read from; watched: indices of those of
         their channels that answer to a touch.
-    blocks: number taken. peak_v: largest |subtracted output| of a watched channel so far.
+    blocks: number taken. peak_v: largest |subtracted output| of a watched channel so far. shown_blocks: number taken
+        when one was last above the trigger.
     """
 
     def __init__(self, conditioning: Conditioning, static_v: np.ndarray, usable: np.ndarray) -> None:
@@ -33,7 +34,7 @@ class SlideHistory:
         self.static_v = static_v.copy()
         self.usable = usable
         self.watched = self._touch[usable[self._touch // 3]]
-        self.blocks = 0
+        self.blocks = self.shown_blocks = 0
         self.peak_v = 0.0
         # Of the output, V blocks; and of its creeping part z, V (Conditioning.creep).
         self._sum = np.zeros(len(static_v))
@@ -51,8 +52,11 @@ class SlideHistory:
         if self._lag_blocks:
             self._crept += self._creep * (subtracted - self._crept)
             so_far = so_far + self._lag_blocks * self._crept
-        self.peak_v = max(self.peak_v, *map(abs, subtracted[self.watched].tolist()))
+        shown_v = max(map(abs, subtracted[self.watched].tolist()))
+        self.peak_v = max(self.peak_v, shown_v)
         self.blocks += 1
+        if shown_v > self._conditioning.trigger_v:
+            self.shown_blocks = self.blocks
         if self.blocks % self._stride == 0:
             self._points += 1
             self._integral[:, self._points] = so_far

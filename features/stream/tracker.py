@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from features.angles import touch_channels
-from features.stream.conditioning import Conditioning
+from features.stream.conditioning import ONSETS, Conditioning
 from features.stream.slide_history import SlideHistory
 from features.stream.static_output import StaticOutput
 from features.window import Window
@@ -28,6 +28,8 @@ STRONG_TOUCH = 4
 # A jump of the zero is complete within a block: at most one block lies this close to half of the final level, as a
 # share of it.
 JUMP_SHARE = 0.35
+# A contact has come down in the first block that shows more than this share of what the trigger's blocks show at most.
+TOUCHED_SHARE = 0.3
 
 
 class SlideState(StrEnum):
@@ -182,9 +184,15 @@ class SlideTracker:
         self._slide = SlideHistory(self.conditioning, self.static, usable)
         self._touch_v, self._moved = None, False
         self._stop_v = None
-        for block in self._recent:
+        for block in self._recent if self.conditioning.onset == ONSETS[0] else self._after_jump():
             self._slide.push(block)
         self.static_output.hold()
+
+    def _after_jump(self) -> np.ndarray:
+        """(n, C) V: the last blocks after the one in which a contact came down; none if that is the newest."""
+        distance = np.abs(self._recent - self.static)[:, self.touch].max(axis=1)
+        came_down = int((distance > TOUCHED_SHARE * distance.max()).argmax())
+        return self._recent[came_down + 1 :]
 
     def _judge_motion(self, slide: SlideHistory) -> None:
         """Notes when the signal has changed in shape since `touch_blocks`; ends what is strong and never does."""
@@ -218,7 +226,7 @@ class SlideTracker:
         # The output itself creeps after what its history shows; until it is back, it would begin a slide of its own.
         level = self._level() - self.static
         if max(np.abs(means[:, 2:]).max(), np.abs(level[slide.watched]).max()) < c.release_v:
-            self._end(slide, slide.blocks, None)
+            self._end(slide, slide.blocks if c.onset == ONSETS[0] else slide.shown_blocks - 1, None)
         elif slide.peak_v > c.still_peak_v and np.ptp(means, axis=1).max() < c.still_change * slide.peak_v:
             self._end(slide, slide.blocks - 4 * quarter, level)
 

@@ -37,7 +37,8 @@ UNCALIBRATED = {
 }
 # Nor does anything say what is no slide of this sensor.
 UNCALIBRATED_VALIDITY = Validity(misfit=10.0, direction_sd_deg=15.0, log_speed_sd=0.3)
-# A design's proposal is further off: without two steps more a good tenth of bench-d's windows does not converge.
+# A design's proposal is further off: without two steps more a good tenth of bench-d's windows does not converge. Splines
+# of a smaller spacing and a gain that is hardly known ask for as many.
 UNCALIBRATED_STEPS = 2
 # A held-out window that is further off than this was lost; its misfit says nothing of those that were not.
 LOST_DEG = 20.0
@@ -72,20 +73,16 @@ def fit_cnn(
     init: an exported graph to start from (a warm start). progress: called with the step and the loss, every 50 steps.
 
     Raises:
-        InputError: neither enough slides nor an atlas, `init` holds another network, or V_z answers to a touch.
+        InputError: neither enough slides nor an atlas, or `init` holds another network.
     """
-    if folder.sensor.touch_axes != "xy":
-        raise InputError(
-            f"{folder.sensor.name}: cnn maps V_x and V_y alone; write touch_axes = 'xy' in sensor.toml, or use trees"
-        )
     # At this size threads wait for each other more than they work.
     torch.set_num_threads(1)
     found = calibrated_map(folder, atlas, config.conditioning, config.calibration, config.spread)
     config = replace(config, conditioning=found.conditioning)
-    if not found.slides:
+    if not found.slides or not found.response.rim:
         config = _with_more_steps(config)
     source = WindowSource(found.response, config.conditioning.block_s, config.synthesis)
-    start = None if init is None else initial_proposal(init, found.response.channels, config.network)
+    start = None if init is None else initial_proposal(init, found.response, config.network)
     proposal = train_proposal(source, config.network, config.training, start, progress)
     network = _network(proposal, found.response, config)
     intervals, validity, summary = UNCALIBRATED, UNCALIBRATED_VALIDITY, found.summary
@@ -118,14 +115,14 @@ def _with_more_steps(config: CnnConfig) -> CnnConfig:
     return replace(config, network=replace(config.network, refinement=more))
 
 
-def initial_proposal(graph: onnx.ModelProto, channels: int, config: NetworkConfig) -> Proposal:
+def initial_proposal(graph: onnx.ModelProto, response: ResponseMap, config: NetworkConfig) -> Proposal:
     """The proposal network inside an exported graph.
 
     Raises:
         InputError: the graph holds another network, or one for another number of channels.
     """
     found = {i.name: onnx.numpy_helper.to_array(i) for i in graph.graph.initializer}
-    proposal = Proposal(channels, config)
+    proposal = Proposal(response.channels, response.boards, config)
     state = proposal.state_dict()
     for name, value in state.items():
         stored = found.get(f"proposal.{name}")

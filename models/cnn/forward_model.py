@@ -1,8 +1,8 @@
-"""What the accelerometers would have shown for a line, a speed, a place on it, a gain and a depth, with derivatives.
+"""What the sensor would have shown for a line, a speed, a place on it, a gain and a depth, with derivatives.
 
 The response map as part of the network's graph, written in few, large operators: at this size they cost more than
-the arithmetic. Shapes: B windows, A accelerometers. What is one for a window has the shape (B, 1, 1, ., .), what each
-tilt channel has of its own (B, A, 2, ., .).
+the arithmetic. Shapes: B windows, A accelerometers, X axes of each that answer to a touch (V_x and V_y, or all three).
+What is one for a window has the shape (B, 1, 1, ., .), what each such channel has of its own (B, A, X, ., .).
 """
 
 import math
@@ -13,7 +13,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from models.graph.packing import rounded
-from models.response_map.map import SPACING_MM, ResponseMap
+from models.response_map.map import ResponseMap
 
 BINS = (
     16  # of time in a window: its own in fours; residuals of finer ones are correlated (experiments/LOG.md)
@@ -43,14 +43,15 @@ class Prediction(nn.Module):
 
     def __init__(self, response: ResponseMap) -> None:
         super().__init__()
-        self.boards = response.channels // 2
+        self.boards, self.axes = response.boards, response.axes
         table, cells = patch_table(np.concatenate([response.coefficients, response.depth_slope[None]]))
         corner = np.array(response.reference_mm) + response.half_mm
-        path, path_ones = path_and_factors()
+        spacing_mm = response.spacing_mm
+        path, path_ones = path_and_factors(spacing_mm)
         buffers = {
-            "first": (corner / SPACING_MM + 1 + EDGE)[:, None],
+            "first": (corner / spacing_mm + 1 + EDGE)[:, None],
             "stride": np.array([[cells, 1.0]]),
-            "weights": np.float32(spline_weights()),
+            "weights": np.float32(spline_weights(spacing_mm)),
             "shifts": np.array(SHIFTS),
             "phases": PHASES,
             "path": path,
@@ -67,9 +68,9 @@ class Prediction(nn.Module):
         self.last_cell, self.corners = cells - 3.001, (cells + 1, (cells + 1) * (cells - 3))
 
     def forward(self, measured: Tensor, start: Tensor, state: Tensor, time: Tensor) -> Tensor:
-        """Derivatives of the predicted signal by the six numbers of the state, and the residual: (B, A, 2, 7, 16) V.
+        """Derivatives of the predicted signal by the six numbers of the state, and the residual: (B, A, X, 7, 16) V.
 
-        measured: (B, A, 2, 7, 16) V, the signal in its last row. start: (B, 1, 1, 2, 2), the proposal's directions
+        measured: (B, A, X, 7, 16) V, the signal in its last row. start: (B, 1, 1, 2, 2), the proposal's directions
         forward and left as columns. time: (B, 1, 1, 2, 16), ones, and how many seconds before the window's end the
         contact was where a bin's signal answers to.
         """
@@ -86,7 +87,7 @@ class Prediction(nn.Module):
 
     def _basis(self, place: Tensor) -> Tensor:
         """M, Fx, Fy, D (fastest) as value, slope along x, slope along y at places (B, 1, 1, 2, 16) in cells of the
-        table -> (B, A, 2, 12, 16) V, V/mm."""
+        table -> (B, A, X, 12, 16) V, V/mm."""
         place = place.clamp(1.0, self.last_cell)
         cell = place.floor()
         cubes = ((place - cell)[..., None] + self.shifts) ** 3
@@ -96,9 +97,9 @@ class Prediction(nn.Module):
         coefficients = F.embedding(corner + self.patch, self.table).double()
         basis = (across * up).reshape(-1, BINS, 3, 16) @ coefficients
         return (
-            basis.reshape(-1, BINS, 3, self.boards, 2, 4)
+            basis.reshape(-1, BINS, 3, self.boards, self.axes, 4)
             .permute(0, 3, 4, 2, 5, 1)
-            .reshape(-1, self.boards, 2, 12, BINS)
+            .reshape(-1, self.boards, self.axes, 12, BINS)
         )
 
 
@@ -111,19 +112,19 @@ def patch_table(parts: np.ndarray) -> tuple[np.ndarray, int]:
     return padded.reshape(-1, padded.shape[2] * padded.shape[3]), len(padded)
 
 
-def spline_weights() -> np.ndarray:
+def spline_weights(spacing_mm: float) -> np.ndarray:
     """(2, 4, 48), for x and for y: (t + SHIFTS)^3 within a cell -> what each of a patch's 4 x 4 coefficients (the last
     axis, y fastest) weighs by this coordinate in the surface's value, its slope along x and along y (1/mm; 3 x 16)."""
     powers = np.array([[math.comb(3, n) * shift ** (3 - n) for shift in SHIFTS] for n in range(4)])
     value = np.array([[1, 4, 1, 0], [-3, 0, 3, 0], [3, -6, 3, 0], [-1, 3, -3, 1]]) / 6
     slope = np.zeros((4, 4))
-    slope[:3] = np.arange(1, 4)[:, None] * value[1:] / SPACING_MM
+    slope[:3] = np.arange(1, 4)[:, None] * value[1:] / spacing_mm
     across = np.repeat(np.stack([value, slope, value], axis=1), 4, axis=2)
     up = np.tile(np.stack([value, value, slope], axis=1), (1, 1, 4))
     return np.linalg.solve(powers, np.stack([across, up]).reshape(2, 4, 48))
 
 
-def path_and_factors() -> tuple[np.ndarray, np.ndarray]:
+def path_and_factors(spacing_mm: float) -> tuple[np.ndarray, np.ndarray]:
     """(20, 3) and (20, 1): speed mm/s, offset and along mm -> what takes (1, seconds ago) to (10, 16).
 
     The contact's place forward and to the left, in cells of the table; then the factors of the signals that
@@ -132,7 +133,7 @@ def path_and_factors() -> tuple[np.ndarray, np.ndarray]:
     speed, offset, along = range(3)
     by_state, ones = np.zeros((10, 2, 3)), np.zeros((10, 2, 1))
     by_state[0, 0, along], by_state[0, 1, speed], by_state[1, 0, offset] = 1, -1, 1
-    by_state[:2] /= SPACING_MM
+    by_state[:2] /= spacing_mm
     # s times the slope to the left, less the offset times the slope forward; the slope forward by log speed.
     by_state[2, 0, along], by_state[2, 1, speed] = 1, -1
     by_state[3, 0, offset], by_state[4, 1, speed] = -1, -1

@@ -55,7 +55,9 @@ class Refinement(nn.Module):
 
     Residuals are weighted by the inverse of their covariance: noise that falls with the number of blocks in a bin, a
     floor for the map's own residual, the drift of each channel's zero, and V_z's coupling into V_x and V_y of a tilted
-    board (the ripple of the pressure). The last two are rank-one parts of a channel's covariance.
+    board (the ripple of the pressure). The last two are rank-one parts of a channel's covariance. Where the map's
+    residuals are correlated between channels (`ResponseMap.whitening`), these are mixed first, as long as no
+    accelerometer is dead.
     """
 
     noise: Tensor
@@ -72,17 +74,20 @@ class Refinement(nn.Module):
     frame: Tensor
     phases: Tensor
     lean: Tensor
+    mixing: Tensor
+    unmixed: Tensor
 
     def __init__(self, response: ResponseMap, block_s: float, config: RefinementConfig) -> None:
         super().__init__()
         assert response.noise_v is not None
         assert response.drift_v is not None
-        self.boards, self.predicted = response.channels // 2, Prediction(response)
+        self.boards, self.axes = response.boards, response.axes
+        self.predicted = Prediction(response)
         nuisance = (response.gain_sd, response.depth_sd_mm or config.depth_sd_mm)
         middle = (np.arange(BINS) + 0.5) / BINS
         buffers = {
-            "noise": response.noise_v.reshape(self.boards, 2, 1, 1) ** 2,
-            "drift": response.drift_v.reshape(self.boards, 2, 1, 1) ** 2,
+            "noise": response.noise_v.reshape(self.boards, self.axes, 1, 1) ** 2,
+            "drift": response.drift_v.reshape(self.boards, self.axes, 1, 1) ** 2,
             "pooled": np.float32(pooling() @ np.linalg.inv(bin_means()).T),
             "rippled": pooling() @ (np.eye(BINS) - 1.0 / BINS),
             "ago": np.stack([np.zeros(BINS), 1.0 - middle]),
@@ -97,6 +102,10 @@ class Refinement(nn.Module):
             "phases": PHASES[:, :1],
             "lean": config.lean_v * middle[:, None],
         }
+        self.mixes = response.whitening is not None
+        if response.whitening is not None:
+            unmixed = np.eye(response.channels)
+            buffers |= {"unmixed": unmixed, "mixing": response.whitening - unmixed}
         # In doubles: partial strokes leave the normal matrix nearly singular.
         for name, value in buffers.items():
             self.register_buffer(name, torch.tensor(value, dtype=torch.float64))
@@ -107,6 +116,8 @@ class Refinement(nn.Module):
         self.knows_depth = bool(np.any(response.depth_slope))
         self.steps = config.steps
         self.leans = config.lean_v > 0
+        # Held-out cells tell what the map leaves in full (models/response_map/select.py).
+        self.floor_share = FLOOR_SHARE if response.rim else 1.0
 
     def forward(
         self, volts: Tensor, elapsed_s: Tensor, weight: Tensor, proposal: Tensor, log_sd: Tensor
@@ -119,11 +130,11 @@ class Refinement(nn.Module):
         )
         elapsed_s, weight = elapsed_s.reshape(-1, 1, 1, 1, 1), weight.reshape(-1, self.boards, 1, 1, 1)
         # What follows compares values at the bins' centres; a bin holds a mean, which is flatter than the signal.
-        tilt = (volts[:, :, :2] @ self.pooled)[:, :, :, None]
-        inverse = self._inverse_covariance(
-            tilt, (volts[:, :, 2:] @ self.rippled)[:, :, None], elapsed_s, weight
-        )
-        measured = F.pad(tilt, (0, 0, STATE, 0))
+        touch = (volts[:, :, : self.axes] @ self.pooled)[:, :, :, None]
+        # A V_z that answers to a touch itself is coupled into no other axis.
+        ripple = (volts[:, :, 2:] @ self.rippled)[:, :, None] if self.axes == 2 else None
+        inverse = self._inverse_covariance(touch, ripple, elapsed_s, weight)
+        measured = F.pad(touch, (0, 0, STATE, 0))
         time = elapsed_s * self.ago + self.lag
         pair, own = proposal.split((2, 3), 1)
         norm = (pair * pair).sum(1, keepdim=True).clamp(min=1e-12).sqrt()
@@ -131,9 +142,14 @@ class Refinement(nn.Module):
         centre = F.pad(own, (1, 2)).reshape(-1, 1, 1, STATE, 1)
         log_sd = F.pad(log_sd, (0, 2)).reshape(-1, 1, 1, STATE, 1) + self.looseness
         precision = (-2.0 * torch.maximum(log_sd, self.tightest)).exp()
+        mixing = self._mixing(weight) if self.mixes else None
         state, gram, covariance = centre, centre, centre
         for _ in range(self.steps):
             rows = self.predicted(measured, start, state, time)
+            if mixing is not None:
+                rows = (mixing @ rows.reshape(-1, self.boards * self.axes, (STATE + 1) * BINS)).reshape(
+                    -1, self.boards, self.axes, STATE + 1, BINS
+                )
             gram = ((rows @ inverse) @ rows.transpose(3, 4)).sum((1, 2), keepdim=True)
             if self.leans:
                 gram = gram - self._leaning(rows, inverse)
@@ -142,12 +158,16 @@ class Refinement(nn.Module):
             covariance = inverted(normal[..., :STATE])
             move = covariance @ normal[..., STATE:]
             state = state + torch.maximum(torch.minimum(move, self.longest_step), -self.longest_step)
-        misfit = gram[..., STATE:, STATE:] / (2 * BINS * weight.sum(1, keepdim=True)).clamp(min=1.0)
+        misfit = gram[..., STATE:, STATE:] / (self.axes * BINS * weight.sum(1, keepdim=True)).clamp(min=1.0)
         variance = (covariance * self.each[:, :STATE]).sum(4, keepdim=True)
         if self.same_depth:
             state, variance = self._same_depth(state, covariance, variance)
         heading = start @ (state[..., :1, :] + self.phases).sin()
         return heading, state, variance, misfit
+
+    def _mixing(self, weight: Tensor) -> Tensor:
+        """(B, C, C): what channels are mixed by; with a dead accelerometer by nothing."""
+        return self.unmixed + weight.amin((1, 2, 3, 4)).reshape(-1, 1, 1) * self.mixing
 
     def _leaning(self, rows: Tensor, inverse: Tensor) -> Tensor:
         """What the device's own slow turn takes from the rows' products: it leans all boards alike, a number for each
@@ -175,17 +195,23 @@ class Refinement(nn.Module):
         shift = gain * off
         return state - shift, variance - gain * column + shift * shift
 
-    def _inverse_covariance(self, tilt: Tensor, ripple: Tensor, elapsed_s: Tensor, weight: Tensor) -> Tensor:
-        """(B, A, 2, 16, 16) 1/V^2 of each channel's residuals; zero for a dead accelerometer.
+    def _inverse_covariance(
+        self, touch: Tensor, ripple: Tensor | None, elapsed_s: Tensor, weight: Tensor
+    ) -> Tensor:
+        """(B, A, X, 16, 16) 1/V^2 of each channel's residuals; zero for a dead accelerometer.
 
-        tilt: (B, A, 2, 1, 16) V. ripple: (B, A, 1, 1, 16) V, what each board's own V_z swings about its mean.
+        touch: (B, A, X, 1, 16) V. ripple: (B, A, 1, 1, 16) V, what each board's own V_z swings about its mean; None
+        where V_z is among the X.
         """
         blocks = (elapsed_s / (self.block_s * BINS)).clamp(min=0.3)
         floor = (
-            PEAK_SHARE**2 * (tilt * tilt).amax((1, 2, 3, 4), keepdim=True) + (FLOOR_SHARE * self.floor_v) ** 2
+            PEAK_SHARE**2 * (touch * touch).amax((1, 2, 3, 4), keepdim=True)
+            + (self.floor_share * self.floor_v) ** 2
         )
         variance = self.noise / blocks + floor
         drifting = self.drift / (variance + BINS * self.drift)
+        if ripple is None:
+            return weight / variance * (self.whole - drifting)
         swing = ripple.transpose(3, 4)
         picked = self.cross_axis_sd**2 / (variance + self.cross_axis_sd**2 * (ripple @ swing))
         return weight / variance * (self.whole - drifting - picked * (swing @ ripple))

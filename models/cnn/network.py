@@ -61,13 +61,13 @@ class Proposal(nn.Module):
     speed_alone: Tensor
     usual_sd: Tensor
 
-    def __init__(self, channels: int, config: NetworkConfig) -> None:
+    def __init__(self, channels: int, boards: int, config: NetworkConfig) -> None:
         super().__init__()
         f, h = config.filters, config.hidden
         self.conv1 = nn.Conv1d(channels, f[0], 5, stride=2, padding=2)
         self.conv2 = nn.Conv1d(f[0], f[1], 5, stride=2, padding=2)
         self.conv3 = nn.Conv1d(f[1], f[2], 3, stride=2, padding=1)
-        self.dense1 = nn.Linear(WINDOW_BINS // 8 * f[2] + 3 + channels // 2, h[0])
+        self.dense1 = nn.Linear(WINDOW_BINS // 8 * f[2] + 3 + boards, h[0])
         self.dense2 = nn.Linear(h[0], h[1])
         self.head = nn.Linear(h[1], 9)
         constants = {
@@ -121,9 +121,10 @@ class SlideNetwork(nn.Module):
 
     def forward(self, volts: Tensor, elapsed_s: Tensor, weight: Tensor) -> Tensor:
         """volts (B, 3 A, 64) V, elapsed_s (B,) s, weight (B, A) -> (B, K), the columns that `outputs` names."""
-        volts = volts.reshape(-1, self.refinement.boards, 3, WINDOW_BINS) * weight[:, :, None, None]
-        tilt = volts[:, :, :2].reshape(-1, 2 * self.refinement.boards, WINDOW_BINS)
-        proposal, log_sd = self.proposal(tilt, elapsed_s, weight)
+        boards, axes = self.refinement.boards, self.refinement.axes
+        volts = volts.reshape(-1, boards, 3, WINDOW_BINS) * weight[:, :, None, None]
+        touch = volts[:, :, :axes].reshape(-1, axes * boards, WINDOW_BINS)
+        proposal, log_sd = self.proposal(touch, elapsed_s, weight)
         heading, state, variance, misfit = self.refinement(volts, elapsed_s, weight, proposal, log_sd)
         sd = variance[..., :3, :].clamp(min=0).sqrt() * self.sd_unit
         columns = [heading, state[..., 1:4, :], sd, misfit]

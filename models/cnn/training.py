@@ -40,7 +40,7 @@ def train_proposal(
     """
     torch.manual_seed(config.seed)
     generator = torch.Generator().manual_seed(config.seed)
-    proposal = start or Proposal(source.response.channels, network)
+    proposal = start or Proposal(source.response.channels, source.response.boards, network)
     averaged = torch.optim.swa_utils.AveragedModel(
         proposal,
         avg_fn=lambda kept, new, count: (

@@ -21,7 +21,8 @@ from pipeline.recordings.windows import LabelledWindows
 SAMPLES = 2 * WINDOW_BINS  # of a slide before its window is cut: two a bin
 TABLE_MM = 0.5  # spacing of the look-up table, a fifth of the map's splines
 LEAST_CHORD_MM = 10.0  # of a line through the chamber; a shorter one only grazes the rim
-BEYOND_MM = 6.0  # a slide begins and ends up to so far beyond the chamber
+BEYOND_MM = 6.0  # a slide begins and ends up to so far beyond the chamber, where the response ends at its rim
+WITHIN_MM = 3.0  # and up to so far within it where it does not
 MIDWAY_SHARE = 0.6  # of the chord: the latest place on the dome where a slide begins
 LEAST_SEEN = 0.06  # share of a slide at which the first windows end
 LONGEST_PAUSE = 0.3  # share of the slide's own time
@@ -58,8 +59,8 @@ class SynthesisConfig:
 
 @dataclass(frozen=True)
 class WindowBatch:
-    """volts (B, C, 64) V of the tilt channels, elapsed_s (B,), weight (B, A); targets (B, 6): direction cos, sin,
-    log speed, offset mm, along mm, depth mm."""
+    """volts (B, C, 64) V of the channels that answer to a touch, elapsed_s (B,), weight (B, A); targets (B, 6):
+    direction cos, sin, log speed, offset mm, along mm, depth mm."""
 
     volts: Tensor
     elapsed_s: Tensor
@@ -69,8 +70,10 @@ class WindowBatch:
     def labelled(self) -> LabelledWindows:
         """The same windows as of recordings, their V_z still, the stroke held to be whole."""
         count = len(self.elapsed_s)
-        volts = np.zeros((count, self.volts.shape[1] // 2, 3, WINDOW_BINS), dtype=np.float32)
-        volts[:, :, :2] = self.volts.reshape(count, -1, 2, WINDOW_BINS).numpy()
+        boards = self.weight.shape[1]
+        axes = self.volts.shape[1] // boards
+        volts = np.zeros((count, boards, 3, WINDOW_BINS), dtype=np.float32)
+        volts[:, :, :axes] = self.volts.reshape(count, boards, axes, WINDOW_BINS).numpy()
         cos, sin, log_speed, offset, along, depth = self.targets.numpy().astype(float).T
         return LabelledWindows(
             volts=volts.reshape(count, -1, WINDOW_BINS),
@@ -120,7 +123,7 @@ class WindowSource:
         whole = lines.crosses & passed & (seconds > LEAST_BLOCKS * self.block_s)
         weight = self._weights(random)
         start = start.clamp(max=SAMPLES - LEAST_SAMPLES)
-        windows = _bins(integral, start) * weight.repeat_interleave(2, 1)[:, :, None]
+        windows = _bins(integral, start) * weight.repeat_interleave(self.response.axes, 1)[:, :, None]
         elapsed = motion.seconds * (1 - start / SAMPLES)
         along, depth_mm = motion.first + motion.length, self.response.depth_mm + depth
         targets = torch.stack([lines.cos, lines.sin, lines.speed.log(), lines.offset, along, depth_mm], 1)
@@ -147,8 +150,9 @@ class WindowSource:
         c, chord = self.config, lines.leave - lines.enter
         midway = random.chance(c.midway)
         on_the_dome = lines.enter + random.uniform(0.0, MIDWAY_SHARE) * chord
-        first = torch.where(midway, on_the_dome, lines.enter - random.uniform(0.0, BEYOND_MM))
-        last = lines.leave + random.uniform(0.0, BEYOND_MM)
+        beyond_mm = BEYOND_MM if self.response.rim else -WITHIN_MM
+        first = torch.where(midway, on_the_dome, lines.enter - beyond_mm * random.uniform(0.0, 1.0))
+        last = lines.leave + beyond_mm * random.uniform(0.0, 1.0)
         complete = random.chance(c.complete)
         seen = torch.where(complete, torch.ones(random.count), random.uniform(LEAST_SEEN, 1.0))
         length = (last - first) * seen
@@ -204,7 +208,7 @@ class WindowSource:
 
     def _weights(self, random: "_Random") -> Tensor:
         """(B, A): 1, and 0 for an accelerometer that is dead."""
-        boards = self.response.channels // 2
+        boards = self.response.boards
         weight = torch.ones(random.count, boards)
         if boards > 1:
             lost = torch.randint(boards, (random.count,), generator=random.generator)

@@ -12,7 +12,7 @@ import numpy as np
 from scipy import sparse
 from scipy.linalg import solveh_banded
 
-from models.response_map.map import MARGIN_MM, PARTS, ResponseMap, knots, splines_at
+from models.response_map.map import MARGIN_MM, PARTS, SPACING_MM, ResponseMap, knots, splines_at
 from models.response_map.slides import CalibrationSlide
 from pipeline.sensor import Sensor
 
@@ -37,6 +37,7 @@ OUTLIER = 4.0  # times the median residual: a slide beyond it has a wrong label
 PRIOR_SLIDES = 4  # how many slides' worth the priors of gain and drift count
 CLEAR = 0.3  # share of the largest peak below which a slide's gain is mostly noise
 SHIFT_STEP_MM = 0.05  # of the central difference
+SHRINKAGE = 0.1  # of the residuals' covariance (experiments/LOG.md)
 ITERATIONS = 2  # Gauss-Newton of two numbers that start within a few percent
 
 
@@ -48,6 +49,8 @@ class CalibrationConfig:
     near_prior: penalty on the distance from an atlas's prior, likewise.
     gain_sd, shift_sd_mm: priors on each slide's own gain and place. untimed_sd_mm: on the place of a slide whose
         labels do not tell it, about the first guess of onset.py.
+    day_gain_sd: of the gain from one day to another, of maps without a rim: of sensing elements of which nothing but
+        recordings of one day is known.
     iterations: alternations of splines and slides.
     """
 
@@ -57,6 +60,7 @@ class CalibrationConfig:
     gain_sd: float = 0.03
     shift_sd_mm: float = 0.1
     untimed_sd_mm: float = 2.0
+    day_gain_sd: float = 0.15
     iterations: int = 4
 
     def stiffened(self, times: float) -> "CalibrationConfig":
@@ -97,6 +101,7 @@ def calibrate(
     gains, shifts = np.ones(len(slides)), np.zeros(len(slides))
     speeds = np.array([s.speed_mm_s.max() for s in slides])
     rms, means = np.empty(len(slides)), np.empty((len(slides), response.channels))
+    residuals = [slide.volts for slide in slides]
     keep, timed = np.ones(len(slides), dtype=bool), np.array([s.timed for s in slides])
     for _ in range(config.iterations):
         kept = [slide for slide, k in zip(slides, keep, strict=True) if k]
@@ -108,7 +113,7 @@ def calibrate(
         for i, slide in enumerate(slides):
             fit = fit_slide(slide, response, config, gains[i], shifts[i])
             gains[i], shifts[i], rms[i] = fit.gain, fit.shift_mm, fit.rms_v
-            means[i] = fit.residual_v.mean(axis=0)
+            means[i], residuals[i] = fit.residual_v.mean(axis=0), fit.residual_v
         # A slide with wrong labels must not bend the map: it stands out by its residual.
         keep = rms < OUTLIER * np.median(rms)
         gains /= np.mean(gains[keep])
@@ -120,6 +125,9 @@ def calibrate(
     clear = keep & (peaks > CLEAR * peaks.max())
     residual = float(np.sqrt(np.mean(rms[keep] ** 2)))
     gain_sd = float(_deviation(gains[clear] - 1, config.gain_sd))
+    if not response.rim:
+        gain_sd = float(np.hypot(gain_sd, config.day_gain_sd))
+        response = replace(response, whitening=_whitening(residuals))
     drift = _deviation(means[keep], LEAST_DRIFT_V)
     response = replace(response, gain_sd=gain_sd, floor_v=residual, drift_v=drift)
     if several_depths(slides):
@@ -135,6 +143,18 @@ def calibrate(
     }
 
 
+def _whitening(residuals_v: list[np.ndarray]) -> np.ndarray:
+    """(C, C), symmetric: from residuals (m, C) V each to as large ones that are uncorrelated and equally large.
+
+    The covariance is shrunk towards independent channels by SHRINKAGE of their mean variance (Ledoit and Wolf 2004), so
+    that no combination of channels is held to be exact.
+    """
+    spread = np.mean([residual.T @ residual / len(residual) for residual in residuals_v], axis=0)
+    size = float(np.trace(spread)) / len(spread)
+    values, vectors = np.linalg.eigh(spread + SHRINKAGE * size * np.eye(len(spread)))
+    return (vectors * np.sqrt(size / values)) @ vectors.T
+
+
 def _slope(speeds: np.ndarray, shifts: np.ndarray) -> float:
     """Slope of shift over speed, s; 0 where few slides or nearly equal speeds do not tell."""
     return np.polyfit(speeds, shifts, 1)[0] if len(speeds) > 8 and np.ptp(speeds) > 1 else 0.0
@@ -145,16 +165,20 @@ def _deviation(errors: np.ndarray, prior_sd: float) -> np.ndarray:
     return np.sqrt((np.sum(errors**2, axis=0) + PRIOR_SLIDES * prior_sd**2) / (len(errors) + PRIOR_SLIDES))
 
 
-def blank_map(sensor: Sensor, depth_mm: float) -> ResponseMap:
+def blank_map(sensor: Sensor, depth_mm: float, spacing_mm: float = SPACING_MM) -> ResponseMap:
     """A map without any response: the start of a fit from recordings alone."""
-    k = knots(max(sensor.chamber_mm) / 2 + MARGIN_MM)
-    channels = 2 * len(sensor.accelerometers)
+    k = knots(max(sensor.chamber_mm) / 2 + MARGIN_MM, spacing_mm)
+    axes = len(sensor.touch_axes)
+    channels = axes * len(sensor.accelerometers)
     return ResponseMap(
         np.zeros((PARTS, k, k, channels)),
         np.zeros((k, k, channels)),
         sensor.chamber_mm,
         sensor.reference_mm,
         depth_mm,
+        axes=axes,
+        rim=sensor.measures_gravity,
+        spacing_mm=spacing_mm,
     )
 
 
@@ -203,7 +227,7 @@ def _fit_splines(
     from the prior's. The unknowns are in the order place, part: the normal matrix is then a band of a few hundred.
     """
     assert response.noise_v is not None
-    k = knots(response.half_mm)
+    k = response.coefficients.shape[1]
     size = k * k
     right = np.zeros((size, PARTS, response.channels))
     start = np.zeros_like(right) if prior is None else _by_place(prior.coefficients)
@@ -211,7 +235,8 @@ def _fit_splines(
     # Slides of one direction share their weights of M, Fx, Fy, so that their Gram matrices add up.
     grams: dict[float, sparse.csr_matrix] = {}
     for slide, gain, shift in zip(slides, gains, shifts, strict=True):
-        rows = tensor_splines(*slide.place(shift, response.lag_s), response.half_mm) * gain
+        place = slide.place(shift, response.lag_s)
+        rows = tensor_splines(*place, response.half_mm, response.spacing_mm) * gain
         # One over the variance in units of one block's noise: of the averaged noise, and of the map's own residual.
         weight = 1.0 / (1.0 / slide.blocks + MAP_VARIANCE)
         parts = part_weights(slide.direction_rad)
@@ -226,10 +251,12 @@ def _fit_splines(
     scale = (float(np.median(response.noise_v)) / PENALTY_NOISE_V) ** 2
     smooth = scale * np.array([config.smooth_mean, *[config.smooth_friction] * (PARTS - 1)])
     near = scale * (config.near_prior if prior is not None else LEAST_RIDGE)
-    rim = rim_gram(response)
-    normal += sparse.kron(roughness(k), np.diag(smooth)) + sparse.kron(RIM_WEIGHT * rim, np.eye(PARTS))
+    normal += sparse.kron(roughness(k), np.diag(smooth))
+    if response.rim:
+        rim = rim_gram(response)
+        normal += sparse.kron(RIM_WEIGHT * rim, np.eye(PARTS))
+        right -= RIM_WEIGHT * (rim @ start.reshape(size, -1)).reshape(start.shape)
     normal += sparse.kron(sparse.identity(size), np.diag(RIDGE * smooth + near))
-    right -= RIM_WEIGHT * (rim @ start.reshape(size, -1)).reshape(start.shape)
     solution = start + _solved(normal, right.reshape(PARTS * size, -1)).reshape(start.shape)
     return replace(response, coefficients=solution.reshape(k, k, PARTS, -1).transpose(2, 0, 1, 3))
 
@@ -286,14 +313,16 @@ def rim_gram(response: ResponseMap) -> sparse.csr_matrix:
     rim = (np.abs(x) > response.chamber_mm[0] / 2 + RIM_MM) | (
         np.abs(y) > response.chamber_mm[1] / 2 + RIM_MM
     )
-    rows = tensor_splines(x[rim], y[rim], response.half_mm)
+    rows = tensor_splines(x[rim], y[rim], response.half_mm, response.spacing_mm)
     return rows.T @ rows
 
 
-def tensor_splines(x_mm: np.ndarray, y_mm: np.ndarray, half_mm: float) -> sparse.csr_matrix:
+def tensor_splines(
+    x_mm: np.ndarray, y_mm: np.ndarray, half_mm: float, spacing_mm: float = SPACING_MM
+) -> sparse.csr_matrix:
     """Values of the tensor-product splines at points (n,): rows (n, K^2), 16 entries each."""
-    (i, across), (j, up) = (splines_at(place, half_mm) for place in (x_mm, y_mm))
-    k = knots(half_mm)
+    (i, across), (j, up) = (splines_at(place, half_mm, spacing_mm) for place in (x_mm, y_mm))
+    k = knots(half_mm, spacing_mm)
     columns, values = k * i[:, :, None] + j[:, None, :], across[:, :, None] * up[:, None, :]
     begins = 16 * np.arange(len(i) + 1)
     return sparse.csr_matrix((values.ravel(), columns.ravel(), begins), shape=(len(i), k * k))

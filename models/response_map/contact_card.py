@@ -3,7 +3,7 @@
 import numpy as np
 
 from features.contact.calibration import ContactCalibration, encoded
-from models.response_map.map import SPACING_MM, ResponseMap
+from models.response_map.map import ResponseMap
 
 
 def contact_calibration(response: ResponseMap) -> ContactCalibration:
@@ -15,7 +15,7 @@ def contact_calibration(response: ResponseMap) -> ContactCalibration:
         scale_v=scale,
         knots=response.coefficients.shape[1],
         half_mm=response.half_mm,
-        spacing_mm=SPACING_MM,
+        spacing_mm=response.spacing_mm,
         chamber_mm=response.chamber_mm,
         depth_mm=response.depth_mm,
         noise_v=tuple(float(v) for v in response.noise_v),

@@ -1,18 +1,18 @@
-"""The response map: the accelerometers' output for a contact at x, y, moving in a direction, at a depth.
+"""The response map: a sensor's output for a contact at x, y, moving in a direction, at a depth.
 
 V(x, y, a, d) = g [M(x, y) + cos(a) Fx(x, y) + sin(a) Fy(x, y) + (d - d0) D(x, y)], g = 1 + slide-to-slide error
 
 M is the response without friction, Fx and Fy what friction adds along each axis (first order in the friction
 coefficient), D the change with contact depth; each a tensor product of uniform cubic B-splines (de Boor 1978). The
-signal follows the contact with a lag. Only V_x and V_y are mapped: gravity has a fixed length, so V_z adds nothing to
-them.
+signal follows the contact with a lag. Of accelerometers only V_x and V_y are mapped: gravity has a fixed length, so V_z
+adds nothing to them. Sensing elements of other kinds may have three mapped axes.
 """
 
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-SPACING_MM = 2.5  # of the splines; recorded lines are 5 mm apart
+SPACING_MM = 2.5  # of the splines, unless a map says otherwise; recorded lines are 5 mm apart
 MARGIN_MM = 5.0  # the map reaches this far over the chamber's rim, two splines on which it falls to zero
 PARTS = 3  # mean, along x, along y
 
@@ -21,9 +21,15 @@ PARTS = 3  # mean, along x, along y
 class ResponseMap:
     """A sensor's response, calibrated or not.
 
-    coefficients: (3, K, K, C) V, spline coefficients of M, Fx, Fy; C tilt channels a0_vx, a0_vy, a1_vx, ...
+    coefficients: (3, K, K, C) V, spline coefficients of M, Fx, Fy; C channels that answer to a touch, a0_vx, a0_vy,
+        a1_vx, ...; `axes` of each sensing element.
     depth_slope: (K, K, C) V/mm, spline coefficients of D; zero without an atlas.
-    chamber_mm: sizes of the chamber along x and y; over its rim the skin lies on the base and shows nothing.
+    chamber_mm: sizes of the chamber along x and y.
+    rim: whether the skin lies on the base over the chamber's rim and shows nothing. Without a rim nothing is known of
+        what lies beyond the chamber, and contacts come down and are lifted anywhere on it.
+    spacing_mm: of the splines.
+    whitening: (C, C), what makes the map's residuals in its channels independent of each other and alike; None: they
+        are.
     reference_mm: the point that offsets are measured from.
     depth_mm: d0, the middle of the contact depths of the recordings that the map was fitted to.
     depth_sd_mm: standard deviation about d0 of the depths that are to be expected, where the recordings have several;
@@ -46,6 +52,10 @@ class ResponseMap:
     drift_v: np.ndarray | None = None
     floor_v: float = 1e-3
     gain_sd: float = 0.02
+    axes: int = 2
+    rim: bool = True
+    spacing_mm: float = SPACING_MM
+    whitening: np.ndarray | None = None
 
     @property
     def half_mm(self) -> float:
@@ -54,8 +64,13 @@ class ResponseMap:
 
     @property
     def channels(self) -> int:
-        """Number C of tilt channels."""
+        """Number C of channels that answer to a touch."""
         return int(self.coefficients.shape[-1])
+
+    @property
+    def boards(self) -> int:
+        """Number of sensing elements."""
+        return self.channels // self.axes
 
     def response(
         self,
@@ -71,7 +86,7 @@ class ResponseMap:
         if depth_mm is not None and depth_mm != self.depth_mm:
             weights = np.concatenate([weights, np.full((1, *a.shape), depth_mm - self.depth_mm)])
             surfaces = np.concatenate([surfaces, self.depth_slope[None]])
-        (i, across), (j, up) = (splines_at(place, self.half_mm) for place in (x_mm, y_mm))
+        (i, across), (j, up) = (splines_at(place, self.half_mm, self.spacing_mm) for place in (x_mm, y_mm))
         patch = surfaces.transpose(1, 2, 0, 3)[i[:, :, None], j[:, None, :]]
         each = across[:, :, None, None] * up[:, None, :, None] * weights.transpose(1, 2, 0)[:, :, None]
         return (each.reshape(len(i), 1, -1) @ patch.reshape(len(i), -1, self.channels))[:, 0]
@@ -81,22 +96,24 @@ class ResponseMap:
         return replace(self, coefficients=self.coefficients * gain, depth_slope=self.depth_slope * gain)
 
 
-def knots(half_mm: float) -> int:
+def knots(half_mm: float, spacing_mm: float = SPACING_MM) -> int:
     """Number K of B-splines that cover [-half_mm, half_mm]."""
-    return round(2 * half_mm / SPACING_MM) + 3
+    return round(2 * half_mm / spacing_mm) + 3
 
 
-def splines_at(position_mm: np.ndarray, half_mm: float) -> tuple[np.ndarray, np.ndarray]:
+def splines_at(
+    position_mm: np.ndarray, half_mm: float, spacing_mm: float = SPACING_MM
+) -> tuple[np.ndarray, np.ndarray]:
     """The four uniform cubic B-splines around (n,) positions -> their numbers (n, 4) and values (n, 4).
 
     B(z) = (2 - |z|)+^3 / 6 - 4 (1 - |z|)+^3 / 6, z the distance to a spline's centre over the spacing; zero where
     there is no such spline.
     """
-    u = (np.asarray(position_mm, dtype=float)[:, None] + half_mm) / SPACING_MM
+    u = (np.asarray(position_mm, dtype=float)[:, None] + half_mm) / spacing_mm
     number = np.floor(u).astype(int) + np.arange(4)
     z = np.abs(u - (number - 1))
     value = (np.maximum(2 - z, 0) ** 3 - 4 * np.maximum(1 - z, 0) ** 3) / 6
-    inside = np.clip(number, 0, knots(half_mm) - 1)
+    inside = np.clip(number, 0, knots(half_mm, spacing_mm) - 1)
     return inside, np.where(number == inside, value, 0.0)
 
 

@@ -3,6 +3,9 @@
 Candidate fits (near the atlas's prior with three stiffnesses, or from recordings alone) are compared by
 cross-validation over lines: a coarse or foreign atlas must not spoil what many recordings tell, and few recordings
 need the atlas and a fit that keeps close to it.
+
+Of a sensor whose mechanics are not solved the candidates are splines of several spacings, and what is held out of a
+fit is whole lines and, besides, cells of the skin: lines that are close together or cross show the same places.
 """
 
 from collections.abc import Callable
@@ -16,7 +19,7 @@ from models.held_out import line_folds
 from models.response_map.calibrate import CalibrationConfig, blank_map, calibrate, fit_slide
 from models.response_map.from_atlas import SensorSpread, prior_map
 from models.response_map.lag import with_lag
-from models.response_map.map import ResponseMap
+from models.response_map.map import SPACING_MM, ResponseMap
 from models.response_map.onset import Onsets, moved, with_onsets
 from models.response_map.slides import CalibrationSlide, calibration_slides
 from pipeline.atlas.atlas import Atlas
@@ -26,6 +29,15 @@ from pipeline.sensor import Sensor
 
 FOLDS = 4
 LEAST_ALONE = 24  # slides; fewer leave the map without an atlas full of holes
+# Sensors that no atlas can be solved for take what there is.
+LEAST_UNSOLVED = 2 * FOLDS
+# Of such a sensor's map; each is tried with these times the default's penalties.
+SPACINGS_MM = (SPACING_MM, SPACING_MM / 1.5, SPACING_MM / 2.25)
+SMOOTHNESS = (1.0, 10.0)
+MANY = 100  # slides, from which on the smoother ones have never been best (experiments/LOG.md)
+CELL_MM = 1.5  # side of the cells that are held out, and their share
+CELL_SHARE = 1 / 3
+LEAST_STRETCHES = 4  # that a slide keeps
 # Factors of the penalties on the map's distance from its prior: 30 is best with 12 slides, 5 with 24, 1 with a hundred
 # (experiments/LOG.md). The first is taken where they cannot be compared.
 STIFFNESS = (30.0, 5.0, 1.0)
@@ -126,6 +138,8 @@ def _candidates(slides: int, has_atlas: bool, config: CalibrationConfig, sensor:
     Raises:
         InputError: neither an atlas nor enough slides.
     """
+    if not sensor.measures_gravity:
+        return _unsolved(slides, config, sensor)
     if not has_atlas and slides < LEAST_ALONE:
         raise InputError(
             f"{sensor.name}: {slides} labelled slides and no atlas; record at least {LEAST_ALONE}, "
@@ -151,6 +165,28 @@ def _candidates(slides: int, has_atlas: bool, config: CalibrationConfig, sensor:
     return candidates | ({"alone": alone} if slides >= LEAST_ALONE else {})
 
 
+def _unsolved(slides: int, config: CalibrationConfig, sensor: Sensor) -> dict[str, _Fit]:
+    """The fits of a sensor whose mechanics are not known: from recordings alone, a spacing and a smoothness each.
+
+    Raises:
+        InputError: too few slides.
+    """
+    if slides < LEAST_UNSOLVED:
+        raise InputError(f"{sensor.name}: {slides} labelled slides; record at least {LEAST_UNSOLVED}")
+
+    def alone(spacing_mm: float, smoothness: float) -> _Fit:
+        smooth = config.stiffened(smoothness)
+        return lambda part: calibrate(
+            part.slides, blank_map(sensor, part.depth_mm, spacing_mm), False, smooth
+        )
+
+    return {
+        f"alone_{spacing:.1f}_mm_{smoothness:g}": alone(spacing, smoothness)
+        for spacing in SPACINGS_MM
+        for smoothness in (SMOOTHNESS if slides < MANY else SMOOTHNESS[:1])
+    }
+
+
 def _parts(
     slides: list[CalibrationSlide], atlas: Atlas | None, sensor: Sensor, spread: SensorSpread
 ) -> tuple[_Part, list[_Part]]:
@@ -166,11 +202,28 @@ def _parts(
         return whole, []
     direction = np.array([s.direction_rad for s in slides])
     fold = line_folds(direction, np.array([s.line_offset_mm for s in slides]), FOLDS)
-    split = (
+    split = [
         tuple([s for s, f in zip(slides, fold, strict=True) if (f == number) == out] for out in (False, True))
         for number in np.unique(fold)
-    )
+    ]
+    if not sensor.measures_gravity:
+        split = [(_by_cell(seen, False), _by_cell(unseen, True)) for seen, unseen in split]
     return whole, [part(seen, unseen) for seen, unseen in split]
+
+
+def _by_cell(slides: list[CalibrationSlide], held_out: bool) -> list[CalibrationSlide]:
+    """What of the slides lies in the cells that are held out, or outside them."""
+    kept = []
+    for slide in slides:
+        cell = np.floor(np.stack(slide.place(0.0, 0.0), axis=1) / CELL_MM).astype(int)
+        inside = [
+            np.random.default_rng(cell_of % 2**32).random() < CELL_SHARE for cell_of in cell @ (1, 1009)
+        ]
+        mask = np.array(inside) == held_out
+        if mask.sum() >= LEAST_STRETCHES:
+            parts = {name: getattr(slide, name)[mask] for name in ("travelled_mm", "speed_mm_s", "volts")}
+            kept.append(replace(slide, **parts))
+    return kept
 
 
 def _cross_validated(
@@ -181,17 +234,30 @@ def _cross_validated(
     residual = {name: _residual_share(fitted, folds) for name, fitted in maps.items()}
     best = min(candidates, key=lambda name: residual[name])
     response, summary = candidates[best](whole)
+    if not response.rim:
+        # What the map leaves of places that it was not fitted to; of those that it was it leaves less.
+        floor_v = float(np.sqrt(np.mean(_residuals_v(maps[best], folds) ** 2)))
+        response = replace(response, floor_v=floor_v)
+        maps[best] = [replace(fitted, floor_v=floor_v) for fitted in maps[best]]
+        summary = summary | {"residual_v": floor_v, "spacing_mm": response.spacing_mm}
     shares = {f"heldout_residual_{name}": share for name, share in residual.items() if folds}
     names = [np.array([slide.recording for slide in fold.unseen]) for fold in folds]
-    figures = whole.moved | summary | shares | {"from_atlas": float(best != "alone")}
+    figures = whole.moved | summary | shares | {"from_atlas": float(best.startswith("atlas"))}
     return response, list(zip(maps[best], names, strict=True)), figures
 
 
 def _residual_share(maps: list[ResponseMap], folds: list[_Part]) -> float:
     """Median over held-out slides of the rms residual as a share of the slide's largest output; 0 without folds."""
-    shares = [
-        fit_slide(slide, response, CalibrationConfig()).rms_v / np.abs(slide.volts).max()
-        for response, fold in zip(maps, folds, strict=True)
-        for slide in fold.unseen
-    ]
-    return float(np.median(shares)) if shares else 0.0
+    peaks_v = [np.abs(slide.volts).max() for fold in folds for slide in fold.unseen]
+    return float(np.median(_residuals_v(maps, folds) / peaks_v)) if peaks_v else 0.0
+
+
+def _residuals_v(maps: list[ResponseMap], folds: list[_Part]) -> np.ndarray:
+    """(n,) V: rms residual of each held-out slide beside the map that was not fitted to it."""
+    return np.array(
+        [
+            fit_slide(slide, response, CalibrationConfig()).rms_v
+            for response, fold in zip(maps, folds, strict=True)
+            for slide in fold.unseen
+        ]
+    )

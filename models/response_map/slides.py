@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from features.angles import tilt_channels
-from features.stream.conditioning import Conditioning, block_means, without_lag
+from features.angles import touch_channels
+from features.stream.conditioning import ONSETS, Conditioning, block_means, without_lag
 from pipeline.recordings.folder import Folder
 from pipeline.recordings.stroke import stage_motion
 
@@ -30,7 +30,7 @@ class CalibrationSlide:
     """One labelled slide, cut into m stretches of its line.
 
     start_mm: where it starts. travelled_mm: (m,) along the line from the start. speed_mm_s: (m,).
-    volts: (m, C) V, subtracted, C tilt channels a0_vx, a0_vy, a1_vx, ...
+    volts: (m, C) V, subtracted, C channels that answer to a touch, a0_vx, a0_vy, a1_vx, ...
     blocks: how many blocks a stretch averages; step_s: the same as a time.
     rest_noise_v: (C,) V, standard deviation of one block's mean at rest.
     timed: the labels tell where the contact was when; else the place along the line is a first guess.
@@ -77,13 +77,15 @@ def calibration_slides(
 def _slide(folder: Folder, name: str, row: Any, conditioning: Conditioning) -> CalibrationSlide | None:
     """One recording, labelled by `row` of the manifest; None if its rest is too short."""
     recording, sensor = folder.load(name), folder.sensor
-    tilt = tilt_channels(len(sensor.channels))
-    blocks = block_means(recording.volts, conditioning, sensor.sample_rate_hz)[:, tilt]
+    touch = touch_channels(len(sensor.channels), sensor.touch_axes)
+    blocks = block_means(recording.volts, conditioning, sensor.sample_rate_hz)[:, touch]
     time_s = recording.time_s[0] + (np.arange(len(blocks)) + 0.5) * conditioning.block_s
     rest = blocks[time_s < row.motion_start_s - conditioning.block_s]
     if len(rest) < LEAST_REST_BLOCKS:
         return None
-    moving = (time_s > row.motion_start_s - LEAD_S) & (time_s < row.motion_end_s)
+    # A block in which the contact comes down or is lifted shows a part of it.
+    lead_s, tail_s = (LEAD_S, 0.0) if conditioning.onset == ONSETS[0] else [-conditioning.block_s / 2] * 2
+    moving = (time_s > row.motion_start_s - lead_s) & (time_s < row.motion_end_s + tail_s)
     duration_s = row.motion_end_s - row.motion_start_s
     travelled, speed = stage_motion(
         time_s[moving] - row.motion_start_s, row.travel_mm, row.speed_mm_s, duration_s

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from features.angles import touch_channels
-from features.stream.conditioning import Conditioning, block_means
+from features.stream.conditioning import ONSETS, Conditioning, block_means
 from pipeline.recordings.folder import Folder
 
 # V/g of the sensor that the constants in V are made for, the article's MMA7361L.
@@ -28,13 +28,15 @@ USUAL = Conditioning()
 def conditioning_for(folder: Folder, conditioning: Conditioning) -> Conditioning:
     """`conditioning` for the folder's sensor; constants that differ from the defaults were chosen, and stay.
 
-    touch_axes are the sensor's. scale brings volts to those of 0.8 V/g, and outputs of another kind to the same noise
-    at rest, so that thresholds and all that is learnt mean the same at any sensitivity and in any unit.
+    touch_axes are the sensor's; onset is "rim" for accelerometers, whose skin has one. scale brings volts to those of
+    0.8 V/g, and outputs of another kind to the same noise at rest, so that thresholds and all that is learnt mean the
+    same at any sensitivity and in any unit.
     block_s holds a period of 60 Hz mains where `sensor.toml` names it, or where it shows at rest.
     Where the noise at rest is more than the thresholds allow for, they grow together.
     """
     sensor = folder.sensor
-    conditioning = replace(conditioning, touch_axes=sensor.touch_axes)
+    onset = ONSETS[0 if sensor.measures_gravity else 1]
+    conditioning = replace(conditioning, touch_axes=sensor.touch_axes, onset=onset)
     if conditioning.scale == USUAL.scale and not sensor.measures_gravity:
         noise = _block_noise(list(_rests(folder)), sensor.sample_rate_hz, conditioning)
         conditioning = replace(conditioning, scale=REFERENCE_NOISE_V / noise if noise > 0 else USUAL.scale)

@@ -1,0 +1,190 @@
+"""Sensing elements whose three axes answer to a touch: their map, its inversion, and slides that begin with a touch."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from dome_map import CHAMBER_MM, dome_map
+
+from features.stream.conditioning import Conditioning
+from features.stream.tracker import SlideState, SlideTracker
+from models.cnn.forward_model import BINS
+from models.cnn.gauss_newton import Refinement, RefinementConfig
+from models.cnn.inversion import Inversion
+from models.cnn.training_windows import SynthesisConfig, WindowSource
+from models.held_out import signed_errors
+from models.response_map.calibrate import CalibrationConfig, blank_map, calibrate
+from models.response_map.select import _by_cell
+from models.response_map.slides import CalibrationSlide
+from pipeline.sensor import Accelerometer, Sensor
+
+BLOCK_S = 0.02
+SENSOR = Sensor(
+    "a printed skin", 200.0, CHAMBER_MM, 8.0, 10.0, 0.001, (0.0, 0.0), 0.1,
+    (Accelerometer("a0", 0.0, 0.0, kind="magnetometer", unit="uT"),),
+)  # fmt: skip
+TOUCH = Conditioning(touch_axes="xyz", onset="touch")
+
+
+def slides_over(response, count: int, noise_v: float = 0.0, seed: int = 0) -> list[CalibrationSlide]:
+    """Lines from edge to edge of the skin, with a mixture of noise that all three channels share."""
+    draw = np.random.default_rng(seed)
+    slides = []
+    for n in range(count):
+        a, offset = draw.uniform(0, 2 * np.pi), draw.uniform(-10, 10)
+        travelled = np.arange(0.25, 28.0, 0.5)
+        start = offset * np.array([-np.sin(a), np.cos(a)]) - 14.0 * np.array([np.cos(a), np.sin(a)])
+        x, y = start[0] + travelled * np.cos(a), start[1] + travelled * np.sin(a)
+        volts = response.response(x, y, a)
+        volts = volts + noise_v * draw.standard_normal((len(x), 1)) * np.array([1.0, -2.0, 0.5])
+        volts = volts + 0.1 * noise_v * draw.standard_normal(volts.shape)
+        slides.append(
+            CalibrationSlide(
+                f"r{n}",
+                (float(start[0]), float(start[1])),
+                a,
+                0.5,
+                travelled,
+                np.full(len(x), 10.0),
+                volts,
+                1,
+                0.05,
+                np.full(volts.shape[1], 1e-3),
+            )
+        )
+    return slides
+
+
+def test_rows_are_the_derivatives_of_a_map_of_three_axes_and_its_own_spacing() -> None:
+    response = dome_map(2)
+    refinement = Refinement(response, BLOCK_S, RefinementConfig())
+    state = np.array([0.2, np.log(8.0), 2.0, 9.0, 0.1, 0.0])
+    start = torch.eye(2, dtype=torch.float64)
+    time = 2.0 * refinement.ago + refinement.lag
+    measured = torch.zeros(1, 2, 3, 7, BINS, dtype=torch.float64)
+
+    def predicted(state: np.ndarray) -> np.ndarray:
+        turn, log_speed, offset, along, gain, _ = state
+        s = along - np.exp(log_speed) * time[1].numpy()
+        x, y = -offset * np.sin(turn) + s * np.cos(turn), offset * np.cos(turn) + s * np.sin(turn)
+        return np.exp(gain) * response.response(x, y, turn).T.reshape(2, 3, BINS)
+
+    one = (1, 1, 1)
+    rows = refinement.predicted(
+        measured,
+        start.reshape(*one, 2, 2),
+        torch.tensor(state).reshape(*one, 6, 1),
+        time.expand(*one, 2, BINS),
+    )[0].numpy()
+    np.testing.assert_allclose(-rows[:, :, 6], predicted(state), atol=1e-7)
+    for k, step in enumerate(1e-5 * np.eye(6)[:5]):
+        numeric = (predicted(state + step) - predicted(state - step)) / 2e-5
+        np.testing.assert_allclose(rows[:, :, k], numeric, atol=2e-6)
+
+
+def test_the_inversion_finds_slides_that_begin_on_the_skin() -> None:
+    response = dome_map()
+    config = SynthesisConfig(speed_mm_s=(5.0, 40.0), complete=1.0, paused=0.0, midway=0.0, channel_gain=0.0)
+    windows = WindowSource(response, BLOCK_S, config).draw(24, torch.Generator().manual_seed(1)).labelled()
+    # No slide begins or ends outside the skin, where this map knows nothing.
+    first = windows.along_mm - windows.speed_mm_s * windows.elapsed_s
+    angle = np.radians(windows.direction_deg)
+    for along in (first, windows.along_mm):
+        x = along * np.cos(angle) - windows.offset_mm * np.sin(angle)
+        y = along * np.sin(angle) + windows.offset_mm * np.cos(angle)
+        assert max(np.abs(x).max(), np.abs(y).max()) < CHAMBER_MM[0] / 2 + 0.5
+    rows = Inversion(response, BLOCK_S).predict(windows.volts, windows.elapsed_s)
+    errors = signed_errors(rows, Inversion(response, BLOCK_S).outputs, windows)
+    assert np.median(np.abs(errors["direction_deg"])) < 1.0
+    assert np.median(np.abs(errors["log_speed"])) < 0.02
+    assert np.median(np.abs(errors["offset_mm"])) < 0.2
+
+
+def test_mixed_channels_are_as_if_map_and_signal_were_mixed() -> None:
+    """A linear law: whitening inside the refinement equals refining the whitened signal on the whitened map."""
+    whitening = np.array([[1.0, 0.3, 0.0], [0.3, 1.2, -0.2], [0.0, -0.2, 0.9]])
+    plain = dome_map(floor_v=5e-3, noise_v=np.full(3, 1e-9))
+    mixed = replace(plain, coefficients=plain.coefficients @ whitening.T)
+    config = SynthesisConfig(complete=1.0, midway=0.0, paused=0.0)
+    batch = WindowSource(plain, BLOCK_S, config).draw(40, torch.Generator().manual_seed(4))
+    start, log_sd = batch.targets[:, :5] + 0.05, torch.zeros(len(batch.volts), 4)
+
+    def refined(response, volts, weight=1.0):
+        refinement = Refinement(response, BLOCK_S, RefinementConfig(steps=6))
+        with torch.no_grad():
+            columns = refinement(
+                volts[:, None].double(), batch.elapsed_s, torch.full((len(volts), 1), weight), start, log_sd
+            )
+        return columns[1].flatten(1)[:, :4].numpy()
+
+    with torch.no_grad():
+        volts = torch.einsum("dc,bct->bdt", torch.tensor(whitening), batch.volts.double())
+    inside = refined(replace(plain, whitening=whitening), batch.volts)
+    # The table is rounded to half precision, on which the two differ.
+    outside = refined(mixed, volts)
+    assert np.median(np.abs(inside - outside), axis=0).max() < 2e-3
+    assert np.median(np.abs(refined(plain, batch.volts) - outside), axis=0).max() > 2e-3
+
+
+def test_calibration_recovers_the_map_and_tells_how_its_residuals_hang_together() -> None:
+    truth = dome_map()
+    slides = slides_over(truth, 60, noise_v=2e-3)
+    found, figures = calibrate(slides, blank_map(SENSOR, 0.5, 2.0), False, CalibrationConfig())
+    x, y = (axis.ravel() for axis in np.meshgrid(np.arange(-9.0, 10.0), np.arange(-9.0, 10.0)))
+    error = found.response(x, y, 0.3) - truth.response(x, y, 0.3)
+    assert np.sqrt(np.mean(error**2)) < 2e-3
+    assert found.whitening is not None
+    # Noise that the channels share in a fixed proportion is pressed down to as much as the others.
+    shared = np.array([1.0, -2.0, 0.5]) / np.sqrt(5.25)
+    across = np.array([2.0, 1.0, 0.0]) / np.sqrt(5.0)
+    assert shared @ found.whitening @ shared < 0.5 * (across @ found.whitening @ across)
+    # Another day's gain is allowed for.
+    assert figures["gain_sd"] > CalibrationConfig().day_gain_sd
+
+
+def test_what_is_held_out_by_cells_is_not_fitted_to() -> None:
+    slides = slides_over(dome_map(), 12)
+    places = {
+        held_out: {
+            (round(x, 9), round(y, 9))
+            for slide in _by_cell(slides, held_out)
+            for x, y in zip(*slide.place(0.0, 0.0), strict=True)
+        }
+        for held_out in (False, True)
+    }
+    assert not places[False] & places[True]
+    assert 0.2 < len(places[True]) / (len(places[True]) + len(places[False])) < 0.5
+    cells = {h: {(np.floor(x / 1.5), np.floor(y / 1.5)) for x, y in p} for h, p in places.items()}
+    assert not cells[False] & cells[True]
+
+
+def touch_and_lift(part: float) -> np.ndarray:
+    """Block means (m, 3): rest, a touch in mid-block of which a part shows, a motion of 60 blocks, a lift, rest."""
+    time = np.arange(60)
+    moving = 0.08 * np.stack([np.cos(time / 15), np.sin(time / 9), 1 + 0 * time], axis=1)
+    quiet = 1e-4 * np.random.default_rng(0).standard_normal((180, 3))
+    quiet[60:120] += moving
+    quiet[59] += part * moving[0]
+    quiet[120] += part * moving[-1]
+    return quiet
+
+
+@pytest.mark.parametrize("part", [0.0, 0.05, 0.4, 0.7])
+def test_a_window_holds_the_motion_between_touch_and_lift_alone(part: float) -> None:
+    tracker = SlideTracker(TOUCH, 3)
+    blocks = touch_and_lift(part)
+    for block in blocks[:110]:
+        tracker.push(block)
+    window = tracker.window()
+    assert window is not None
+    assert tracker.state is SlideState.SLIDE
+    # Every bin shows the touch's third channel in full.
+    np.testing.assert_allclose(window.volts[2], 0.08, atol=2e-3)
+    assert 46 <= window.elapsed_s / BLOCK_S <= 50
+    for block in blocks[110:]:
+        tracker.push(block)
+    final = tracker.final
+    assert final is not None
+    np.testing.assert_allclose(final.volts[2], 0.08, atol=2e-3)
+    assert 54 <= final.elapsed_s / BLOCK_S <= 60
