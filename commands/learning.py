@@ -301,4 +301,35 @@ def sync(parser: Parser) -> Run:
     return run
 
 
-COMMANDS = (demo, train, sweep, evaluate, export, repeat, promote, sync)
+def recalibrate(parser: Parser) -> Run:
+    """fit a bundle's gains to a few recordings, without training
+
+    Fits the gain of each channel of the bundle's response map to labelled
+    strokes or presses of another day: one is enough, and it takes seconds.
+    The zero needs no fit: what a stream shows at rest is subtracted. A press
+    is a recording with start_x_mm, start_y_mm, motion_start_s and
+    motion_end_s, and a speed_mm_s (mm/s) that is empty or 0. Uses every split
+    unless some are named. Prints one JSON object: the gains, and what is left
+    of the recordings before and after, in the sensor's unit (V).
+
+        softslide recalibrate --model my-model --recordings today --out my-model-today
+    """
+    arguments.model(parser)
+    arguments.recordings(parser, "a folder with a stroke or a press of the same sensor")
+    parser.add_argument(
+        "--split",
+        nargs="+",
+        metavar="NAME",
+        help="beginnings of the names of the splits to use (default: all)",
+    )
+    arguments.out(parser, "where the new bundle goes", metavar="BUNDLE")
+
+    def run(given: argparse.Namespace) -> None:
+        from experiments.recalibrate import recalibrate_bundle
+
+        print(json.dumps(recalibrate_bundle(given.model, given.recordings, given.split, given.out)))
+
+    return run
+
+
+COMMANDS = (demo, train, sweep, evaluate, export, repeat, promote, sync, recalibrate)

@@ -202,6 +202,7 @@ CALLS = {
     "promote": ["--model", SAMPLE, "--recordings", SAMPLE],
     "sync": [SAMPLE],
     "export": ["--model", SAMPLE, "--to", "ort", "--out", "out"],
+    "recalibrate": ["--model", SAMPLE, "--recordings", SAMPLE, "--out", "out"],
     "article": ["--recordings", SAMPLE, "--out", "out"],
     "compare": ["--recordings", SAMPLE, "--out", "out"],
     "few": ["--recordings", SAMPLE],

@@ -37,9 +37,10 @@ UNCALIBRATED = {
 }
 # Nor does anything say what is no slide of this sensor.
 UNCALIBRATED_VALIDITY = Validity(misfit=10.0, direction_sd_deg=15.0, log_speed_sd=0.3)
-# A design's proposal is further off: without two steps more a good tenth of bench-d's windows does not converge. Splines
-# of a smaller spacing and a gain that is hardly known ask for as many.
+# A design's proposal is further off: without two steps more a good tenth of bench-d's windows does not converge.
 UNCALIBRATED_STEPS = 2
+# Splines of a smaller spacing, and a gain that is hardly known, ask for more.
+UNSOLVED_STEPS = 5
 # A held-out window that is further off than this was lost; its misfit says nothing of those that were not.
 LOST_DEG = 20.0
 EARLY = 0.35  # share of the stroke before which slides that differ look alike
@@ -79,8 +80,10 @@ def fit_cnn(
     torch.set_num_threads(1)
     found = calibrated_map(folder, atlas, config.conditioning, config.calibration, config.spread)
     config = replace(config, conditioning=found.conditioning)
-    if not found.slides or not found.response.rim:
-        config = _with_more_steps(config)
+    if not found.response.rim:
+        config = _with_more_steps(config, UNSOLVED_STEPS)
+    elif not found.slides:
+        config = _with_more_steps(config, UNCALIBRATED_STEPS)
     source = WindowSource(found.response, config.conditioning.block_s, config.synthesis)
     start = None if init is None else initial_proposal(init, found.response, config.network)
     proposal = train_proposal(source, config.network, config.training, start, progress)
@@ -108,10 +111,10 @@ def fit_cnn(
     )
 
 
-def _with_more_steps(config: CnnConfig) -> CnnConfig:
-    """The same with UNCALIBRATED_STEPS more of Gauss-Newton."""
+def _with_more_steps(config: CnnConfig, further: int) -> CnnConfig:
+    """The same with so many further steps of Gauss-Newton."""
     refinement = config.network.refinement
-    more = replace(refinement, steps=refinement.steps + UNCALIBRATED_STEPS)
+    more = replace(refinement, steps=refinement.steps + further)
     return replace(config, network=replace(config.network, refinement=more))
 
 

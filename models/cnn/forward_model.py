@@ -19,6 +19,8 @@ BINS = (
     16  # of time in a window: its own in fours; residuals of finer ones are correlated (experiments/LOG.md)
 )
 STATE = 6  # numbers in the state: turn rad, log speed, offset mm, along mm, log gain, depth mm
+# The map's coefficients in an exported graph: (cells, 4 C), the four parts of a channel side by side.
+TABLE = "refinement.predicted.table"
 EDGE = 3  # zero coefficients around the map's
 # Any cubic is a sum of the cubes of t + these; ONNX Runtime cubes several times as fast as it takes other powers.
 SHIFTS = (-1.5, -0.5, 0.5, 1.5)

@@ -1,9 +1,13 @@
-"""The calibrated response map as the model card's section `contact`."""
+"""The calibrated response map as the model card's section `contact`, and back."""
+
+import base64
 
 import numpy as np
 
+from features.card import Card
 from features.contact.calibration import ContactCalibration, encoded
-from models.response_map.map import ResponseMap
+from features.stream.conditioning import ONSETS
+from models.response_map.map import PARTS, ResponseMap
 
 
 def contact_calibration(response: ResponseMap) -> ContactCalibration:
@@ -22,4 +26,30 @@ def contact_calibration(response: ResponseMap) -> ContactCalibration:
         floor_v=float(response.floor_v),
         gain_sd=float(response.gain_sd),
         depth_sd_mm=response.depth_sd_mm or ContactCalibration.depth_sd_mm,
+    )
+
+
+def response_of(card: Card) -> ResponseMap:
+    """The map that a card carries: without the lag, which its conditioning undoes, and the drift, which it has not.
+
+    Raises:
+        ValueError: it carries none.
+    """
+    contact = card.contact
+    if contact is None:
+        raise ValueError("the card carries no response map")
+    stored = np.frombuffer(base64.b64decode(contact.coefficients), dtype="<f2").astype(float)
+    surfaces = contact.scale_v * stored.reshape(PARTS + 1, contact.knots, contact.knots, -1)
+    return ResponseMap(
+        surfaces[:PARTS],
+        surfaces[PARTS],
+        (contact.chamber_mm[0], contact.chamber_mm[1]),
+        card.reference_mm,
+        depth_mm=contact.depth_mm,
+        noise_v=np.array(contact.noise_v),
+        floor_v=contact.floor_v,
+        gain_sd=contact.gain_sd,
+        axes=len(card.conditioning.touch_axes),
+        rim=card.conditioning.onset == ONSETS[0],
+        spacing_mm=contact.spacing_mm,
     )

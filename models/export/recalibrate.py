@@ -1,0 +1,104 @@
+"""A bundle with the gains of its response map renewed, without training: graph, card, example and hashes."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import onnx
+import onnxruntime as ort
+from onnx import numpy_helper
+
+from features.card import Card, write_card
+from features.digest import sha256
+from features.errors import InputError
+from models.cnn.forward_model import TABLE
+from models.export.bundle import read_graph
+from models.graph.packing import pack
+from models.response_map.contact_card import contact_calibration, response_of
+from models.response_map.gains import Gains, fit_gains, labelled_contacts
+from pipeline.recordings.folder import Folder
+from pipeline.staging import staged
+from serve.bundle import open_bundle
+
+
+def recalibrate(bundle: Path, folder: Folder, out: Path, data: dict[str, str]) -> dict[str, Any]:
+    """Fits the bundle's map to the gains that the folder's strokes and presses show, and writes the bundle anew.
+
+    data: hashes of the recordings, for the card. Returns what was found, for people to read.
+
+    The zero needs no such step: a stream's own static output is subtracted, whatever it is that day.
+
+    Raises:
+        InputError: the bundle is not valid or holds no response map, the sensor is another one, or no recording is
+            labelled as a stroke or a press.
+    """
+    card, _ = open_bundle(bundle)
+    path = bundle / "model.onnx"
+    if card.contact is None or not path.is_file():
+        raise InputError(f"{bundle}: holds no response map to renew; name a cnn bundle that 'train' wrote")
+    if folder.sensor.channels != card.channels:
+        raise InputError(
+            f"{folder.root / 'sensor.toml'}: channels are {', '.join(folder.sensor.channels)}, the bundle's "
+            f"{', '.join(card.channels)}; record with the bundle's sensor"
+        )
+    slides, presses, left_out = labelled_contacts(folder, card.conditioning)
+    if not slides and not presses:
+        raise InputError(
+            f"{folder.root / 'manifest.csv'}: no stroke with all its labels after a rest, and no press with its "
+            "place and moments; label one"
+        )
+    gains = fit_gains(response_of(card), slides, presses)
+    graph = _with_gains(read_graph(bundle), gains, path).SerializeToString()
+    found = _summary(card, gains, len(slides), len(presses), left_out)
+    with staged(out) as made:
+        (made / "model.onnx").write_bytes(graph)
+        write_card(_renewed(card, gains, graph, {**found, "data": data}), made / "model.json")
+    return found
+
+
+def _with_gains(graph: onnx.ModelProto, gains: Gains, path: Path) -> onnx.ModelProto:
+    """The graph with each channel's columns of the map's table times its gain, rounded as they were."""
+    table = next((item for item in graph.graph.initializer if item.name == TABLE), None)
+    if table is None:
+        raise InputError(
+            f"{path}: its graph holds no table of the response map; name a bundle as 'train' wrote it"
+        )
+    values = numpy_helper.to_array(table)
+    # Four parts of a channel lie side by side (models/cnn/forward_model.py).
+    scaled = values * np.repeat(gains.gain, values.shape[1] // len(gains.gain))
+    table.CopyFrom(numpy_helper.from_array(scaled.astype(np.float16).astype(values.dtype), TABLE))
+    pack(graph)
+    return graph
+
+
+def _renewed(card: Card, gains: Gains, graph: bytes, found: dict[str, Any]) -> Card:
+    response = response_of(card)
+    response = replace(
+        response,
+        coefficients=gains.gain * response.coefficients,
+        depth_slope=gains.gain * response.depth_slope,
+    )
+    session = ort.InferenceSession(graph, providers=["CPUExecutionProvider"])
+    inputs = {name: np.array(value, np.float32) for name, value in card.golden["inputs"].items()}
+    return replace(
+        card,
+        contact=contact_calibration(response),
+        golden={**card.golden, "estimate": session.run(None, inputs)[0][0].tolist()},
+        graph_sha256=sha256(graph).hexdigest(),
+        provenance={**card.provenance, "recalibrations": [*card.provenance.get("recalibrations", ()), found]},
+    )
+
+
+def _summary(card: Card, gains: Gains, slides: int, presses: int, left_out: list[str]) -> dict[str, Any]:
+    axes = len(card.conditioning.touch_axes)
+    names = [name for n, name in enumerate(card.channels) if n % 3 < axes]
+    return {
+        "strokes": slides,
+        "presses": presses,
+        "left_out": left_out,
+        "gain": {name: round(float(g), 4) for name, g in zip(names, gains.gain, strict=True)},
+        "gain_sd": {name: round(float(s), 4) for name, s in zip(names, gains.sd, strict=True)},
+        "residual_before": round(gains.before_v / card.conditioning.scale, 5),
+        "residual": round(gains.residual_v / card.conditioning.scale, 5),
+    }

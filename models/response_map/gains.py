@@ -1,0 +1,119 @@
+"""Gains of a sensor's channels on another day, from a few labelled strokes or presses and the map of an earlier day.
+
+Each channel's gain is fitted by linear least squares with a Gaussian prior: a part that all channels share, and a
+smaller one of each. A stroke's own shift along its line is fitted in turn with them.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from features.angles import touch_channels
+from features.stream.conditioning import Conditioning, block_means
+from models.response_map.calibrate import CalibrationConfig, fit_slide
+from models.response_map.map import ResponseMap
+from models.response_map.slides import LEAST_REST_BLOCKS, CalibrationSlide, calibration_slides
+from pipeline.recordings.folder import Folder
+
+# Standard deviations of the prior: a real skin was 11 to 18 % stronger on another day, channel by channel.
+COMMON_SD, CHANNEL_SD = 0.15, 0.05
+ROUNDS = 3  # of gains and shifts in turn; a third changes gains by less than 0.001
+# Stretches of which the map's residuals tell as much as one: they are alike over the splines' spacing.
+ALIKE = 4.0
+# What a press must have labelled; its direction and speed are empty, or its speed 0.
+PRESS_LABELS = ("start_x_mm", "start_y_mm", "motion_start_s", "motion_end_s")
+
+
+@dataclass(frozen=True)
+class Press:
+    """A contact that stood still. place_mm: x, y; depth_mm: NaN if unknown; volts: (C,) V, subtracted."""
+
+    place_mm: tuple[float, float]
+    depth_mm: float
+    volts: np.ndarray
+
+
+@dataclass(frozen=True)
+class Gains:
+    """gain, sd: (C,) of each channel that answers to a touch, beside the map, and its standard deviation.
+    residual_v, before_v: rms of what the map leaves of the recordings with these gains and without."""
+
+    gain: np.ndarray
+    sd: np.ndarray
+    residual_v: float
+    before_v: float
+
+
+def fit_gains(response: ResponseMap, slides: list[CalibrationSlide], presses: list[Press]) -> Gains:
+    """The gains that slides and presses show. One of them at least."""
+    channels = response.channels
+    prior = COMMON_SD**2 * np.ones((channels, channels)) + CHANNEL_SD**2 * np.eye(channels)
+    gain, covariance = np.ones(channels), prior
+    noise_v = max(response.floor_v, 1e-6)
+    before = _evidence(response, np.ones(channels), slides, presses)
+    for _ in range(ROUNDS):
+        shown, volts, weight = _evidence(response, gain, slides, presses)
+        information = (weight[:, None] * shown**2).sum(axis=0) / noise_v**2
+        covariance = np.linalg.inv(np.linalg.inv(prior) + np.diag(information))
+        gain = 1.0 + covariance @ ((weight[:, None] * shown * (volts - shown)).sum(axis=0) / noise_v**2)
+    return Gains(
+        gain,
+        np.sqrt(np.diag(covariance)),
+        float(np.sqrt(np.mean((volts - gain * shown) ** 2))),
+        float(np.sqrt(np.mean((before[1] - before[0]) ** 2))),
+    )
+
+
+def _evidence(
+    response: ResponseMap, gain: np.ndarray, slides: list[CalibrationSlide], presses: list[Press]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """What the map shows (n, C) V at the places of the recordings, their outputs (n, C) V, and the weights (n,).
+
+    gain: with which each slide's shift is fitted.
+    """
+    scaled, config = replace(response, coefficients=gain * response.coefficients), CalibrationConfig()
+    parts = []
+    for slide in slides:
+        x, y = slide.place(fit_slide(slide, scaled, config).shift_mm, response.lag_s)
+        shown = response.response(x, y, slide.direction_rad, slide.depth_mm)
+        parts.append((shown, slide.volts, np.full(len(x), 1.0 / ALIKE)))
+    for press in presses:
+        x, y = (np.array([place]) for place in press.place_mm)
+        depth_mm = None if np.isnan(press.depth_mm) else press.depth_mm
+        # Opposite directions: what a contact that stands shows has no friction.
+        shown = sum(response.response(x, y, a, depth_mm) for a in (0.0, np.pi)) / 2
+        parts.append((shown, press.volts[None], np.ones(1)))
+    shown, volts, weight = (np.concatenate(column) for column in zip(*parts, strict=True))
+    return shown, volts, weight
+
+
+def labelled_contacts(
+    folder: Folder, conditioning: Conditioning
+) -> tuple[list[CalibrationSlide], list[Press], list[str]]:
+    """The folder's labelled strokes and presses, and the names of the recordings that are neither."""
+    speed = folder.manifest["speed_mm_s"]
+    standing = folder.manifest[list(PRESS_LABELS)].notna().all(axis=1) & ~(speed > 0)
+    moving = replace(folder, manifest=folder.manifest[~standing])
+    slides = calibration_slides(moving, conditioning)
+    presses = {
+        name: press
+        for name in map(str, folder.manifest.index[standing])
+        if (press := _press(folder, name, conditioning)) is not None
+    }
+    used = {slide.recording for slide in slides} | set(presses)
+    return slides, list(presses.values()), [str(n) for n in folder.manifest.index if str(n) not in used]
+
+
+def _press(folder: Folder, name: str, conditioning: Conditioning) -> Press | None:
+    """The press of one recording; None if its rest or the press itself is too short."""
+    recording, row = folder.load(name), folder.manifest.loc[name]
+    touch = touch_channels(len(folder.sensor.channels), folder.sensor.touch_axes)
+    blocks = block_means(recording.volts, conditioning, folder.sensor.sample_rate_hz)[:, touch]
+    half_s = conditioning.block_s / 2
+    middle_s = recording.time_s[0] + (2 * np.arange(len(blocks)) + 1) * half_s
+    rest = blocks[middle_s < row.motion_start_s - half_s]
+    pressed = blocks[(middle_s > row.motion_start_s + half_s) & (middle_s < row.motion_end_s - half_s)]
+    if len(rest) < LEAST_REST_BLOCKS or not len(pressed):
+        return None
+    place = float(row.start_x_mm), float(row.start_y_mm)
+    return Press(place, float(row.depth_mm), pressed.mean(axis=0) - rest.mean(axis=0))

@@ -1,0 +1,187 @@
+"""Re-calibration: the gains of another day from one stroke or one press, and the bundle that carries them."""
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+import onnxruntime as ort
+import pandas as pd
+import pytest
+import torch
+from bump_map import bump_map
+from dome_map import CHAMBER_MM, dome_map
+from small_bundle import write_small_bundle
+
+from features.card import Card, Validity, write_card
+from features.digest import sha256
+from features.stream.conditioning import Conditioning
+from models.cnn.forward_model import TABLE
+from models.cnn.gauss_newton import Refinement
+from models.cnn.network import NetworkConfig, Proposal, SlideNetwork
+from models.export.bundle import read_graph
+from models.graph.from_torch import export_graph
+from models.response_map.contact_card import contact_calibration, response_of
+from models.response_map.gains import COMMON_SD, Press, fit_gains
+from pipeline.recordings.folder import Recording, write_folder
+from pipeline.sensor import Accelerometer, Sensor
+from serve.bundle import open_bundle
+from softslide import main
+
+SENSOR = Sensor(
+    "a printed skin",
+    200.0,
+    CHAMBER_MM,
+    8.0,
+    10.0,
+    0.001,
+    (0.0, 0.0),
+    0.1,
+    (Accelerometer("a0", 0.0, 0.0, kind="magnetometer", unit="uT"),),
+)
+TRUE = np.array([1.12, 1.15, 1.18])
+REST, SPEED = 200, 20.0
+
+
+def write_bundle(folder: Path) -> Path:
+    """A bundle of the formula's map with a network that was not trained."""
+    torch.manual_seed(0)
+    network = SlideNetwork(
+        Proposal(3, 1, NetworkConfig()), Refinement(dome_map(), 0.02, NetworkConfig().refinement)
+    )
+    graph = export_graph(network.eval(), 1).SerializeToString()
+    inputs = {
+        "volts": np.full((1, 3, 64), 0.02, np.float32),
+        "elapsed_s": np.ones(1, np.float32),
+        "weight": np.ones((1, 1), np.float32),
+    }
+    estimate = ort.InferenceSession(graph).run(None, inputs)[0][0]
+    card = Card(
+        "cnn",
+        "window",
+        network.outputs,
+        asdict(SENSOR),
+        SENSOR.channels,
+        200.0,
+        (0.0, 0.0),
+        Conditioning(touch_axes="xyz", onset="touch"),
+        {},
+        Validity(),
+        {},
+        {"inputs": {k: v.tolist() for k, v in inputs.items()}, "estimate": estimate.tolist()},
+        sha256(graph).hexdigest(),
+        contact_calibration(dome_map()),
+    )
+    folder.mkdir()
+    (folder / "model.onnx").write_bytes(graph)
+    write_card(card, folder / "model.json")
+    return folder
+
+
+def write_day(folder: Path, pressed: bool) -> Path:
+    """One stroke along y = 3, or one press at (4, -2), of the sensor with other gains and another zero."""
+    response, count = dome_map(), 280
+    if pressed:
+        x, y = np.full(count, 4.0), np.full(count, -2.0)
+    else:
+        x, y = -14.0 + SPEED * np.arange(count) / 200.0, np.full(count, 3.0)
+    volts = 190.0 + np.zeros((2 * REST + count, 3))
+    volts[REST : REST + count] += TRUE * response.response(x, y, 0.0)
+    volts += 1e-3 * np.random.default_rng(0).standard_normal(volts.shape)
+    row = {
+        "recording": "one",
+        "split": "today",
+        "start_x_mm": x[0],
+        "start_y_mm": y[0],
+        "motion_start_s": REST / 200.0,
+        "motion_end_s": (REST + count - 1) / 200.0,
+        "depth_mm": 0.5,
+    }
+    if not pressed:
+        row |= {"direction_deg": 0.0, "speed_mm_s": SPEED, "offset_mm": 3.0, "travel_mm": x[-1] - x[0]}
+    recording = Recording("one", np.arange(len(volts)) / 200.0, volts)
+    write_folder(folder, SENSOR, pd.DataFrame([row]), [recording])
+    return folder
+
+
+@pytest.fixture(scope="module")
+def bundle(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_bundle(tmp_path_factory.mktemp("bundle") / "model")
+
+
+@pytest.mark.parametrize("pressed", [False, True])
+def test_one_stroke_or_press_renews_the_gains_of_map_and_graph(
+    bundle: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], pressed: bool
+) -> None:
+    before = {path.name: path.read_bytes() for path in bundle.iterdir()}
+    day, out = write_day(tmp_path / "day", pressed), tmp_path / "new"
+    assert main(["recalibrate", "--model", str(bundle), "--recordings", str(day), "--out", str(out)]) == 0
+    told = json.loads(capsys.readouterr().out)
+    gain = np.array(list(told["gain"].values()))
+    assert (told["strokes"], told["presses"]) == (int(not pressed), int(pressed))
+    # A press has shown one place of each channel; a stroke all of a line.
+    np.testing.assert_allclose(gain, TRUE, atol=0.06 if pressed else 0.02)
+    assert told["residual"] < 0.5 * told["residual_before"]
+    # What opens has a graph and a card that belong together, and an example that it gives.
+    card, _ = open_bundle(out)
+    ratio = response_of(card).coefficients / np.where(
+        dome_map().coefficients, dome_map().coefficients, np.nan
+    )
+    np.testing.assert_allclose(np.nanmedian(ratio, axis=(0, 1, 2)), gain, rtol=2e-3)
+    old, new = (
+        next(
+            np.frombuffer(i.raw_data, np.float32) for i in read_graph(b).graph.initializer if i.name == TABLE
+        )
+        for b in (bundle, out)
+    )
+    columns = np.repeat(gain, 4)
+    np.testing.assert_allclose(new.reshape(-1, 12), old.reshape(-1, 12) * columns, rtol=1e-3, atol=1e-6)
+    assert card.provenance["recalibrations"][0]["data"]["slides"]
+    assert {path.name: path.read_bytes() for path in bundle.iterdir()} == before
+
+
+def test_gains_fall_back_to_the_prior_where_nothing_shows() -> None:
+    response = dome_map()
+    dark = dome_map(coefficients=response.coefficients * np.array([1.0, 1.0, 0.0]))
+    shown = dark.response(np.array([4.0]), np.array([5.0]), 0.0)[0]
+    gains = fit_gains(dark, [], [Press((4.0, 5.0), 0.5, 1.15 * shown)])
+    assert gains.gain[:2] == pytest.approx([1.15, 1.15], abs=0.03)
+    # A channel that shows nothing follows what all share, and is known by its own spread alone.
+    assert gains.gain[2] == pytest.approx(1.13, abs=0.03)
+    assert gains.sd[:2].max() < gains.sd[2] < COMMON_SD
+
+
+def test_accelerometers_gains_are_found_along_one_stroke() -> None:
+    from calibration_slides import slides_of
+
+    response, true = bump_map(), np.array([0.9, 0.95])
+    (slide,) = slides_of(response, [(30.0, 4.0)], [4.0], [1.0])
+    slide.volts[:] *= true
+    gains = fit_gains(response, [slide], [])
+    np.testing.assert_allclose(gains.gain, true, atol=0.01)
+    assert gains.residual_v < 0.1 * gains.before_v
+
+
+def test_what_cannot_be_renewed_is_refused_in_one_line(
+    bundle: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    day = write_day(tmp_path / "day", False)
+    small = write_small_bundle(tmp_path / "small", SENSOR)
+    for model, extra, told in (
+        (small, [], "holds no response map"),
+        (bundle, ["--split", "tomorrow"], "label one"),
+    ):
+        command = [
+            "recalibrate",
+            "--model",
+            str(model),
+            "--recordings",
+            str(day),
+            "--out",
+            str(tmp_path / "o"),
+        ]
+        assert main([*command, *extra]) == 2
+        error = capsys.readouterr().err
+        assert told in error
+        assert error.count("\n") == 1
+    assert not (tmp_path / "o").exists()
