@@ -5,6 +5,7 @@ smaller one of each. A stroke's own shift along its line is fitted in turn with 
 """
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -81,7 +82,8 @@ def _evidence(
         x, y = (np.array([place]) for place in press.place_mm)
         depth_mm = None if np.isnan(press.depth_mm) else press.depth_mm
         # Opposite directions: what a contact that stands shows has no friction.
-        shown = sum(response.response(x, y, a, depth_mm) for a in (0.0, np.pi)) / 2
+        there, back = (response.response(x, y, a, depth_mm) for a in (0.0, np.pi))
+        shown = (there + back) / 2
         parts.append((shown, press.volts[None], np.ones(1)))
     shown, volts, weight = (np.concatenate(column) for column in zip(*parts, strict=True))
     return shown, volts, weight
@@ -106,7 +108,8 @@ def labelled_contacts(
 
 def _press(folder: Folder, name: str, conditioning: Conditioning) -> Press | None:
     """The press of one recording; None if its rest or the press itself is too short."""
-    recording, row = folder.load(name), folder.manifest.loc[name]
+    recording = folder.load(name)
+    row: Any = folder.manifest.loc[name]
     touch = touch_channels(len(folder.sensor.channels), folder.sensor.touch_axes)
     blocks = block_means(recording.volts, conditioning, folder.sensor.sample_rate_hz)[:, touch]
     half_s = conditioning.block_s / 2
