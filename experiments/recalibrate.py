@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from experiments import tracking
+from experiments.provenance import data_hashes
 from models.export.recalibrate import recalibrate
 from pipeline.recordings.folder import read_folder
 
@@ -20,4 +20,4 @@ def recalibrate_bundle(
     folder = read_folder(recordings)
     if splits:
         folder = folder.select(*splits)
-    return recalibrate(bundle, folder, out, tracking.data_hashes(folder))
+    return recalibrate(bundle, folder, out, data_hashes(folder))
