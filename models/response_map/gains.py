@@ -18,7 +18,7 @@ from pipeline.recordings.folder import Folder
 
 # Standard deviations of the prior: a real skin was 11 to 18 % stronger on another day, channel by channel.
 COMMON_SD, CHANNEL_SD = 0.15, 0.05
-ROUNDS = 3  # of gains and shifts in turn; a third changes gains by less than 0.001
+ROUNDS = 3  # of gains and shifts in turn
 # Stretches of which the map's residuals tell as much as one: they are alike over the splines' spacing.
 ALIKE = 4.0
 # What a press must have labelled; its direction and speed are empty, or its speed 0.
