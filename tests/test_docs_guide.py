@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
+from joblib.externals.loky import get_reusable_executor
 from small_bundle import write_small_bundle
 
 import softslide
@@ -54,6 +55,8 @@ def run(command: str) -> int:
 @pytest.fixture
 def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """A folder to work in, with its own store of runs."""
+    # Worker processes of earlier tests have another current folder.
+    get_reusable_executor().shutdown(wait=True)
     monkeypatch.setenv("MLFLOW_TRACKING_URI", f"sqlite:///{tmp_path / 'mlflow.db'}")
     with chdir(tmp_path):
         yield tmp_path

@@ -12,6 +12,7 @@ from pipeline.recordings.folder import Folder, read_folder
 SAMPLE = Path(__file__).parents[1] / "pipeline" / "sample"
 
 
+@pytest.mark.long
 def test_twelve_recordings_are_better_than_none():
     folder = read_folder(SAMPLE)
     manifest = folder.manifest

@@ -100,6 +100,7 @@ def test_the_same_slide_again_says_less_than_another_line(
     assert (both.mean(axis=1) < twice.mean(axis=1)).all()
 
 
+@pytest.mark.long
 def test_a_plan_is_better_than_any_random_choice(
     atlas: Atlas, sensor: Sensor, unknowns: Unknowns, candidates: pd.DataFrame
 ) -> None:

@@ -63,7 +63,7 @@ HANG_S = 120
 
 
 def configuration(path: Path) -> None:
-    configured(default_config("trees"), path)
+    configured(default_config("trees"), path, "trees")
 
 
 def manifest(path: Path) -> None:
