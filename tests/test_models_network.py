@@ -95,6 +95,7 @@ def test_no_window_is_too_much_for_the_graph(session, volts, elapsed_s, weight):
         assert np.isfinite(row).all()
 
 
+@pytest.mark.long
 def test_four_accelerometers_learn_as_readily_as_one():
     places = tuple((x, y) for x in (-10.0, 10.0) for y in (-10.0, 10.0))
     response = bump_map(places)

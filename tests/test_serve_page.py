@@ -223,6 +223,7 @@ def test_a_missing_extra_is_named(
     assert "softslide[live]" in capsys.readouterr().err
 
 
+@pytest.mark.long
 def test_the_bench_measures_the_page(bundle: Path, capsys: pytest.CaptureFixture) -> None:
     assert softslide.main(["bench", "--model", str(bundle), "--page", "--decisions", "50"]) == 0
     told = json.loads(capsys.readouterr().out)
