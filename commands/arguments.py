@@ -123,6 +123,11 @@ def jobs(parser: Parser, default: int, help: str, *also: str) -> None:
     )
 
 
+def splits(parser: Parser, help: str) -> None:
+    """--split NAME..."""
+    parser.add_argument("--split", nargs="+", action="extend", metavar="NAME", help=help)
+
+
 def scheduler(parser: Parser) -> None:
     """--scheduler ADDRESS"""
     parser.add_argument(

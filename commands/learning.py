@@ -138,12 +138,9 @@ def evaluate(parser: Parser) -> Run:
     """
     arguments.model(parser)
     arguments.recordings(parser, "what to score on")
-    parser.add_argument(
-        "--split",
-        nargs="+",
-        action="extend",
-        metavar="NAME",
-        help="splits to score, by their full names (default: all that begin with test)",
+    arguments.splits(
+        parser,
+        "splits to score, by their full names (default: all that begin with test)",
     )
     arguments.out(parser, "where the results go")
     parser.add_argument(
@@ -249,12 +246,9 @@ def promote(parser: Parser) -> Run:
     """
     arguments.model(parser)
     arguments.recordings(parser, "what both are compared on")
-    parser.add_argument(
-        "--split",
-        nargs="+",
-        action="extend",
-        metavar="NAME",
-        help="splits to compare on, by their full names (default: all that begin with validation, or else with test)",
+    arguments.splits(
+        parser,
+        "splits to compare on, by their full names (default: all that begin with validation, or else with test)",
     )
     parser.add_argument(
         "--margin",

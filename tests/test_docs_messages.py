@@ -8,20 +8,18 @@ import numpy as np
 import pytest
 
 ROOT = Path(__file__).parents[1]
-sys.path[:0] = [str(ROOT)]
+sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "worlds")]
+
+from readers import manifest, recording, slide  # noqa: E402
 
 from features.errors import InputError  # noqa: E402
 from pipeline.checks.wrong_units import impossible_output  # noqa: E402
 from pipeline.recordings.folder import SAMPLE  # noqa: E402
-from pipeline.recordings.manifest import check_manifest, read_table  # noqa: E402
-from pipeline.recordings.slide_file import read_slide  # noqa: E402
 from pipeline.sensor import read_sensor  # noqa: E402
 from serve.bundle import open_bundle  # noqa: E402
-from serve.files import read_recording  # noqa: E402
 from serve.stream.framing import framing_of  # noqa: E402
 
 PAGE = ROOT / "docs" / "messages.md"
-CHANNELS = ("a0_vx", "a0_vy", "a0_vz")
 SENSOR = (SAMPLE / "sensor.toml").read_text()
 MANIFEST = (
     "recording,file,split,direction_deg,speed_mm_s,offset_mm\nr1,slides/r1.parquet,calibration,{},2.0,5.0\n"
@@ -35,18 +33,6 @@ Made by `python tests/test_docs_messages.py`; the tests check that it is what th
 | wrong input | message |
 |---|---|
 """
-
-
-def manifest(path: Path) -> None:
-    check_manifest(read_table(path), read_sensor(SAMPLE / "sensor.toml"), path)
-
-
-def slide(path: Path) -> None:
-    read_slide(path, CHANNELS)
-
-
-def recording(path: Path) -> None:
-    read_recording(path, CHANNELS, 1000.0)
 
 
 def stream(path: Path) -> None:

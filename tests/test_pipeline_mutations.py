@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from readers import CHANNELS, manifest, recording, slide
 
 from experiments.configuration import configured
 from experiments.sweep.space import read_sweep
@@ -20,12 +21,10 @@ from pipeline.atlas.atlas import read_atlas, write_atlas
 from pipeline.importers.import_map import read_map
 from pipeline.recordings.folder import SAMPLE, read_folder
 from pipeline.recordings.manifest import check_manifest, read_table
-from pipeline.recordings.slide_file import read_slide, write_slide
+from pipeline.recordings.slide_file import write_slide
 from pipeline.recordings.truth import read_truth
 from pipeline.sensor import read_sensor
-from serve.files import read_recording
 
-CHANNELS = ("a0_vx", "a0_vy", "a0_vz")
 HOSTILE = [
     *(
         b"nan",
@@ -64,18 +63,6 @@ HANG_S = 120
 
 def configuration(path: Path) -> None:
     configured(default_config("trees"), path, "trees")
-
-
-def manifest(path: Path) -> None:
-    check_manifest(read_table(path), read_sensor(SAMPLE / "sensor.toml"), path)
-
-
-def slide(path: Path) -> None:
-    read_slide(path, CHANNELS)
-
-
-def recording(path: Path) -> None:
-    read_recording(path, CHANNELS, 1000.0)
 
 
 def atlas(path: Path) -> None:

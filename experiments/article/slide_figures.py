@@ -1,10 +1,12 @@
 """Figures 14 to 16: outputs of each kind of slide, and how their extremes go with distance and speed."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import matplotlib as mpl
 import numpy as np
 import pandas as pd
+from matplotlib.axes import Axes
 
 from experiments.article.axis_slides import KINDS, AxisSlides
 from experiments.article.section import Section
@@ -198,18 +200,27 @@ def _trace(whole: Whole, name: str, edge_mm: float, speed: float) -> pd.DataFram
     return shown.iloc[:: max(1, len(shown) // POINTS)].reset_index(drop=True)
 
 
+def _draw(
+    ax: Axes,
+    whole: Whole,
+    rows: pd.DataFrame,
+    names: Iterable[str],
+    letter: str,
+    across: str,
+    label: str,
+) -> None:
+    """The output of these slides against a column of what is shown of them. label: with their rows' numbers."""
+    for n, name in enumerate(names):
+        row = rows[rows["recording"] == name].iloc[0]
+        shown = _shown(whole, row)
+        volts = 1000 * shown[f"v{letter.lower()}"]
+        ax.plot(shown[across], volts, color=COLOURS[n], label=label.format(**row))
+
+
 def _by_distance(whole: Whole, rows: pd.DataFrame, letter: str) -> Panel:
     chosen = {nearest(rows, d, SHOWN_MM_S)["recording"]: d for d in DISTANCES_MM}
     with panel() as (figure, ax):
-        for n, name in enumerate(chosen):
-            row = rows[rows["recording"] == name].iloc[0]
-            shown = _shown(whole, row)
-            ax.plot(
-                shown["past_edge_mm"],
-                1000 * shown[f"v{letter.lower()}"],
-                color=COLOURS[n],
-                label=f"{row['distance_mm']:.1f} mm",
-            )
+        _draw(ax, whole, rows, chosen, letter, "past_edge_mm", "{distance_mm:.1f} mm")
         ax.set(
             xlabel="way past the chamber's edge, mm", ylabel=f"V_{letter.lower()}, mV", title="by distance"
         )
@@ -224,15 +235,7 @@ def _by_distance(whole: Whole, rows: pd.DataFrame, letter: str) -> Panel:
 def _by_speed(whole: Whole, rows: pd.DataFrame, letter: str) -> Panel:
     chosen = {nearest(rows, SHOWN_MM, v)["recording"]: v for v in SPEEDS_MM_S}
     with panel() as (figure, ax):
-        for n, name in enumerate(chosen):
-            row = rows[rows["recording"] == name].iloc[0]
-            shown = _shown(whole, row)
-            ax.plot(
-                shown["time_s"],
-                1000 * shown[f"v{letter.lower()}"],
-                color=COLOURS[n],
-                label=f"{row['speed_mm_s']:.2g} mm/s, {row['distance_mm']:.1f} mm",
-            )
+        _draw(ax, whole, rows, chosen, letter, "time_s", "{speed_mm_s:.2g} mm/s, {distance_mm:.1f} mm")
         ax.set(xlabel="time since the chamber's edge, s", ylabel=f"V_{letter.lower()}, mV", title="by speed")
         ax.legend(fontsize=8)
         text = f"V_{letter.lower()} in {letter} forward slides at several speeds: faster slides have earlier extremes."

@@ -15,9 +15,9 @@ from experiments.pages.figures import (
     COLOURS,
     EDGE,
     INK,
-    LABEL,
     LEGEND_ROW_INCHES,
     Panel,
+    draw_sensor,
     inline,
     legend_below,
     log_with_zero,
@@ -269,15 +269,7 @@ def _label_axis(ax: Axes, quantity: str) -> None:
 
 def _chamber(ax: Axes, sensor: Sensor) -> None:
     x, y = np.array(sensor.chamber_mm) / 2
-    ax.add_patch(mpl.patches.Rectangle((-x, -y), 2 * x, 2 * y, fill=False, edgecolor=LABEL, linewidth=1.2))
-    ax.plot(
-        [part.x_mm for part in sensor.accelerometers],
-        [part.y_mm for part in sensor.accelerometers],
-        "s",
-        color=INK,
-        markersize=5,
-        label="sensor",
-    )
+    draw_sensor(ax, sensor, width=1.2, label="sensor")
     ax.set(xlim=(-x - 6, x + 6), ylim=(-y - 6, y + 6), aspect="equal", xlabel="x, mm", ylabel="y, mm")
 
 

@@ -8,18 +8,16 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import Rectangle
 
 from experiments.evaluation.tracks import Track, summarize
 from experiments.pages.figures import (
     COLOURS,
     EDGE,
-    INK,
-    LABEL,
     LEGEND_ROW_INCHES,
     PANEL_INCHES,
     STYLE,
     Panel,
+    draw_sensor,
     inline,
     legend_below,
     log_with_zero,
@@ -111,15 +109,7 @@ def _chosen(followed: Sequence[Track]) -> list[Track]:
 
 def _on_the_skin(ax: Axes, track: Track, sensor: Sensor) -> None:
     x, y = np.array(sensor.chamber_mm) / 2
-    ax.add_patch(Rectangle((-x, -y), 2 * x, 2 * y, fill=False, edgecolor=LABEL, linewidth=1.0))
-    ax.plot(
-        [part.x_mm for part in sensor.accelerometers],
-        [part.y_mm for part in sensor.accelerometers],
-        "s",
-        color=INK,
-        markersize=5,
-        label="accelerometer",
-    )
+    draw_sensor(ax, sensor, width=1.0, label="accelerometer")
     truth = _thinned(track.truth[track.truth["contact"] > 0])
     ax.plot(truth["x_mm"], truth["y_mm"], color=_TRUE, linewidth=5, alpha=0.5, label="true, in contact")
     rows = track.judged[track.judged["live"]]

@@ -17,6 +17,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from pipeline.sensor import Sensor
+
 # Okabe and Ito's palette: told apart with any colour vision.
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
 INK, LABEL, EDGE, GRID = "#1c2328", "#3b444b", "#8a939b", "#e4e7ea"
@@ -48,6 +50,20 @@ IN_PAGE |= {INK: "var(--ink)", LABEL: "var(--label)", EDGE: "var(--edge)", GRID:
 PANEL_INCHES = (4.2, 3.1)
 MARGINS = (0.68, 0.14, 0.5, 0.32)  # left, right, bottom, top, inches
 LEGEND_ROW_INCHES = 0.18
+
+
+def draw_sensor(ax: Axes, sensor: Sensor, width: float, label: str) -> None:
+    """The chamber's edge, in a line of so many points, and the accelerometers; label: theirs in the legend."""
+    x, y = np.array(sensor.chamber_mm) / 2
+    ax.add_patch(mpl.patches.Rectangle((-x, -y), 2 * x, 2 * y, fill=False, edgecolor=LABEL, linewidth=width))
+    ax.plot(
+        [part.x_mm for part in sensor.accelerometers],
+        [part.y_mm for part in sensor.accelerometers],
+        "s",
+        color=INK,
+        markersize=5,
+        label=label,
+    )
 
 
 def svg(figure: Figure) -> str:

@@ -53,6 +53,10 @@ class ContactCalibration:
 
     def surface(self) -> ResponseSurface:
         """The response map, ready to be read."""
+        return ResponseSurface(self.splines(), self.half_mm, self.spacing_mm)
+
+    def splines(self) -> np.ndarray:
+        """(4, K, K, C): the splines of M, Fx, Fy (V) and D (V/mm)."""
         stored = np.frombuffer(base64.b64decode(self.coefficients, validate=True), dtype="<f2")
         shape = (PARTS, self.knots, self.knots, len(self.noise_v))
         if stored.size != math.prod(shape):
@@ -60,7 +64,7 @@ class ContactCalibration:
         values = stored.astype(float).reshape(shape) * self.scale_v
         if not np.isfinite(values).all():
             raise ValueError("a coefficient of the contact calibration is not finite")
-        return ResponseSurface(values, self.half_mm, self.spacing_mm)
+        return values
 
 
 def encoded(coefficients: np.ndarray) -> tuple[str, float]:

@@ -12,7 +12,7 @@ import numpy as np
 
 # V/s^1.5: rest, then from a contact of 0.3 mm/s to one of 15 mm/s over 25 mV/mm that change within 5 mm.
 STRENGTHS = 1e-3 * np.array([0.02, 0.5, 2.0, 8.0, 32.0, 128.0, 512.0])
-SETTLED = 3000  # steps of the Riccati recursion; the slowest strength settles in 2500
+DOUBLINGS = 16  # of the Riccati recursion's steps; the slowest strength settles in 2500 of them
 SWITCH = 0.01  # probability a step that the strength or the family changes
 # Of the amplitude: how far a press leaves its direction while the object is pressed on (synthetic presses).
 BENT = 0.03
@@ -24,7 +24,7 @@ class SmoothSignal:
     """One stream. noise_v: (C,) V of one step's measurement; step_s: its length."""
 
     def __init__(self, noise_v: np.ndarray, step_s: float) -> None:
-        self._step_s, self._noise = step_s, noise_v
+        self._noise, self._log_noise = noise_v, float(np.log(noise_v).sum())
         self._free = Walks(
             np.broadcast_to(STRENGTHS[:, None], (len(STRENGTHS), len(noise_v))), noise_v, step_s
         )
@@ -77,7 +77,7 @@ class SmoothSignal:
         # One step of the power method follows the direction of largest moment.
         turned = self._moment @ self._direction
         self._direction = turned / max(float(np.hypot.reduce(turned)), 1e-9)
-        return density - np.log(self._noise).sum()
+        return density - self._log_noise
 
 
 class Walks:
@@ -85,15 +85,10 @@ class Walks:
 
     def __init__(self, strengths: np.ndarray, noise_v: np.ndarray, step_s: float) -> None:
         self._step_s = step_s
-        drive, noise = strengths**2, np.broadcast_to(noise_v**2, strengths.shape)
-        level, both, slope = noise * 10.0, np.zeros(strengths.shape), 100.0 * drive
-        for _ in range(SETTLED):
-            ahead = level + 2 * step_s * both + step_s**2 * slope + drive * step_s**3 / 3
-            mixed = both + step_s * slope + drive * step_s**2 / 2
-            slope = slope + drive * step_s
-            spread = ahead + noise
-            level, both, slope = ahead * noise / spread, mixed * noise / spread, slope - mixed**2 / spread
-            gain = ahead / spread, mixed / spread
+        noise = np.broadcast_to(noise_v**2, strengths.shape)
+        ahead = _settled(strengths, noise, step_s)
+        spread = ahead[..., 0, 0] + noise
+        gain = ahead[..., 0, 0] / spread, ahead[..., 0, 1] / spread
         self._level_gain, self._slope_gain, self._spread = *gain, spread
         self._log_spread = np.log(spread).sum(1)
 
@@ -103,7 +98,7 @@ class Walks:
         self._slope = np.tile(slope, (len(self._spread), 1))
 
     def join(self, weight: np.ndarray) -> None:
-        """Unlikely walks go on from where the likely ones are. weight: (S,)."""
+        """Sets the level and slope of walks of low weight to the weighted mean. weight: (S,)."""
         weight = weight / weight.sum()
         lost = weight < 2 * SWITCH
         self._level[lost] = weight @ self._level
@@ -118,3 +113,22 @@ class Walks:
         self._level += self._level_gain * gap
         self._slope += self._slope_gain * gap
         return -0.5 * ((gap**2 / self._spread).sum(1) + self._log_spread)
+
+
+def _settled(strengths: np.ndarray, noise: np.ndarray, step_s: float) -> np.ndarray:
+    """Predicted covariances (S, C, 2, 2) of level and slope in steady state, by the structure-preserving doubling of
+    the Riccati equation (Chu, Fan, Lin and Wang, Int. J. Control 77, 2004). noise: (S, C) V^2."""
+    drive = np.array([[step_s**3 / 3, step_s**2 / 2], [step_s**2 / 2, step_s]])
+    ahead = strengths[..., None, None] ** 2 * drive
+    onward = np.broadcast_to(np.array([[1.0, 0.0], [step_s, 1.0]]), ahead.shape)
+    told = np.zeros(ahead.shape)
+    told[..., 0, 0] = 1.0 / noise
+    for _ in range(DOUBLINGS):
+        mixed = np.linalg.inv(np.eye(2) + told @ ahead)
+        back = onward.swapaxes(-1, -2)
+        told, ahead, onward = (
+            told + onward @ mixed @ told @ back,
+            ahead + back @ ahead @ mixed @ onward,
+            onward @ mixed @ onward,
+        )
+    return ahead

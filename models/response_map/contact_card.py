@@ -1,7 +1,5 @@
 """The calibrated response map as the model card's section `contact`, and back."""
 
-import base64
-
 import numpy as np
 
 from features.card import Card
@@ -38,8 +36,7 @@ def response_of(card: Card) -> ResponseMap:
     contact = card.contact
     if contact is None:
         raise ValueError("the card carries no response map")
-    stored = np.frombuffer(base64.b64decode(contact.coefficients), dtype="<f2").astype(float)
-    surfaces = contact.scale_v * stored.reshape(PARTS + 1, contact.knots, contact.knots, -1)
+    surfaces = contact.splines()
     return ResponseMap(
         surfaces[:PARTS],
         surfaces[PARTS],
