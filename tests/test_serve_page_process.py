@@ -13,7 +13,7 @@ import pytest
 from playwright.sync_api import Browser, expect
 from small_bundle import write_small_bundle
 from streams import a_sensor
-from test_serve_page import BOARDS, REST, SLIDE, Serving, browser, opened, serving, value  # noqa: F401
+from test_serve_page import BOARDS, REST, SLIDE, Serving, browser, cell, opened, serving  # noqa: F401
 
 
 @pytest.fixture(scope="module")
@@ -130,13 +130,13 @@ def test_the_page_says_why_it_abstains_and_shows_no_numbers_then(bundle: Path, b
         running.feed(REST)
         expect(page.locator("#phase")).to_have_text("rest")
         expect(page.locator("#reason")).to_have_text("nothing touches the skin")
-        assert value(page, "accelerometers in use") == "–"
+        expect(cell(page, "accelerometers in use")).to_have_text("–")
         (early,) = running.feed(SLIDE[:260])[-1:]
         assert not early["valid"]
         expect(page.locator("#phase")).to_have_text("slide")
         expect(page.locator("#reason")).not_to_have_text("")
         for title in ("direction", "speed", "offset"):
-            assert value(page, title) == "–"
+            expect(cell(page, title)).to_have_text("–")
         assert complaints == []
 
 
