@@ -11,9 +11,10 @@ import onnxruntime as ort
 from features.angles import touch_channels
 from features.card import Card
 from features.contact.tracker import ContactTracker, Track, TrackingConfig
+from features.departure import held_at_rim
 from features.errors import InputError
 from features.estimate import Estimate, Reason, decode
-from features.stream.conditioning import Blocks, LagUndone
+from features.stream.conditioning import ONSETS, Blocks, LagUndone
 from features.stream.drift import UNKNOWN, DriftWatch, measures_gravity
 from features.stream.faults import BRIDGED_BLOCKS, SignalWatch
 from features.stream.tracker import SlideState, SlideTracker
@@ -195,6 +196,9 @@ class Localizer:
                 misfit=math.nan if straight is None else straight.misfit,
                 accelerometers=tracker.usable.tolist().count(True) if straight is not None else 0,
             )
+        if self.card.conditioning.onset == ONSETS[0]:
+            chamber, ball = self.card.sensor["chamber_mm"], self.card.sensor.get("indenter_diameter_mm", 0.0)
+            estimate = held_at_rim(estimate, chamber, ball)
         return estimate._replace(**self._last_drift._asdict())
 
     def _no_contact(self) -> Reason:

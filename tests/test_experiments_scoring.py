@@ -41,6 +41,8 @@ SLIDE = {
     "motion_start_s": 1.0,
     "motion_end_s": 30.0,
 }
+# Where a ball of 6 mm, 0.5 mm deep, leaves the rim.
+LEFT_MM = 25.0 + math.sqrt(3.0**2 - 2.5**2)
 
 
 def a_manifest(**rows: dict) -> pd.DataFrame:
@@ -63,7 +65,7 @@ def predicted(
         "offset_mm": 10.0,
         "offset_lo_mm": 9.0,
         "offset_hi_mm": 11.0,
-        "x_mm": -29.0 + 58.0 * fraction,
+        "x_mm": min(-29.0 + 58.0 * fraction, LEFT_MM),
         "y_mm": 10.0,
     }
     row = {"recording": recording, "stroke_fraction": fraction, "valid": valid, **right, **values}
@@ -102,7 +104,7 @@ def test_signed_errors_are_estimate_minus_label() -> None:
 
 
 @pytest.mark.parametrize("direction_deg", [0.0, 30.0, 90.0, 115.0, 200.0, 340.0])
-@pytest.mark.parametrize("fraction", [0.5, 1.0])
+@pytest.mark.parametrize("fraction", [0.5, 0.9])
 def test_a_position_error_is_split_into_along_and_across_the_motion(
     direction_deg: float, fraction: float
 ) -> None:
@@ -136,16 +138,25 @@ def test_a_position_error_is_split_into_along_and_across_the_motion(
 def test_a_right_answer_has_no_error_and_a_wrong_one_has_the_one_worked_out_by_hand() -> None:
     row = scored(predicted()).iloc[0]
     errors = [row[f"{q}_error"] for q in ("direction_deg", "speed_percent", "offset_mm", "position_mm")]
-    assert errors == [0.0, 0.0, 0.0, 0.0]
-    wrong = scored(predicted(direction_deg=357.0, speed_mm_s=2.1, offset_mm=9.0, x_mm=32.0, y_mm=6.0)).iloc[0]
+    assert errors == pytest.approx([0.0, 0.0, 0.0, 0.0], abs=1e-12)
+    wrong = scored(
+        predicted(direction_deg=357.0, speed_mm_s=2.1, offset_mm=9.0, x_mm=LEFT_MM + 3.0, y_mm=6.0)
+    ).iloc[0]
     assert wrong["direction_deg_error"] == 3.0
     assert wrong["speed_percent_error"] == pytest.approx(5.0)
     assert wrong["offset_mm_error"] == 1.0
     assert wrong["offset_percent_error"] == 10.0
-    assert wrong["position_mm_error"] == 5.0  # 3 along, 4 across
+    assert wrong["position_mm_error"] == pytest.approx(5.0)  # 3 along, 4 across
     # The chamber begins 4 mm after the start: 54 travelled, 3 / 54 along and 4 / 10 across.
     assert wrong["travelled_mm"] == 54.0
     assert wrong["position_percent_error"] == pytest.approx(40.0)
+
+
+def test_an_object_that_has_left_the_skin_is_where_it_left() -> None:
+    """At the end of the stroke it is 4 mm beyond the rim; an estimate that goes on with it is as far off."""
+    assert scored(predicted(x_mm=29.0)).iloc[0]["position_mm_error"] == pytest.approx(29.0 - LEFT_MM)
+    unknown_depth = scored(predicted(x_mm=25.0), s={"depth_mm": math.nan})
+    assert unknown_depth.iloc[0]["position_mm_error"] == 0.0
 
 
 def test_a_slide_that_starts_inside_or_runs_diagonally_enters_the_chamber_where_it_does() -> None:

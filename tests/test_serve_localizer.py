@@ -115,6 +115,16 @@ def test_two_slides_give_two_estimates(localizer: Localizer) -> None:
     assert [e.time_s for e in estimates] == pytest.approx(0.02 * (1 + np.arange(len(estimates))))
 
 
+def test_an_object_beyond_the_rim_is_held_where_it_left(tmp_path: Path) -> None:
+    """A place 40 mm along a line of 30 deg, of a chamber of 50 mm: the line leaves over the side at x = 25."""
+    bundle = write_small_bundle(tmp_path / "far", a_sensor(), along_mm=40.0)
+    estimates = [e for e in Localizer.load(bundle).push(TWO_SLIDES[:1800]) if e.valid]
+    assert {e.state for e in estimates} == {SlideState.ENDED}
+    assert {e.contact for e in estimates} == {"slide"}
+    assert [e.x_mm for e in estimates] == pytest.approx(np.full(len(estimates), 25.0))
+    assert [e.offset_mm for e in estimates] == pytest.approx(np.full(len(estimates), 5.0))
+
+
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf, 3.4, -0.1, 1e308])
 def test_few_lost_samples_are_left_out_and_a_long_loss_is_not_valid(localizer: Localizer, bad: float) -> None:
     clean = stream(still(0.6), pass_over(1.2), still(0.6))

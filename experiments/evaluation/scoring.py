@@ -58,7 +58,8 @@ def score(predictions: pd.DataFrame, manifest: pd.DataFrame, sensor: Sensor) -> 
     """Joins the labels to the predictions and adds one column of absolute errors for each of QUANTITIES.
 
     predictions: the contract's columns; manifest: `Folder.manifest`. The labels' columns get the prefix
-    `true_`. `offset_percent` is relative to the line's distance. `position_percent` is the article's: the
+    `true_`. `offset_percent` is relative to the line's distance. The place is the contact's: where an object has left
+    the skin, the one at which it left. `position_percent` is the article's: the
     larger of the error along the motion over the travel since the chamber's edge, and of the distance's.
     `travelled_mm` is that travel. `*_covered` tells whether an interval holds the label, 0 or 1. NaN where
     there is no label or no valid estimate.
@@ -77,9 +78,10 @@ def score(predictions: pd.DataFrame, manifest: pd.DataFrame, sensor: Sensor) -> 
     table["offset_percent_error"] = _percent(off, table["true_offset_mm"].abs())
 
     path = table["stroke_fraction"] * table["true_travel_mm"]
-    dx = estimated["x_mm"] - (table["true_start_x_mm"] + path * along_x)
-    dy = estimated["y_mm"] - (table["true_start_y_mm"] + path * along_y)
-    table["travelled_mm"] = path - _entry(table, sensor)
+    touched = np.minimum(path, _over(table, sensor, _beyond_rim(table, sensor))[1].fillna(np.inf))
+    dx = estimated["x_mm"] - (table["true_start_x_mm"] + touched * along_x)
+    dy = estimated["y_mm"] - (table["true_start_y_mm"] + touched * along_y)
+    table["travelled_mm"] = path - _over(table, sensor)[0]
     table["position_mm_error"] = np.hypot(dx, dy)
     forward = _percent((dx * along_x + dy * along_y).abs(), table["travelled_mm"])
     sideways = _percent((dy * along_x - dx * along_y).abs(), table["true_offset_mm"].abs())
@@ -184,8 +186,17 @@ def _percent(error: pd.Series, size: pd.Series) -> pd.Series:
     return 100 * error / size.where(size > 0)
 
 
-def _entry(table: pd.DataFrame, sensor: Sensor) -> pd.Series:
-    """Distance in mm from each slide's start to where its line enters the chamber; NaN if it never does."""
+def _beyond_rim(table: pd.DataFrame, sensor: Sensor) -> np.ndarray:
+    """How far in mm beyond the chamber's rim the centre of the ball still touches it (features/departure.py)."""
+    depth = table["true_depth_mm"].fillna(0.0).to_numpy()
+    return np.sqrt(np.maximum((sensor.indenter_diameter_mm - depth) * depth, 0.0))
+
+
+def _over(
+    table: pd.DataFrame, sensor: Sensor, beyond_mm: np.ndarray | float = 0.0
+) -> tuple[pd.Series, pd.Series]:
+    """Distances in mm from each slide's start to where its line enters and leaves the chamber and so much around it;
+    NaN if it never does."""
     direction = np.deg2rad(table["true_direction_deg"].to_numpy())
     enter = np.full(len(table), -np.inf)
     leave = np.full(len(table), np.inf)
@@ -193,12 +204,14 @@ def _entry(table: pd.DataFrame, sensor: Sensor) -> pd.Series:
         (sensor.chamber_mm[0], table["true_start_x_mm"].to_numpy(), np.cos(direction)),
         (sensor.chamber_mm[1], table["true_start_y_mm"].to_numpy(), np.sin(direction)),
     ):
+        half = size / 2 + beyond_mm
         # A heading of nothing but rounding would be divided by: the line then runs along this side.
         across = np.abs(heading) > 1e-9
         step = np.where(across, heading, 1.0)
-        ends = np.sort([(-size / 2 - start) / step, (size / 2 - start) / step], axis=0)
-        beside = np.where(np.abs(start) <= size / 2, -np.inf, np.inf)
+        ends = np.sort([(-half - start) / step, (half - start) / step], axis=0)
+        beside = np.where(np.abs(start) <= half, -np.inf, np.inf)
         enter = np.maximum(enter, np.where(across, ends[0], beside))
         leave = np.minimum(leave, np.where(across, ends[1], np.inf))
     known = (enter <= leave) & np.isfinite(enter)
-    return pd.Series(np.where(known, enter, np.nan), index=table.index)
+    enter, leave = (np.where(known, end, np.nan) for end in (enter, leave))
+    return pd.Series(enter, index=table.index), pd.Series(leave, index=table.index)

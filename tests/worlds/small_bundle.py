@@ -28,6 +28,7 @@ def write_small_bundle(
     speed_mm_s: float = 2.0,
     offset_mm: float = 5.0,
     offset_mm_per_v: float = 0.0,
+    along_mm: float = 0.0,
     outputs: tuple[str, ...] = OUTPUTS,
 ) -> Path:
     """Always the same direction and speed; the offset grows with the mean of the first channel's window."""
@@ -37,7 +38,7 @@ def write_small_bundle(
         "direction_sin": math.sin(math.radians(direction_deg)),
         "log_speed": math.log(speed_mm_s),
         "offset_mm": offset_mm,
-        "along_mm": 0.0,
+        "along_mm": along_mm,
     }
     weights = np.zeros((size, len(outputs)), np.float32)
     weights[:WINDOW_BINS, outputs.index("offset_mm")] = offset_mm_per_v / WINDOW_BINS
