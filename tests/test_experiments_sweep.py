@@ -9,7 +9,7 @@ import sys
 import time
 import tomllib
 from collections.abc import Iterator
-from contextlib import redirect_stderr, redirect_stdout
+from contextlib import redirect_stderr, redirect_stdout, suppress
 from io import StringIO
 from pathlib import Path
 
@@ -28,6 +28,7 @@ from pipeline.recordings.folder import SAMPLE, read_folder
 from pipeline.recordings.manifest import write_manifest
 from serve.localizer import Localizer
 
+PATIENCE_S = 300
 CONFIG = """
 model = "trees"
 recordings = {recordings!r}
@@ -84,14 +85,12 @@ def stopped(lab: Path) -> tuple[Path, list[float]]:
             assert running.poll() is None, running.communicate()
             time.sleep(0.1)
         running.send_signal(signal.SIGKILL)
-    # Its workers go with it.
-    for _ in range(100):
-        try:
+    # Its workers go with it, once they have started.
+    until = time.monotonic() + PATIENCE_S
+    with suppress(ProcessLookupError):
+        while time.monotonic() < until:
             os.killpg(running.pid, 0)
-        except ProcessLookupError:
-            break
-        time.sleep(0.1)
-    else:
+            time.sleep(0.1)
         pytest.fail("workers outlive the search")
     with journal.open("ab") as file:
         file.write(b'{"op_code": 6, "work')

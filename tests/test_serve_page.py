@@ -10,7 +10,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import numpy as np
@@ -146,20 +146,19 @@ def test_the_subtracted_output_is_nan_until_the_static_output_is_known(bundle: P
 def test_frames_come_at_forty_hertz_at_most_and_in_order(bundle: Path) -> None:
     with serving(bundle) as running, viewer(running.address) as view:
         about = json.loads(view.recv(timeout=30))
+        begun = time.monotonic()
         view.send("")
-        times, arrivals = [], []
-        for _ in range(60):
+        times: list[float] = []
+        while len(times) < 30:
+            assert time.monotonic() < begun + 60
             running.feed(VOLTS[:20])
-            try:
-                frame = view.recv(timeout=0.02)
-            except TimeoutError:
-                continue
-            times.append(decoded(frame, about)["time_s"])  # type: ignore[arg-type]
-            arrivals.append(time.monotonic())
-            view.send("")
-    assert len(times) > 5
+            with suppress(TimeoutError):
+                times.append(decoded(view.recv(timeout=0.02), about)["time_s"])  # type: ignore[arg-type]
+                view.send("")
+        took_s = time.monotonic() - begun
     assert times == sorted(set(times))
-    assert (len(arrivals) - 1) / (arrivals[-1] - arrivals[0]) < 44
+    # From before the first was asked for until after the last came: a busy machine can only make it longer.
+    assert (len(times) - 1) / took_s <= 41
 
 
 def test_a_viewer_that_does_not_read_delays_nobody(bundle: Path, tmp_path: Path) -> None:
@@ -262,12 +261,15 @@ def opened(browser: Browser, address: str, **options: object) -> Iterator[tuple[
     page.close()
 
 
-def colours_of(page: Page, canvas: str) -> int:
-    """Number of colours on a canvas; an empty one has one."""
-    return page.eval_on_selector(
-        canvas,
-        """canvas => new Set(new Uint32Array(
-            canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height).data.buffer)).size""",
+def expect_drawing(page: Page, canvas: str) -> None:
+    """Waits until a canvas has more than ten colours; an empty one has one."""
+    page.wait_for_function(
+        """selector => {
+            const canvas = document.querySelector(selector);
+            const drawn = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
+            return new Set(new Uint32Array(drawn.data.buffer)).size > 10;
+        }""",
+        arg=canvas,
     )
 
 
@@ -294,10 +296,10 @@ def test_the_page_shows_a_slide(bundle: Path, browser: Browser) -> None:
         expect(cell(page, "zero shift")).to_have_text(re.compile(r" mV$"))
         interval = page.get_by_role("row", name="direction").get_by_role("cell").nth(1)
         expect(interval).to_have_text("28.0 … 32.0")
-        assert page.get_by_role("img").count() == 1 + BOARDS
-        assert page.locator("#traces figcaption").first.inner_text().startswith("a0 at (0.0, 0.0) mm")
-        assert colours_of(page, "#skin") > 10
-        assert colours_of(page, "#traces canvas") > 10
+        expect(page.get_by_role("img")).to_have_count(1 + BOARDS)
+        expect(page.locator("#traces figcaption").first).to_have_text(re.compile(r"^a0 at \(0\.0, 0\.0\) mm"))
+        expect_drawing(page, "#skin")
+        expect_drawing(page, "#traces canvas")
         expect(page.locator("#connection")).to_have_text("no samples come", timeout=10_000)
         assert complaints == []
         assert running.end()[0] == 0
