@@ -189,6 +189,23 @@ def test_a_solved_atlas_answers_between_its_lines_as_the_solver_does(quick):
     assert np.ptp(on_line[:, 0]) > 0.2
 
 
+def write_quick_sensor(path):
+    """The design of `quick_sensor` as a file."""
+    text = DEFAULT_SENSOR.read_text()
+    path.write_text(text.replace("[5.0, 7.0, 9.6]", "[6.0]").replace("size_mm = 2.5", "size_mm = 5.0"))
+
+
+@pytest.mark.long
+def test_simulate_asks_the_scheduler_that_is_named(tmp_path, capsys):
+    pytest.importorskip("distributed")
+    sensor, out = tmp_path / "sensor.toml", tmp_path / "a.npz"
+    write_quick_sensor(sensor)
+    command = ["simulate", "--sensor", sensor, "--out", out, "--coarse", "--scheduler", "pigeon://loft"]
+    assert softslide.main(list(map(str, command))) == 2
+    assert "--scheduler pigeon://loft: no Dask scheduler answers" in capsys.readouterr().err
+    assert not out.exists()
+
+
 @pytest.mark.parametrize(
     ("workers", "backend"),
     [
@@ -199,8 +216,7 @@ def test_a_solved_atlas_answers_between_its_lines_as_the_solver_does(quick):
 )
 def test_simulate_writes_the_same_atlas_however_it_is_run(workers, backend, tmp_path, capsys):
     sensor, out = tmp_path / "sensor.toml", tmp_path / "a.npz"
-    text = DEFAULT_SENSOR.read_text()
-    sensor.write_text(text.replace("[5.0, 7.0, 9.6]", "[6.0]").replace("size_mm = 2.5", "size_mm = 5.0"))
+    write_quick_sensor(sensor)
     command = ["simulate", "--sensor", str(sensor), "--out", str(out), "--coarse", "--depth", "0.5"]
     assert softslide.main([*command, "--workers", str(workers), "--backend", backend]) == 0
     said = capsys.readouterr().err

@@ -158,6 +158,7 @@ def simulate(
         grid,
         workers=jobs,
         backend=backend,
+        scheduler=scheduler,
         work=out.with_name(f".{out.name}.lines"),
         progress=lambda lines, count: progress_bar("solving", "line", lines, count),
         source=str(path),
