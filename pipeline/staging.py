@@ -1,13 +1,20 @@
-"""Write beside, then rename: a reader sees the whole output or none of it."""
+"""Write beside, then rename: a reader sees the whole output or none of it.
+
+A process that is killed leaves its folder behind; the next one that writes the same output removes it.
+"""
 
 import os
 import shutil
 import tempfile
 from collections.abc import Collection, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from glob import escape
 from pathlib import Path
 
 from features.errors import InputError
+
+# A folder beside `out` holds `new` while that is written, and `old` while `out` is replaced.
+UNFINISHED = ".unfinished-"
 
 
 @contextmanager
@@ -23,22 +30,26 @@ def staged(out: Path) -> Iterator[Path]:
     check_replaceable(out)
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
-        scratch = Path(tempfile.mkdtemp(prefix=f".{out.name}.", dir=out.parent))
+        with _locked(out.parent):
+            _clear_leftovers(out)
+            room = Path(tempfile.mkdtemp(prefix=f".{out.name}{UNFINISHED}", dir=out.parent))
+            lock = _lock(room)
+        new = room / "new"
+        new.mkdir()
     except OSError as error:
         raise InputError(f"{out}: cannot be written ({error.strerror}); name another folder") from None
-    scratch.chmod(0o755)
     try:
-        yield scratch
-        if out.exists():
-            check_replaceable(out, {path.name for path in scratch.iterdir()})
-            retired = Path(tempfile.mkdtemp(prefix=f".{out.name}.old.", dir=out.parent))
-            os.replace(out, retired / out.name)
-            os.replace(scratch, out)
-            shutil.rmtree(retired)
-        else:
-            os.replace(scratch, out)
+        yield new
+        # Another process may replace the same output at the same time.
+        with _locked(out.parent):
+            if out.exists():
+                check_replaceable(out, {path.name for path in new.iterdir()})
+                os.replace(out, room / "old")
+            os.replace(new, out)
     finally:
-        shutil.rmtree(scratch, ignore_errors=True)
+        _remove(room, out)
+        if lock is not None:
+            os.close(lock)
 
 
 def check_replaceable(out: Path, names: Collection[str] | None = None) -> None:
@@ -53,3 +64,48 @@ def check_replaceable(out: Path, names: Collection[str] | None = None) -> None:
         foreign = {path.name for path in out.iterdir()} - set(names)
         if foreign:
             raise InputError(f"{out}: holds other files ({min(foreign)}); name a new folder")
+
+
+def _clear_leftovers(out: Path) -> None:
+    """Removes what processes left that were killed."""
+    for room in out.parent.glob(f".{escape(out.name)}{UNFINISHED}*"):
+        lock = _lock(room, wait=False)
+        if lock is not None:
+            _remove(room, out)
+            os.close(lock)
+
+
+def _remove(room: Path, out: Path) -> None:
+    """Removes the folder; an `out` that was moved away and not yet replaced is put back."""
+    if (room / "new").exists() and not out.exists():
+        with suppress(FileNotFoundError):
+            os.replace(room / "old", out)
+    shutil.rmtree(room, ignore_errors=True)
+
+
+@contextmanager
+def _locked(folder: Path) -> Iterator[None]:
+    """Keeps other processes from the block, where there are locks."""
+    lock = _lock(folder)
+    try:
+        yield
+    finally:
+        if lock is not None:
+            os.close(lock)
+
+
+def _lock(folder: Path, wait: bool = True) -> int | None:
+    """An open descriptor that locks the folder until it is closed or the process ends, however it ends; None: another
+    process has it, or there are no such locks here (Windows, some network disks)."""
+    try:
+        import fcntl
+
+        descriptor = os.open(folder, os.O_RDONLY)
+    except (ImportError, OSError):
+        return None
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+    except OSError:
+        os.close(descriptor)
+        return None
+    return descriptor

@@ -1,0 +1,107 @@
+"""An output appears whole or not at all, whenever its process is killed, and whoever writes it beside."""
+
+import itertools
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from features.errors import InputError
+from pipeline.staging import staged
+
+HERE = Path(__file__).parents[1]
+PATIENCE_S = 120
+# Writes two files `times` times, and is killed before its `number`th change to the disk.
+WRITER = """
+import os, signal, sys
+from pathlib import Path
+from pipeline.staging import staged
+out, text, times, number = Path(sys.argv[1]), sys.argv[2], int(sys.argv[3]), int(sys.argv[4])
+changes = 0
+def count(event, arguments):
+    global changes
+    if event in ("os.mkdir", "os.rename", "os.remove", "os.rmdir") or (
+        event == "open" and isinstance(arguments[1], str) and "w" in arguments[1]
+    ):
+        changes += 1
+        if changes == number:
+            os.kill(os.getpid(), signal.SIGKILL)
+sys.addaudithook(count)
+for _ in range(times):
+    with staged(out) as scratch:
+        (scratch / "one").write_text(text)
+        (scratch / "two").write_text(text)
+"""
+
+
+def writer(out: Path, text: str, times: int = 1, number: int = 0) -> subprocess.Popen:
+    command = [sys.executable, "-c", WRITER, str(out), text, str(times), str(number)]
+    return subprocess.Popen(command, cwd=HERE, stderr=subprocess.PIPE)
+
+
+def ended(process: subprocess.Popen) -> int:
+    _, error = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode in (0, -signal.SIGKILL), error.decode()
+    return process.returncode
+
+
+def content(out: Path) -> set[str]:
+    """The texts of its two files."""
+    assert sorted(path.name for path in out.iterdir()) == ["one", "two"]
+    return {path.read_text() for path in out.iterdir()}
+
+
+def write_half(out: Path) -> None:
+    with staged(out) as scratch:
+        (scratch / "one").write_text("half")
+        raise InputError("half")
+
+
+@pytest.mark.parametrize("replaced", [False, True], ids=["new", "replaced"])
+def test_killed_at_any_change_to_the_disk(tmp_path: Path, replaced: bool) -> None:
+    for number in itertools.count(1):
+        out = tmp_path / str(number) / "out"
+        if replaced:
+            assert ended(writer(out, "before")) == 0
+        if ended(writer(out, "killed", number=number)) == 0:
+            break
+        if out.exists():
+            assert content(out) in ([{"before"}, {"killed"}] if replaced else [{"killed"}])
+        # The next process fails as it writes: what was there before it is there after it.
+        with pytest.raises(InputError):
+            write_half(out)
+        assert [path.name for path in out.parent.iterdir()] in ([["out"]] if replaced else [["out"], []])
+        if replaced:
+            assert content(out) in ({"before"}, {"killed"})
+        assert ended(writer(out, "after")) == 0
+        assert content(out) == {"after"}
+        assert [path.name for path in out.parent.iterdir()] == ["out"]
+    # Made, written twice, renamed and removed: more when something is replaced.
+    assert number > (9 if replaced else 6)
+
+
+def test_the_folder_of_a_living_process_stays(tmp_path: Path) -> None:
+    with staged(tmp_path / "out") as slow:
+        (slow / "one").write_text("slow")
+        assert ended(writer(tmp_path / "out", "quick")) == 0
+        assert (slow / "one").read_text() == "slow"
+        (slow / "two").write_text("slow")
+    assert content(tmp_path / "out") == {"slow"}
+
+
+def test_several_processes_replace_one_output(tmp_path: Path) -> None:
+    running = [writer(tmp_path / "out", text, times=30) for text in ("a", "b", "c")]
+    assert [ended(process) for process in running] == [0, 0, 0]
+    assert content(tmp_path / "out") < {"a", "b", "c"}
+    assert len(content(tmp_path / "out")) == 1
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]
+
+
+def test_what_looks_like_a_leftover_of_another_output_stays(tmp_path: Path) -> None:
+    for name in (".out.settings", ".out.partial", ".other.unfinished-abcdefgh", "out.unfinished-abcdefgh"):
+        (tmp_path / name).mkdir()
+    with staged(tmp_path / "out") as scratch:
+        (scratch / "one").write_text("text")
+    assert len(list(tmp_path.iterdir())) == 5
