@@ -11,6 +11,7 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +23,7 @@ from websockets.exceptions import ConnectionClosedOK, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
 import softslide
+from pipeline.sensor import Accelerometer
 from serve.localizer import Localizer
 
 CHROMIUM = shutil.which("chromium")
@@ -305,6 +307,20 @@ def test_the_page_shows_a_slide(bundle: Path, browser: Browser) -> None:
         assert running.end()[0] == 0
         expect(page.locator("#connection")).to_have_text("the stream has ended; waiting for the next")
         expect(cell(page, "speed")).to_have_text("2.00 mm/s")
+
+
+def test_the_page_shows_another_kinds_outputs_in_their_unit(browser: Browser, tmp_path: Path) -> None:
+    boards = (Accelerometer("a0", 0.0, 0.0, kind="magnetometer", unit="uT"),)
+    bundle = write_small_bundle(tmp_path / "b", replace(a_sensor(), adc_step_v=0.25, accelerometers=boards))
+    with serving(bundle) as running, opened(browser, running.address) as (page, complaints):
+        running.feed(np.array([40.0, -20.0, 7000.0]) + VOLTS[:1400, :3])
+        expect(page.locator("#phase")).to_have_text("slide")
+        expect(page.locator("#element")).to_have_text("magnetometer")
+        expect(cell(page, "magnetometers in use")).to_have_text("1")
+        expect(cell(page, "zero shift")).to_have_text(re.compile(r"^.?\d+\.\d uT$"))
+        expect(page.locator("#traces figcaption")).to_have_text(re.compile(r"x −?\d+\.\d uT"))
+        assert colours_of(page, "#traces canvas") > 5
+        assert complaints == []
 
 
 def test_the_page_reconnects_by_itself(bundle: Path, browser: Browser) -> None:

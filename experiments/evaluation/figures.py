@@ -234,15 +234,21 @@ def path(rows: pd.DataFrame, sensor: Sensor) -> Panel:
         return Panel(inline(figure, text), text)
 
 
-def outputs(table: pd.DataFrame, name: str, channels: Sequence[str], motion_s: np.ndarray) -> Panel:
-    """One recording's subtracted outputs over time, with the time of the motion shaded. table: of `traces.trace`."""
+def outputs(
+    table: pd.DataFrame, name: str, channels: Sequence[str], motion_s: np.ndarray, unit: str = "V"
+) -> Panel:
+    """One recording's subtracted outputs over time, with the time of the motion shaded. table: of `traces.trace`.
+
+    unit: of the outputs; volts are shown in mV.
+    """
+    factor, shown = (1000, "mV") if unit == "V" else (1, unit)
     with panel() as (figure, ax):
         if np.isfinite(motion_s).all():
             ax.axvspan(motion_s[0], motion_s[1], color=EDGE, alpha=0.12, linewidth=0)
         thin = table.iloc[:: max(1, len(table) // 300)]
         for n, channel in enumerate(channels):
-            ax.plot(thin["time_s"], 1000 * thin[channel], color=COLOURS[n % len(COLOURS)], label=channel)
-        ax.set(xlabel="time, s", ylabel="subtracted output, mV", title=name)
+            ax.plot(thin["time_s"], factor * thin[channel], color=COLOURS[n % len(COLOURS)], label=channel)
+        ax.set(xlabel="time, s", ylabel=f"subtracted output, {shown}", title=name)
         ax.legend(fontsize=8)
         text = f"{name}: outputs less the static output; shaded: the motion."
         return Panel(inline(figure, text), text)

@@ -151,7 +151,9 @@ def worst(scored: pd.DataFrame, folder: Folder) -> list[tuple[str, str, list[Pan
         panels = [figures.path(rows, folder.sensor)]
         if np.isfinite(motion).all():
             shown = trace(folder, name, Conditioning(), len(folder.sensor.accelerometers))
-            panels.append(figures.outputs(shown, name, channels, motion))
+            panels.append(
+                figures.outputs(shown, name, channels, motion, folder.sensor.accelerometers[0].unit)
+            )
         off = ", ".join(
             f"{text.split(', ')[0]} {number(row[f'{quantity}_error'])} {text.split(', ')[1]}"
             for quantity, text in QUANTITY_NAMES.items()

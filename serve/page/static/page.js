@@ -31,7 +31,7 @@ const REASONS = {
   off_map: "outside of what the calibration covers",
   not_this_sensor: "the output fits no contact on this skin",
   drift: "gravity's length has changed: the sensor has drifted",
-  dead_channel: "an accelerometer is lost, frozen or clipped",
+  dead_channel: "a sensing element is lost, frozen or clipped",
 };
 // Points of the path that are kept; a contact of four minutes.
 const LONGEST_PATH = 10000;
@@ -59,8 +59,9 @@ function show() {
     // Numbers of an estimate that is not valid are no estimate, and without a slide no accelerometer is chosen.
     const hidden = interval ? !latest.valid : name === "accelerometers" && !latest[name];
     const shown = hidden ? NaN : latest[name];
-    value.textContent = number(shown, digits);
-    if (Number.isFinite(shown) && unit) value.append(` ${unit}`);
+    const [scaled, written] = unit === "mV" ? inUnit(shown) : [shown, unit];
+    value.textContent = number(scaled, digits);
+    if (Number.isFinite(shown) && written) value.append(` ${written}`);
     if (!interval) continue;
     const known = low && Number.isFinite(shown + latest[low] + latest[high]);
     interval.textContent = known ? `${number(latest[low], digits)} … ${number(latest[high], digits)}` : "";
@@ -71,6 +72,12 @@ function show() {
   say(byId("phase"), latest.state);
   say(byId("trust"), trust, estimated ? trust : "");
   say(byId("reason"), latest.valid ? "" : REASONS[latest.reason] ?? latest.reason);
+}
+
+// Thousandths of the outputs' unit: mV, or of another unit it itself.
+function inUnit(value) {
+  const { unit = "V" } = sensor.sensor.accelerometers[0];
+  return unit === "V" ? [value, "mV"] : [value / 1000, unit];
 }
 
 function say(element, text, kind = element.className) {
@@ -95,7 +102,7 @@ function clear() {
   latest = null;
   trace = [];
   byId("traces").replaceChildren();
-  traces = new Traces(byId("traces"), sensor.sensor.accelerometers);
+  traces = new Traces(byId("traces"), sensor.sensor);
 }
 
 // Takes a frame in: the numbers, the path and the traces.
@@ -146,6 +153,11 @@ follow({
   about(names) {
     sensor = names;
     clear();
+    const { kind } = names.sensor.accelerometers[0];
+    // A card from before other kinds were known names none.
+    const element = kind === "other" ? "sensing element" : kind ?? "accelerometer";
+    byId("element").textContent = element;
+    byId("device").rows[1].cells[0].textContent = `${element}s in use`;
     byId("about").textContent = `${names.sensor.name}, ${names.model}, ${names.source === "-" ? "standard input" : names.source}`;
     drawSoon();
   },

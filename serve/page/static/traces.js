@@ -1,4 +1,4 @@
-// Subtracted output of each accelerometer over the last seconds: V_x, V_y, V_z in mV.
+// Subtracted output of each sensing element over the last seconds, x, y, z: volts in mV, other outputs in their unit.
 import { colours, number, prepared, stroke, write } from "./canvas.js";
 
 const WINDOW_S = 30;
@@ -7,30 +7,38 @@ const TOP_PX = 8;
 const BOTTOM_PX = 22;
 const TICK_PX = 60;
 const STEP_PX = 20;
-// Smallest half range of the axis, about the noise.
+// Smallest half range of the axis, about the noise: in mV, and of other outputs in steps of their converter.
 const LEAST_MV = 20;
+const LEAST_STEPS = 10;
 const AXES = ["x", "y", "z"];
 
 // Keeps the frames of the last WINDOW_S; a clock that runs back starts over.
 export class Traces {
-  constructor(section, accelerometers) {
+  constructor(section, { accelerometers, adc_step_v }) {
     this.rows = [];
+    // The elements of a sensor have one unit.
+    const volts = inVolts(accelerometers[0]);
+    this.scale = volts ? 1000 : 1;
+    // A converter's step of 0 is not known.
+    const step = adc_step_v || 1;
+    this.least = volts ? LEAST_MV : LEAST_STEPS * step;
+    this.digits = volts ? 0 : digitsOf(step);
     this.panels = accelerometers.map((board) => panel(section, board));
   }
 
   push({ time_s, state, subtracted_v }) {
     if (this.rows.length && time_s < this.rows.at(-1).time_s) this.rows = [];
-    this.rows.push({ time_s, state, mv: Array.from(subtracted_v, (v) => 1000 * v) });
+    this.rows.push({ time_s, state, shown: Array.from(subtracted_v, (v) => this.scale * v) });
     while (this.rows[0].time_s < time_s - WINDOW_S) this.rows.shift();
   }
 
   draw() {
     const latest = this.rows.at(-1);
     if (!latest) return;
-    let most = LEAST_MV;
-    for (const row of this.rows) for (const mv of row.mv) if (Math.abs(mv) > most) most = Math.abs(mv);
+    let most = this.least;
+    for (const row of this.rows) for (const value of row.shown) if (Math.abs(value) > most) most = Math.abs(value);
     this.panels.forEach(({ canvas, values }, board) => {
-      values.forEach((value, axis) => { value.textContent = number(latest.mv[3 * board + axis]); });
+      values.forEach((value, axis) => { value.textContent = number(latest.shown[3 * board + axis], this.digits); });
       drawPanel(canvas, this.rows, 3 * board, most);
     });
   }
@@ -44,9 +52,10 @@ function panel(section, board) {
   const values = AXES.map((axis) => {
     const item = caption.appendChild(document.createElement("span"));
     item.style.color = `var(--${axis})`;
-    item.append("V", Object.assign(document.createElement("sub"), { textContent: axis }), " ");
+    const volts = inVolts(board);
+    item.append(...(volts ? ["V", Object.assign(document.createElement("sub"), { textContent: axis })] : [axis]), " ");
     const value = item.appendChild(document.createElement("span"));
-    item.append(" mV");
+    item.append(volts ? " mV" : ` ${board.unit}`);
     return value;
   });
   const canvas = figure.appendChild(document.createElement("canvas"));
@@ -64,7 +73,7 @@ function drawPanel(canvas, rows, first, most) {
   const floor = height - BOTTOM_PX;
   const middle = (TOP_PX + floor) / 2;
   const x = (time_s) => width - (end - time_s) / WINDOW_S * (width - LEFT_PX);
-  const y = (mv) => middle - mv / most * (middle - TOP_PX);
+  const y = (value) => middle - value / most * (middle - TOP_PX);
 
   slides(context, rows, x, floor, ink.chamber);
   const every = [5, 10, 15].find((s) => s / WINDOW_S * (width - LEFT_PX) > TICK_PX) ?? WINDOW_S;
@@ -74,12 +83,12 @@ function drawPanel(canvas, rows, first, most) {
     write(context, ago === 0 ? "now" : `−${ago} s`, x(end - ago), floor + 13, ink.soft, align);
   }
   const step = niceStep(most * STEP_PX / (middle - TOP_PX));
-  for (let mv = -step * Math.floor(most / step); mv <= most; mv += step) {
-    stroke(context, [[LEFT_PX, y(mv)], [width, y(mv)]], mv === 0 ? ink.soft : ink.line);
-    write(context, number(mv), LEFT_PX - 6, y(mv), ink.soft, "right");
+  for (let value = -step * Math.floor(most / step); value <= most; value += step) {
+    stroke(context, [[LEFT_PX, y(value)], [width, y(value)]], value === 0 ? ink.soft : ink.line);
+    write(context, number(value, digitsOf(step)), LEFT_PX - 6, y(value), ink.soft, "right");
   }
   for (const axis of [2, 1, 0]) {
-    stroke(context, rows.map((row) => [x(row.time_s), y(row.mv[first + axis])]), ink[AXES[axis]], 1.5);
+    stroke(context, rows.map((row) => [x(row.time_s), y(row.shown[first + axis])]), ink[AXES[axis]], 1.5);
   }
 }
 
@@ -94,6 +103,16 @@ function slides(context, rows, x, floor, colour) {
       begun = null;
     }
   }
+}
+
+// A card from before other units were known names none.
+function inVolts(board) {
+  return (board.unit ?? "V") === "V";
+}
+
+// Digits after the point that numbers need to be told apart by `step`.
+function digitsOf(step) {
+  return Math.max(0, -Math.floor(Math.log10(step)));
 }
 
 // 1, 2 or 5 times a power of ten, at least `least`.
