@@ -276,9 +276,13 @@ class Localizer:
 
 
 def contact_tracker(card: Card, noise_gain: float) -> ContactTracker | None:
-    """The tracker that a card describes; None for a bundle that knows straight slides alone."""
+    """The tracker that a card describes; None for a bundle that knows straight slides alone.
+
+    Where a slide begins with a touch it is None too: the tracker knows contacts that come over a rim or are pressed on
+    slowly, and loses those that are there from one block to the next.
+    """
     contact = card.contact
-    if contact is None:
+    if contact is None or card.conditioning.onset == ONSETS[1]:
         return None
     return ContactTracker(
         surface=contact.surface(),

@@ -7,14 +7,16 @@ import pytest
 import torch
 from dome_map import CHAMBER_MM, dome_map
 
+from features.card import Validity
 from features.stream.conditioning import Conditioning
 from features.stream.tracker import SlideState, SlideTracker
 from models.cnn.forward_model import BINS
-from models.cnn.gauss_newton import Refinement, RefinementConfig
+from models.cnn.gauss_newton import FLOOR_SHARE, Refinement, RefinementConfig
 from models.cnn.inversion import Inversion
 from models.cnn.training_windows import SynthesisConfig, WindowSource
 from models.held_out import signed_errors
 from models.response_map.calibrate import CalibrationConfig, blank_map, calibrate
+from models.response_map.map import ResponseMap
 from models.response_map.select import _by_cell
 from models.response_map.slides import CalibrationSlide
 from pipeline.sensor import Accelerometer, Sensor
@@ -188,3 +190,32 @@ def test_a_window_holds_the_motion_between_touch_and_lift_alone(part: float) -> 
     assert final is not None
     np.testing.assert_allclose(final.volts[2], 0.08, atol=2e-3)
     assert 54 <= final.elapsed_s / BLOCK_S <= 60
+
+
+def test_an_estimate_is_believed_only_where_a_further_step_would_not_move_it() -> None:
+    """From starts that are far off, some windows converge in so many steps and some do not."""
+    response, limit = dome_map(), Validity(direction_sd_deg=6.0, log_speed_sd=0.1)
+    config = SynthesisConfig(speed_mm_s=(5.0, 40.0), paused=0.0)
+    batch = WindowSource(response, BLOCK_S, config).draw(300, torch.Generator().manual_seed(7))
+    start = batch.targets[:, :5] + torch.tensor([0.6, 0.6, 0.3, 3.0, 3.0])
+
+    def refined(steps: int, response: ResponseMap = response) -> tuple[np.ndarray, np.ndarray]:
+        """Direction (rad, from the start), log speed, offset; and their standard deviations."""
+        refinement = Refinement(response, BLOCK_S, RefinementConfig(steps=steps))
+        with torch.no_grad():
+            _, state, variance, _ = refinement(
+                batch.volts[:, None], batch.elapsed_s, batch.weight, start, torch.zeros(len(start), 4)
+            )
+        return state.flatten(1)[:, :3].numpy(), variance.flatten(1)[:, :3].numpy() ** 0.5
+
+    (state, sd), (further, _) = refined(6), refined(7)
+    believed = (np.degrees(sd[:, 0]) < limit.direction_sd_deg) & (sd[:, 1] < limit.log_speed_sd)
+    assert believed.sum() > 50
+    moved = np.abs(further - state)
+    assert (moved[believed] / sd[believed]).max() < 0.1
+    # Without the limit, which maps with a rim have not, estimates would be believed that are still on their way.
+    _, own_sd = refined(6, replace(response, rim=True, floor_v=response.floor_v / FLOOR_SHARE))
+    np.testing.assert_allclose(own_sd[believed], sd[believed], rtol=1e-6)
+    wrong = (np.degrees(own_sd[:, 0]) < limit.direction_sd_deg) & (moved / own_sd > 1.0).any(axis=1)
+    assert wrong.sum() > 5
+    assert not (wrong & believed).any()

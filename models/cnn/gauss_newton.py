@@ -21,6 +21,12 @@ FLOOR_SHARE = 0.6  # and of its residual in calibration, which the bins share (e
 # Variance of the depth's error over the one that noise explains: 1 and 4 on two benches' held-out lines.
 DEPTH_VARIANCE = 2.0
 DEPTH = 5  # place of the depth in the state
+# Longest last step, in standard deviations, of an estimate that has converged. Of a real skin's windows those within it
+# move by 0.007 at most in the next step, and by 1.4e-6 of their size when the proposal is rounded otherwise; some of
+# the others move by several deviations (experiments/LOG.md).
+SETTLED_SD = 0.03
+# What each unit of the squared step beyond that adds to the variances: soon more than any limit of what is believed.
+UNSETTLED = 1e6
 LONGEST_STEP = (0.3, 0.4, 5.0, 6.0, 0.1, 0.5)  # of each number of the state
 
 
@@ -118,6 +124,8 @@ class Refinement(nn.Module):
         self.leans = config.lean_v > 0
         # Held-out cells tell what the map leaves in full (models/response_map/select.py).
         self.floor_share = FLOOR_SHARE if response.rim else 1.0
+        # Splines of a small spacing and a gain that is hardly known: some early windows converge slowly.
+        self.settles = not response.rim
 
     def forward(
         self, volts: Tensor, elapsed_s: Tensor, weight: Tensor, proposal: Tensor, log_sd: Tensor
@@ -143,7 +151,7 @@ class Refinement(nn.Module):
         log_sd = F.pad(log_sd, (0, 2)).reshape(-1, 1, 1, STATE, 1) + self.looseness
         precision = (-2.0 * torch.maximum(log_sd, self.tightest)).exp()
         mixing = self._mixing(weight) if self.mixes else None
-        state, gram, covariance = centre, centre, centre
+        state, gram, covariance, normal, move = (centre,) * 5
         for _ in range(self.steps):
             rows = self.predicted(measured, start, state, time)
             if mixing is not None:
@@ -160,6 +168,10 @@ class Refinement(nn.Module):
             state = state + torch.maximum(torch.minimum(move, self.longest_step), -self.longest_step)
         misfit = gram[..., STATE:, STATE:] / (self.axes * BINS * weight.sum(1, keepdim=True)).clamp(min=1.0)
         variance = (covariance * self.each[:, :STATE]).sum(4, keepdim=True)
+        if self.settles:
+            # How far the last step went in standard deviations, squared (Newton's decrement).
+            length = (move * normal[..., STATE:]).sum(3, keepdim=True)
+            variance = variance + UNSETTLED * (length - SETTLED_SD**2).clamp(min=0)
         if self.same_depth:
             state, variance = self._same_depth(state, covariance, variance)
         heading = start @ (state[..., :1, :] + self.phases).sin()

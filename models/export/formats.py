@@ -25,6 +25,7 @@ from models.export.c99.source import sources
 from models.graph.packing import pack
 from pipeline.recordings.folder import SAMPLE, read_folder
 from pipeline.recordings.windows import LabelledWindows, labelled_windows
+from pipeline.sensor import KINDS, Sensor
 from pipeline.staging import staged
 from serve.bundle import open_bundle, open_session
 
@@ -77,7 +78,7 @@ def precision_difference(card: Card, graph: onnx.ModelProto, single: onnx.ModelP
     """The largest relative difference of two graphs' believed rows, on the card's example and windows of the sample."""
     inputs = {name: np.array(value, np.float32) for name, value in card.golden["inputs"].items()}
     folder = read_folder(SAMPLE)
-    if folder.sensor.channels == card.channels:
+    if _is_like(folder.sensor, card):
         some = replace(folder, manifest=folder.manifest.iloc[::EVERY])
         windows = labelled_windows(some, card.conditioning, (0.6, 0.8, 1.0))
         more = graph_inputs(card.input, windows.volts, windows.elapsed_s)
@@ -203,12 +204,18 @@ def _weighted(graph: onnx.ModelProto) -> list[str]:
 def _sample(card: Card, path: Path) -> LabelledWindows:
     """Windows of the recordings that ship with the project, to set ranges on and to judge by."""
     folder = read_folder(SAMPLE)
-    if folder.sensor.channels != card.channels:
+    if not _is_like(folder.sensor, card):
+        kind = card.sensor["accelerometers"][0].get("kind", KINDS[0])
         raise InputError(
-            f"{path}: int8 is set on the sample of one accelerometer, the bundle has {len(card.channels) // 3}; "
-            "keep float32"
+            f"{path}: int8 is set on the sample of one accelerometer, the bundle has {len(card.channels) // 3} "
+            f"of kind '{kind}'; keep float32"
         )
     return labelled_windows(folder, card.conditioning, (0.6, 0.8, 1.0))
+
+
+def _is_like(sensor: Sensor, card: Card) -> bool:
+    """Whether a sensor's outputs mean what the card's do."""
+    return (sensor.channels, sensor.touch_axes) == (card.channels, card.conditioning.touch_axes)
 
 
 def _errors(card: Card, graph: bytes, path: Path, windows: LabelledWindows) -> dict[str, float]:

@@ -1,0 +1,141 @@
+"""A bundle for a magnetometer: its graph, its stream, its C code, and what does not apply to it."""
+
+import json
+import subprocess
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from c_case import NEEDS_COMPILER, Case, compiled, difference
+from dome_map import dome_map
+from touched_skin import NOISE, RATE_HZ, SENSOR, UNIT, recorded, write_skin
+
+import softslide
+from features.angles import wrapped_deg
+from features.card import Interval, Validity, read_card
+from features.stream.conditioning import Conditioning
+from models.cnn.gauss_newton import Refinement, RefinementConfig
+from models.cnn.network import NetworkConfig, SlideNetwork
+from models.cnn.training import TrainingConfig, train_proposal
+from models.cnn.training_windows import SynthesisConfig, WindowSource
+from models.export.bundle import PARITY, believed, graph_inputs, read_graph, write_bundle
+from models.export.formats import export
+from models.fitted_model import FittedModel
+from models.graph.from_torch import export_graph
+from models.response_map.contact_card import contact_calibration
+from pipeline.recordings.at_rest import conditioning_for
+from pipeline.recordings.folder import Folder
+from pipeline.recordings.windows import LabelledWindows, labelled_windows
+from serve.localizer import Localizer
+
+pytestmark = pytest.mark.long
+STEPS = 10  # of Gauss-Newton
+
+
+@pytest.fixture(scope="module")
+def skin(tmp_path_factory: pytest.TempPathFactory) -> Folder:
+    return write_skin(tmp_path_factory.mktemp("skin") / "folder", 12, 4)
+
+
+@pytest.fixture(scope="module")
+def windows(skin: Folder) -> LabelledWindows:
+    return labelled_windows(skin, conditioning_for(skin, Conditioning()))
+
+
+@pytest.fixture(scope="module")
+def bundle(skin: Folder, windows: LabelledWindows, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The formula's map with a network that was trained on it for seconds; exported, or refused, as `train` does."""
+    torch.set_num_threads(1)
+    conditioning = conditioning_for(skin, Conditioning())
+    assert (conditioning.touch_axes, conditioning.onset) == ("xyz", "touch")
+    unit = UNIT * conditioning.scale
+    block_v = NOISE * conditioning.scale / np.sqrt(conditioning.block_samples(RATE_HZ))
+    plain = dome_map()
+    response = replace(
+        plain,
+        coefficients=unit * plain.coefficients,
+        noise_v=np.full(3, block_v),
+        drift_v=np.full(3, block_v / 2),
+        floor_v=block_v,
+    )
+    config = NetworkConfig(refinement=RefinementConfig(steps=STEPS))
+    source = WindowSource(response, conditioning.block_s, SynthesisConfig(speed_mm_s=(10.0, 60.0)))
+    proposal = train_proposal(source, config, TrainingConfig(steps=150, batch=64, rate=0.01, average=0.9))
+    network = SlideNetwork(proposal, Refinement(response, conditioning.block_s, config.refinement)).eval()
+
+    def original(inputs: dict[str, np.ndarray]) -> np.ndarray:
+        with torch.no_grad():
+            return network(**{k: torch.tensor(v, dtype=torch.float32) for k, v in inputs.items()}).numpy()
+
+    fitted = FittedModel(
+        name="cnn",
+        input="window",
+        outputs=network.outputs,
+        graph=export_graph(network, 1),
+        original=original,
+        intervals={name: Interval(2.0, 0.0) for name in ("direction_deg", "log_speed", "offset_mm")},
+        validity=Validity(misfit=5.0, direction_sd_deg=6.0, log_speed_sd=0.1),
+        conditioning=conditioning,
+        summary={},
+        contact=contact_calibration(response),
+    )
+    out = tmp_path_factory.mktemp("bundle") / "m"
+    write_bundle(fitted, SENSOR, windows, {}, out)
+    return out
+
+
+def test_a_stream_ends_in_the_slide_that_was_recorded(bundle: Path) -> None:
+    for seed, line in enumerate([(33.0, 4.0, 25.0), (140.0, -6.0, 18.0), (290.0, 2.0, 35.0)]):
+        outputs, _ = recorded(*line, seed=100 + seed)
+        localizer = Localizer.load(bundle)
+        whole = localizer.push(outputs)
+        last = whole[-1]
+        assert last.valid
+        assert abs(wrapped_deg(last.direction_deg - line[0])) < 1.5
+        assert last.offset_mm == pytest.approx(line[1], abs=0.3)
+        assert last.speed_mm_s == pytest.approx(line[2], rel=0.03)
+        # In what chunks the samples come makes no difference; drift by gravity has no meaning here.
+        localizer.reset()
+        pieces = [e for n in range(0, len(outputs), 7) for e in localizer.push(outputs[n : n + 7])]
+        assert [repr(e) for e in pieces] == [repr(e) for e in whole]
+        assert np.isnan([last.gain, last.turn_deg]).all()
+
+
+def test_the_command_streams_a_file_of_it(
+    bundle: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    outputs, _ = recorded(33.0, 4.0, 25.0, seed=100)
+    path = tmp_path / "one.csv"
+    time_s = np.arange(len(outputs)) / RATE_HZ
+    header = ",".join(["time_s", *SENSOR.channels])
+    np.savetxt(path, np.column_stack([time_s, outputs]), delimiter=",", header=header, comments="")
+    command = ["serve", "--model", str(bundle), "--source", str(path), "--fast"]
+    assert softslide.main(command) == 0
+    lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert lines[-1]["valid"]
+    assert lines[-1]["direction_deg"] == pytest.approx(33.0, abs=1.5)
+
+
+@NEEDS_COMPILER
+def test_its_c_code_computes_the_same(bundle: Path, windows: LabelledWindows, tmp_path: Path) -> None:
+    told = export(bundle, "c", tmp_path / "c")
+    compiled(tmp_path / "c", "check")
+    assert subprocess.run([tmp_path / "c" / "check"], check=False, timeout=60).returncode == 0
+    assert told["single_differs"] < PARITY or told["precision"] == "as trained"
+    card = read_card(bundle / "model.json")
+    some = windows[np.arange(0, len(windows), 5)]
+    case = Case(read_graph(bundle), graph_inputs("window", some.volts, some.elapsed_s))
+    wanted = case.onnx_rows()
+    stands = believed(wanted, card)
+    assert stands.sum() > 10
+    assert difference(case.c_rows(tmp_path, card)[stands], wanted[stands]) < PARITY
+
+
+def test_int8_is_not_set_on_another_kinds_sample(
+    bundle: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    command = ["export", "--model", str(bundle), "--to", "int8", "--out", str(tmp_path / "out")]
+    assert softslide.main(command) == 2
+    assert "of kind 'magnetometer'" in capsys.readouterr().err
