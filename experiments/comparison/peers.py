@@ -27,6 +27,7 @@ from models.cnn.inversion import STARTS, Inversion
 from models.held_out import offset_reach_mm
 from models.registry import default_config
 from models.response_map.select import CalibratedMap, calibrated_map
+from pipeline.recordings.at_rest import conditioning_for
 from pipeline.recordings.folder import Folder, read_folder
 from pipeline.recordings.windows import LabelledWindows, labelled_windows
 from pipeline.staging import staged
@@ -66,14 +67,19 @@ class Study:
     @cached_property
     def windows(self) -> LabelledWindows:
         """The scored slides' windows at each stroke fraction, as the runtime makes them."""
-        return labelled_windows(self.scored)
+        return labelled_windows(self.scored, self.conditioning)
+
+    @cached_property
+    def conditioning(self) -> Conditioning:
+        """The signal path's constants for this sensor, without a lag."""
+        return conditioning_for(self.taught, Conditioning())
 
     @cached_property
     def calibrated(self) -> CalibratedMap:
         """The default model's calibration without its network."""
         c = CnnConfig()
         atlas = design_of(self.taught, None)
-        return calibrated_map(self.taught, atlas, c.conditioning, c.calibration, c.spread)
+        return calibrated_map(self.taught, atlas, self.conditioning, c.calibration, c.spread)
 
     @cached_property
     def hashes(self) -> dict[str, Any]:
@@ -176,9 +182,9 @@ def _read_inversion(study: Study) -> Readout:
 
 
 def _read_minirocket(study: Study) -> Readout:
-    taught = regression.late_windows(labelled_windows(study.taught))
+    taught = regression.late_windows(labelled_windows(study.taught, study.conditioning))
     validity = Validity(offset_mm=offset_reach_mm(taught))
-    card = window_card("minirocket", regression.OUTPUTS, study.scored.sensor, Conditioning(), validity)
+    card = window_card("minirocket", regression.OUTPUTS, study.scored.sensor, study.conditioning, validity)
     window_s = np.empty(0)
 
     def predict(volts: np.ndarray, elapsed_s: np.ndarray) -> np.ndarray:
