@@ -10,6 +10,7 @@ from dome_map import CHAMBER_MM, dome_map
 from features.card import Validity
 from features.stream.conditioning import Conditioning
 from features.stream.tracker import SlideState, SlideTracker
+from models.cnn.cramer_rao import cramer_rao
 from models.cnn.forward_model import BINS
 from models.cnn.gauss_newton import FLOOR_SHARE, Refinement, RefinementConfig
 from models.cnn.inversion import Inversion
@@ -219,3 +220,17 @@ def test_an_estimate_is_believed_only_where_a_further_step_would_not_move_it() -
     wrong = (np.degrees(own_sd[:, 0]) < limit.direction_sd_deg) & (moved / own_sd > 1.0).any(axis=1)
     assert wrong.sum() > 5
     assert not (wrong & believed).any()
+
+
+def test_the_bound_of_three_axes_is_what_inversions_of_its_own_noise_scatter_by() -> None:
+    response = dome_map()
+    config = SynthesisConfig(
+        speed_mm_s=(10.0, 11.0), complete=1.0, paused=0.0, midway=0.0, channel_gain=0.0, depth_mm=0.0
+    )
+    windows = WindowSource(response, BLOCK_S, config).draw(16, torch.Generator().manual_seed(2)).labelled()
+    bound = cramer_rao(response, BLOCK_S, windows)
+    inversion = Inversion(response, BLOCK_S)
+    errors = signed_errors(inversion.predict(windows.volts, windows.elapsed_s), inversion.outputs, windows)
+    for name, least in zip(("direction_deg", "log_speed", "offset_mm"), bound.T, strict=False):
+        ratio = np.sqrt(np.mean(errors[name] ** 2) / np.mean(least**2))
+        assert 0.3 < ratio < 3.0, name

@@ -35,7 +35,7 @@ def cramer_rao(
     def refined(steps: int, least_prior: tuple[float, float, float, float]) -> tuple[Tensor, ...]:
         config = RefinementConfig(steps=steps, trust=1.0, least_prior=least_prior)
         with torch.no_grad():
-            columns = Refinement(response, block_s, config)(
+            columns = Refinement(response, block_s, config, settled=False)(
                 torch.tensor(windows.volts, dtype=torch.float32).unflatten(1, (boards, 3)),
                 torch.tensor(windows.elapsed_s, dtype=torch.float32),
                 torch.ones(len(truth), boards),

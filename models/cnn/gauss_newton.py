@@ -64,6 +64,9 @@ class Refinement(nn.Module):
     board (the ripple of the pressure). The last two are rank-one parts of a channel's covariance. Where the map's
     residuals are correlated between channels (`ResponseMap.whitening`), these are mixed first, as long as no
     accelerometer is dead.
+
+    settled: whether variances become huge where the steps have not converged (maps without a rim); a bound takes them
+    as they are.
     """
 
     noise: Tensor
@@ -83,7 +86,9 @@ class Refinement(nn.Module):
     mixing: Tensor
     unmixed: Tensor
 
-    def __init__(self, response: ResponseMap, block_s: float, config: RefinementConfig) -> None:
+    def __init__(
+        self, response: ResponseMap, block_s: float, config: RefinementConfig, settled: bool = True
+    ) -> None:
         super().__init__()
         assert response.noise_v is not None
         assert response.drift_v is not None
@@ -125,7 +130,7 @@ class Refinement(nn.Module):
         # Held-out cells tell what the map leaves in full (models/response_map/select.py).
         self.floor_share = FLOOR_SHARE if response.rim else 1.0
         # Splines of a small spacing and a gain that is hardly known: some early windows converge slowly.
-        self.settles = not response.rim
+        self.settled = settled and not response.rim
 
     def forward(
         self, volts: Tensor, elapsed_s: Tensor, weight: Tensor, proposal: Tensor, log_sd: Tensor
@@ -168,7 +173,7 @@ class Refinement(nn.Module):
             state = state + torch.maximum(torch.minimum(move, self.longest_step), -self.longest_step)
         misfit = gram[..., STATE:, STATE:] / (self.axes * BINS * weight.sum(1, keepdim=True)).clamp(min=1.0)
         variance = (covariance * self.each[:, :STATE]).sum(4, keepdim=True)
-        if self.settles:
+        if self.settled:
             # How far the last step went in standard deviations, squared (Newton's decrement).
             length = (move * normal[..., STATE:]).sum(3, keepdim=True)
             variance = variance + UNSETTLED * (length - SETTLED_SD**2).clamp(min=0)
