@@ -6,13 +6,22 @@ export MLFLOW_DISABLE_TELEMETRY = true
 # Tests start many processes: what they import is compiled once, whatever the environment says.
 export PYTHONDONTWRITEBYTECODE =
 
-.PHONY: help demo test test-long format
+.PHONY: help demo real test test-long format
 
 help: ## what there is to make
 	@sed -n 's/^\([a-z-]*\):.*## /\1	/p' $(MAKEFILE_LIST)
 
 demo: .venv/installed ## the whole path on the sample that ships, in minutes
 	$(BIN)/softslide demo --out demo
+
+# `evaluate` scores no bound of the article's on curves, which is no failure here.
+real: .venv/installed ## the table of docs/real.md, in hours: make real PRESSES=run2_20250317_fixed_depth.csv
+	$(BIN)/softslide import $(PRESSES) --map docs/real/one.toml --out real/one
+	$(BIN)/softslide import $(PRESSES) --map docs/real/five.toml --out real/five
+	$(BIN)/softslide import $(PRESSES) --map docs/real/few.toml --out real/few
+	$(BIN)/softslide compare --recordings real/one real/five --models trees inversion cnn --out real/comparison
+	$(BIN)/softslide few --recordings real/few --slides 48 12 --draws 1
+	$(BIN)/softslide evaluate --model real/comparison/one/cnn/bundle --recordings real/one --split track-circle track-s --out real/curves --allow-untested
 
 test: .venv/installed ## linters, types, import contracts, tests
 	$(BIN)/ruff check .
