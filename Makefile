@@ -15,10 +15,10 @@ demo: .venv/installed ## the whole path on the sample that ships, in minutes
 	$(BIN)/softslide demo --out demo
 
 # `evaluate` scores no bound of the article's on curves, which is no failure here.
-real: .venv/installed ## the table of docs/real.md, in hours: make real PRESSES=run2_20250317_fixed_depth.csv
-	$(BIN)/softslide import $(PRESSES) --map docs/real/one.toml --out real/one
-	$(BIN)/softslide import $(PRESSES) --map docs/real/five.toml --out real/five
-	$(BIN)/softslide import $(PRESSES) --map docs/real/few.toml --out real/few
+real: .venv/installed ## the table of docs/real.md, in hours
+	$(BIN)/softslide import pipeline/presses/run2_20250317_fixed_depth.csv --map pipeline/presses/one.toml --out real/one
+	$(BIN)/softslide import pipeline/presses/run2_20250317_fixed_depth.csv --map pipeline/presses/five.toml --out real/five
+	$(BIN)/softslide import pipeline/presses/run2_20250317_fixed_depth.csv --map pipeline/presses/few.toml --out real/few
 	$(BIN)/softslide compare --recordings real/one real/five --models trees inversion cnn --out real/comparison
 	$(BIN)/softslide few --recordings real/few --slides 48 12 --draws 1
 	$(BIN)/softslide evaluate --model real/comparison/one/cnn/bundle --recordings real/one --split track-circle track-s --out real/curves --allow-untested

@@ -8,9 +8,11 @@ import pytest
 
 import softslide
 from pipeline.importers.grid.grid_map import read_grid_map
+from pipeline.sensor import read_sensor
 
 ROOT = Path(__file__).parents[1]
-MAPS = sorted(path for path in (ROOT / "docs" / "real").glob("*.toml") if not path.name.startswith("sensor"))
+PRESSES = ROOT / "pipeline" / "presses"
+MAPS = sorted(path for path in PRESSES.glob("*.toml") if not path.name.startswith("sensor"))
 
 
 @pytest.mark.parametrize("path", MAPS, ids=lambda path: path.stem)
@@ -33,6 +35,21 @@ def test_its_commands_are_those_of_make_and_are_understood() -> None:
     )
     assert recipe is not None
     made = re.findall(r"^\t\$\(BIN\)/softslide (.+)$", recipe.group(1), re.MULTILINE)
-    assert [line.replace("$(PRESSES)", "run2_20250317_fixed_depth.csv") for line in made] == told
+    assert made == told
     for line in told:
         softslide.parser().parse_args(shlex.split(line))
+
+
+def test_the_presses_that_ship_make_slides_that_check_finds_nothing_wrong_with(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = (PRESSES / "few.toml").read_text(encoding="utf-8")
+    for name, count in (("120", "12"), ("80", "8")):
+        text = text.replace(f"count = {name}", f"count = {count}")
+    (tmp_path / "map.toml").write_text(text.replace("sensor-five.toml", str(PRESSES / "sensor-five.toml")))
+    command = ["import", str(PRESSES / "run2_20250317_fixed_depth.csv"), "--map", str(tmp_path / "map.toml")]
+    assert softslide.main([*command, "--out", str(tmp_path / "out")]) == 0
+    assert softslide.main(["check", str(tmp_path / "out")]) == 0
+    assert "20 recordings, 0 errors, 0 warnings" in capsys.readouterr().out
+    sensor = read_sensor(tmp_path / "out" / "sensor.toml")
+    assert sensor.origin == "assembled"
