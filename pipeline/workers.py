@@ -1,5 +1,8 @@
 """Work on several processes: of this computer, or of a Dask cluster."""
 
+import os
+import threading
+import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack
 from typing import Any
@@ -30,10 +33,23 @@ def results(
             client = stack.enter_context(cluster(scheduler))
             stack.enter_context(parallel_config(backend="dask", client=client))
             jobs = -1
+        # A cluster's workers are not this process's own.
+        own = {} if scheduler else {"initializer": end_with, "initargs": (os.getpid(),)}
         # Each call is long enough to travel alone.
-        yield from Parallel(n_jobs=jobs, batch_size=1, return_as=kind)(
+        yield from Parallel(n_jobs=jobs, batch_size=1, return_as=kind, **own)(
             delayed(function)(*call) for call in calls
         )
+
+
+def end_with(parent: int) -> None:
+    """Ends this process, a worker, soon after the process that it works for has ended, for whatever reason."""
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(1.0)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
 
 
 def cluster(scheduler: str) -> Any:

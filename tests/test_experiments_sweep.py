@@ -142,11 +142,9 @@ def test_every_trial_is_a_run_below_the_sweeps(
     client = mlflow.MlflowClient(store)
     runs = client.search_runs(["1"], "tags.command = 'trial'")
     sweeps = {run.info.run_id: run for run in client.search_runs(["1"], "tags.command = 'sweep'")}
-    logged = {r.data.metrics["heldout_overall"] for r in runs}
-    # The one that was told as the process was killed may be missing.
-    assert logged <= {t.value for t in trials(stopped[0], TrialState.COMPLETE)}
-    assert len(runs) >= 3
-    assert {r.data.params["settings.seed"] for r in runs} == {"1"}
+    logged = {r.data.metrics["heldout_overall"] for r in runs if r.info.status == "FINISHED"}
+    assert logged == {t.value for t in trials(stopped[0], TrialState.COMPLETE)}
+    assert {r.data.params["settings.seed"] for r in runs if r.info.status == "FINISHED"} == {"1"}
     assert all("data.slides" in r.data.tags for r in runs)
     assert all(run.data.tags["mlflow.parentRunId"] in sweeps for run in runs)
     (ended,) = [run for run in sweeps.values() if run.info.status == "FINISHED"]

@@ -7,6 +7,7 @@ trials count, and those that were under way begin again.
 import fcntl
 import hashlib
 import json
+import os
 import sys
 import time
 from collections.abc import Iterator, Mapping
@@ -25,7 +26,7 @@ from optuna.trial import FrozenTrial, Trial, TrialState
 from experiments.provenance import data_hashes
 from experiments.sweep.pictures import pictures
 from experiments.sweep.space import Sweep, read_sweep
-from experiments.sweep.trial import follow_parent, held_out_errors, overall
+from experiments.sweep.trial import held_out_errors, overall
 from experiments.tracking.run import tracked
 from experiments.train import design_of
 from features.errors import InputError
@@ -33,10 +34,12 @@ from pipeline.atlas.atlas import Atlas, atlas_hash
 from pipeline.progress import progress_bar
 from pipeline.recordings.derived_labels import recordings_to_learn_from
 from pipeline.recordings.folder import Folder, read_folder
-from pipeline.workers import cluster
+from pipeline.workers import cluster, end_with
 
 # A user attribute of a trial: its errors by quantity; or why it has none.
 ERRORS, FAULT = "errors", "fault"
+# A user attribute of the study, once the trial of this number has its run.
+LOGGED = "logged {}"
 
 
 def sweep(config: Path, scheduler: str = "", store: str | None = None) -> str:
@@ -62,6 +65,7 @@ def sweep(config: Path, scheduler: str = "", store: str | None = None) -> str:
         with tracked("sweep", study.study_name, plan.as_table(), config, tags=tags, store=store) as run:
             for trial in _trials(plan, study, folder, design, scheduler):
                 _track(plan, trial, tags, config, store)
+                study.set_user_attr(LOGGED.format(trial.number), True)
             best = _best(config, study)
             text = tomli_w.dumps(plan.table(best.params))
             run.text(text, "best.toml")
@@ -130,11 +134,16 @@ def _study(plan: Sweep, hashes: Mapping[str, str], journal: Path) -> optuna.Stud
 def _trials(
     plan: Sweep, study: optuna.Study, folder: Folder, design: Atlas | None, scheduler: str
 ) -> Iterator[FrozenTrial]:
-    """Asks for trials, runs them on workers, and reports their results; yields each trial as it ends."""
+    """Asks for trials, runs them on workers, and reports their results; yields each trial as it ends.
+
+    First those that ended in an earlier call which was stopped before they were logged.
+    """
     until = time.monotonic() + plan.budget.seconds
-    ended = sum(t.state is TrialState.COMPLETE or FAULT in t.user_attrs for t in study.trials)
+    earlier = [t for t in study.trials if t.state is TrialState.COMPLETE or FAULT in t.user_attrs]
+    ended = len(earlier)
     if ended:
         print(f"softslide sweep: {ended} trials of an earlier call", file=sys.stderr)
+    yield from (t for t in earlier if LOGGED.format(t.number) not in study.user_attrs)
     running: dict[Future, Trial] = {}
     bar = progress_bar(plan.model, "trial", total=plan.budget.trials, done=ended)
     with bar, _pool(plan.budget.workers, scheduler) as pool:
@@ -169,7 +178,10 @@ def _pool(workers: int, scheduler: str) -> Iterator[Executor]:
             yield client.get_executor(pure=False)
         return
     pool = get_reusable_executor(
-        workers, env={"OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}, initializer=follow_parent
+        workers,
+        env={"OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"},
+        initializer=end_with,
+        initargs=(os.getpid(),),
     )
     try:
         yield pool

@@ -1,27 +1,12 @@
 """One trial of a sweep: a fit, judged on held-out calibration lines. Imported by worker processes."""
 
 import math
-import os
-import threading
-import time
 from typing import Any
 
 from features.errors import InputError
 from models.registry import fit_model
 from pipeline.atlas.atlas import Atlas
 from pipeline.recordings.folder import Folder
-
-
-def follow_parent() -> None:
-    """Ends this worker when the parent process has ended, for whatever reason."""
-    parent = os.getppid()
-
-    def watch() -> None:
-        while os.getppid() == parent:
-            time.sleep(1.0)
-        os._exit(1)
-
-    threading.Thread(target=watch, daemon=True).start()
 
 
 def held_out_errors(model: str, folder: Folder, settings: Any, atlas: Atlas | None) -> dict[str, float]:
