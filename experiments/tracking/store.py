@@ -60,6 +60,7 @@ def client_of(address: str) -> mlflow.MlflowClient:
     else:
         os.environ["MLFLOW_TRACKING_URI"] = named
     with _alone(address):
+        _make_whole(address)
         return mlflow.MlflowClient(address, address)
 
 
@@ -217,6 +218,19 @@ def last_duration_s(tags: Mapping[str, str], named: str | None = None) -> float 
 def first_line(error: BaseException) -> str:
     """What an error says, in a line of at most 160 characters."""
     return " ".join(str(error).split())[:160]
+
+
+def _make_whole(address: str) -> None:
+    """Makes a local store that is not there yet, its tables first: a process killed between them left one for good that
+    takes no run."""
+    place = Path(address.removeprefix(LOCAL))
+    if not address.startswith(LOCAL) or "?" in address or place.exists():
+        return
+    scratch = place.with_name(f".{place.name}.unfinished")
+    for left in (scratch, scratch.with_name(f"{scratch.name}-journal")):
+        left.unlink(missing_ok=True)
+    mlflow.MlflowClient(f"{LOCAL}{scratch}", f"{LOCAL}{scratch}")
+    scratch.replace(place)
 
 
 @contextmanager

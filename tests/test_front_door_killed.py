@@ -1,0 +1,176 @@
+"""Commands killed at random moments: nothing is half-written, nothing finished is lost, the next call ends well."""
+
+import hashlib
+import random
+import shutil
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import mlflow
+import optuna
+import pytest
+from killed import Commands, commands
+from lab_files import FORMATS, write_lab
+from optuna.storages import JournalStorage
+from optuna.storages.journal import JournalFileBackend
+from optuna.trial import TrialState
+from small_bundle import write_small_bundle
+from trial_folder import SENSOR, a_folder
+
+from pipeline.atlas.atlas import DEFAULT_SENSOR
+from pipeline.recordings.folder import SAMPLE, read_folder
+from pipeline.recordings.manifest import write_manifest
+
+KILLS = 20
+
+
+@pytest.fixture(scope="module")
+def softslide() -> Iterator[Commands]:
+    with commands() as ready:
+        yield ready
+
+
+def contents(place: Path) -> dict[str, str]:
+    """A hash of each file in and below a folder, or of the file itself; empty where there is none."""
+    files = [place] if place.is_file() else sorted(path for path in place.rglob("*") if path.is_file())
+    return {str(path.relative_to(place)): hashlib.sha256(path.read_bytes()).hexdigest() for path in files}
+
+
+def seen(folder: Path) -> set[str]:
+    return {path.name for path in folder.iterdir()}
+
+
+@dataclass(frozen=True)
+class Case:
+    """A command that writes `out`. kept: what it keeps of a call that was killed, one file a piece of work."""
+
+    words: list[str]
+    out: str
+    kept: str = ""
+
+
+def words(*given: object) -> list[str]:
+    return [str(word) for word in given]
+
+
+def check(softslide: Commands, case: Case, place: Path, kills: int) -> None:
+    """Kills the command at random moments; each second time the call after that is let run to its end."""
+    whole = place / "whole"
+    softslide.start(case.words, whole)
+    took_s = softslide.finish()
+    assert softslide.status in (0, 1), said(whole)  # 1: a bound that is not met
+    expected, names = contents(whole / case.out), seen(whole)
+    assert expected
+    folder, chance = place / "killed", random.Random(len(case.words))
+    for number in range(kills):
+        before = set(folder.glob(case.kept)) if case.kept and folder.exists() else set()
+        softslide.start(case.words, folder)
+        softslide.kill(chance.uniform(0.0, took_s))
+        assert contents(folder / case.out) in ({}, expected)
+        if case.kept and not (folder / case.out).exists():
+            assert set(folder.glob(case.kept)) >= before
+        if number % 2:
+            softslide.start(case.words, folder)
+            softslide.finish()
+            assert softslide.status in (0, 1), said(folder)
+            assert contents(folder / case.out) == expected
+            assert seen(folder) == names
+            shutil.rmtree(folder)
+
+
+def said(folder: Path) -> str:
+    return folder.with_name(f"{folder.name}.log").read_text()
+
+
+@pytest.mark.parametrize("kills", [2, pytest.param(KILLS, marks=pytest.mark.long)])
+def test_import(softslide: Commands, tmp_path: Path, kills: int) -> None:
+    write_lab(tmp_path / "lab", FORMATS["csv"], ("one", "two", "three", "four", "five", "six"))
+    sources = tmp_path / "lab" / "lab"
+    before = contents(sources)
+    command = words("import", sources, "--map", tmp_path / "lab" / "map.toml", "--out", "out")
+    check(softslide, Case(command, "out", ".out.partial/raw/*.parquet"), tmp_path, kills)
+    assert contents(sources) == before
+
+
+@pytest.mark.long
+def test_synthesize(softslide: Commands, tmp_path: Path) -> None:
+    command = words("synthesize", "--slides", 3, "--seed", 4, "--out", "out")
+    check(softslide, Case(command, "out"), tmp_path, KILLS)
+
+
+@pytest.mark.long
+def test_evaluate(softslide: Commands, tmp_path: Path) -> None:
+    bundle = write_small_bundle(tmp_path / "bundle", SENSOR, offset_mm_per_v=50.0)
+    lab = a_folder(tmp_path / "lab", **{f"r{n}": {} for n in range(13)}).root
+    command = words("evaluate", "--model", bundle, "--recordings", lab, "--out", "out", "--no-report")
+    check(softslide, Case(command, "out", ".out.work/*.parquet"), tmp_path, KILLS)
+
+
+@pytest.fixture
+def lab(tmp_path: Path) -> Path:
+    """The sample's fastest calibration slides."""
+    shutil.copytree(SAMPLE, tmp_path / "lab")
+    slides = read_folder(tmp_path / "lab").select("calibration").manifest
+    fastest = slides.loc[slides["speed_mm_s"].nlargest(12).index]
+    write_manifest(tmp_path / "lab" / "manifest.csv", fastest)
+    return tmp_path / "lab"
+
+
+@pytest.mark.long
+def test_train(softslide: Commands, lab: Path, tmp_path: Path) -> None:
+    command = words("train", "--recordings", lab, "--model", "interpolation", "--out", "out")
+    check(softslide, Case(command, "out"), tmp_path, KILLS)
+
+
+@pytest.mark.long
+def test_simulate(softslide: Commands, tmp_path: Path) -> None:
+    text = DEFAULT_SENSOR.read_text().replace("[5.0, 7.0, 9.6]", "[6.0]")
+    sensor = tmp_path / "sensor.toml"
+    sensor.write_text(text.replace("size_mm = 2.5", "size_mm = 5.0"))
+    command = words("simulate", "--sensor", sensor, "--coarse", "--depth", 0.5, "--out", "out.npz")
+    check(softslide, Case(command, "out.npz", ".out.npz.lines/*/*.npz"), tmp_path, KILLS)
+
+
+@pytest.mark.long
+def test_sweep(softslide: Commands, lab: Path, tmp_path: Path) -> None:
+    """Killed again and again, it comes to its end; each trial that ended is kept, with one run that ended."""
+    text = f"model = 'trees'\nrecordings = {str(lab)!r}\n[budget]\ntrials = {{}}\nworkers = 2\n"
+    text += "[space]\ntrees = { low = 2, high = 5 }\n"
+    softslide.start(words("sweep", "--config", written(tmp_path / "a.toml", text.format(3))), tmp_path / "a")
+    took_s = softslide.finish()
+    assert softslide.status == 0, said(tmp_path / "a")
+    config, chance = written(tmp_path / "b.toml", text.format(2 * KILLS)), random.Random(3)
+    before: dict[int, float | None] = {}
+    for _ in range(KILLS):
+        softslide.start(words("sweep", "--config", config), tmp_path / "b")
+        softslide.kill(chance.uniform(0.0, took_s))
+        now = completed(config)
+        assert now.items() >= before.items()
+        before = now
+    softslide.start(words("sweep", "--config", config), tmp_path / "b")
+    softslide.finish()
+    assert softslide.status == 0, said(tmp_path / "b")
+    assert len(completed(config)) == 2 * KILLS
+    store = f"sqlite:///{tmp_path}/b.store/mlflow.db"
+    runs = mlflow.MlflowClient(store, store).search_runs(["1"], "tags.command = 'trial'")
+    ended = [run.data.metrics["heldout_overall"] for run in runs if run.info.status == "FINISHED"]
+    assert set(ended) == set(completed(config).values())
+
+
+def written(path: Path, text: str) -> Path:
+    path.write_text(text)
+    return path
+
+
+def completed(config: Path) -> dict[int, float | None]:
+    """Each completed trial's value, by its number, from the sweep's journal."""
+    journal = config.with_suffix(".journal")
+    if not journal.exists() or not journal.read_bytes():
+        return {}
+    # A killed process leaves a last line without its end.
+    whole = config.with_suffix(".whole")
+    whole.write_bytes(b"".join(l for l in journal.read_bytes().splitlines(True) if l.endswith(b"\n")))
+    storage = JournalStorage(JournalFileBackend(str(whole)))
+    studies = [optuna.load_study(study_name=s, storage=storage) for s in optuna.get_all_study_names(storage)]
+    return {t.number: t.value for study in studies for t in study.get_trials(states=[TrialState.COMPLETE])}
