@@ -73,7 +73,7 @@ def check(parser: Parser) -> Run:
 def import_(parser: Parser) -> Run:
     """turn a lab's files into a folder of recordings
 
-    Reads CSV, Parquet, HDF5, TDMS, MATLAB, ROS 1, ROS 2 and MCAP files as a
+    Reads CSV, Excel, Parquet, HDF5, TDMS, MATLAB, ROS 1, ROS 2 and MCAP files as a
     map says (volts, g, m/s2 or counts; s, ms, us, ns or timestamps), converts
     them to volts (V) at an even sample rate (Hz), and reports which signs it
     changed and why. An interrupted import resumes; bad input leaves nothing.

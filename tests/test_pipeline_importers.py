@@ -2,6 +2,7 @@
 
 import json
 import shutil
+import zipfile
 from dataclasses import replace
 from pathlib import Path
 
@@ -81,6 +82,22 @@ def test_a_file_of_noise_is_refused(tmp_path: Path, capsys, name: str) -> None:
     path = victim(tmp_path, FORMATS[name])
     path.write_bytes(np.random.default_rng(0).bytes(5000))
     refused(map_path, capsys)
+
+
+def test_a_workbook_that_unpacks_to_more_than_any_is_refused(tmp_path: Path, capsys) -> None:
+    map_path = write_lab(tmp_path, FORMATS["xlsx"])
+    with zipfile.ZipFile(tmp_path / "lab" / "one.xlsx", "a", zipfile.ZIP_DEFLATED) as packed:
+        packed.writestr("xl/sharedStrings.xml", bytes((64 << 20) + 1))
+    assert "save the sheet as CSV UTF-8" in refused(map_path, capsys)
+
+
+def test_a_sheet_that_is_not_there_and_a_table_of_another_kind_are_named(tmp_path: Path, capsys) -> None:
+    map_path = write_lab(tmp_path, FORMATS["xlsx"])
+    text = map_path.read_text()
+    map_path.write_text(text.replace('sheet = "slide"', 'sheet = "side"'))
+    assert "no sheet 'side' (it has Sheet, slide)" in refused(map_path, capsys)
+    map_path.write_text(text.replace('kind = "xlsx"', 'kind = "csv"'))
+    assert '[xlsx] belongs to kind = "xlsx"' in refused(map_path, capsys)
 
 
 @pytest.mark.parametrize("name", ["csv", "csv for each axis", "hdf5", "ros 1", "ros 2"])

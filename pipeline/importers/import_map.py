@@ -9,6 +9,7 @@ from typing import Any
 from features.errors import InputError
 from pipeline.importers.readers.delimited import CsvLayout
 from pipeline.importers.readers.registry import READERS
+from pipeline.importers.readers.workbook import ExcelLayout
 from pipeline.recordings.manifest import LABELS
 from pipeline.sensor import Sensor, read_sensor
 from pipeline.toml_tables import from_table, read_toml
@@ -121,6 +122,7 @@ class Map:
     pattern: str = ""
     signs: str = "given"
     csv: CsvLayout = field(default_factory=CsvLayout)
+    xlsx: ExcelLayout = field(default_factory=ExcelLayout)
     boards: dict[str, Board] = field(default_factory=dict)
     labels: dict[str, Label] = field(default_factory=dict)
     sheet: Sheet | None = None
@@ -172,8 +174,9 @@ def read_map(path: Path) -> Map:
     sensor = table.pop("sensor", None)
     if not isinstance(sensor, str):
         raise InputError(f'{path}: sensor is {sensor!r}; write sensor = "sensor.toml", a file beside the map')
-    if "csv" in table and table.get("kind") != "csv":
-        raise InputError(f'{path}: [csv] belongs to kind = "csv"; remove it')
+    for kind in ("csv", "xlsx"):
+        if kind in table and table.get("kind") != kind:
+            raise InputError(f'{path}: [{kind}] belongs to kind = "{kind}"; remove it')
     return from_table(Map, table, str(path), path=path, sensor=read_sensor(path.parent / sensor))
 
 

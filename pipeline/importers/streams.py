@@ -152,5 +152,6 @@ def _read(path: Path, columns: list[str], mapping: Map) -> Iterator[Chunk]:
     """Opens a file with the reader of the map's kind."""
     if not path.is_dir():
         check_regular(path, MOST_BYTES, "name the lab's files, or their folder")
-    layout = (mapping.csv,) if mapping.kind == "csv" else ()
+    layouts: dict[str, Any] = {"csv": mapping.csv, "xlsx": mapping.xlsx}
+    layout = (layouts[mapping.kind],) if mapping.kind in layouts else ()
     return READERS[mapping.kind].read()(path, columns, *layout)

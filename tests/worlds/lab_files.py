@@ -6,6 +6,7 @@ from pathlib import Path
 
 import h5py
 import numpy as np
+import openpyxl
 import pandas as pd
 import scipy.io
 from nptdms import ChannelObject, TdmsWriter
@@ -91,6 +92,19 @@ def _stamped_csv(folder: Path, name: str, time_s: np.ndarray, volts: np.ndarray)
     _table(time_s, volts).assign(t=stamps.strftime("%Y-%m-%dT%H:%M:%S.%fZ")).to_csv(
         folder / f"{name}.csv", index=False
     )
+
+
+def _workbook(folder: Path, name: str, time_s: np.ndarray, volts: np.ndarray) -> None:
+    """A sheet of notes, then the samples below a title, with a row of units, and rows whose content was deleted."""
+    book = openpyxl.Workbook()
+    book.active.append(["nothing here"])
+    sheet = book.create_sheet("slide")
+    for row in (["DAQ 9234"], ["t", "x", "y", "z"], ["s", "V", "V", "V"]):
+        sheet.append(row)
+    for row in np.column_stack([time_s, volts]).tolist():
+        sheet.append(row)
+    sheet.cell(sheet.max_row + 3, 1).value = ""
+    book.save(folder / f"{name}.xlsx")
 
 
 def _parquet(folder: Path, name: str, time_s: np.ndarray, volts: np.ndarray) -> None:
@@ -215,6 +229,14 @@ FORMATS: dict[str, Format] = {
     ),
     "csv with timestamps": Format(
         _stamped_csv, "csv", ".csv", ("x", "y", "z"), time='column = "t"\nunit = "timestamp"'
+    ),
+    "xlsx": Format(
+        _workbook,
+        "xlsx",
+        ".xlsx",
+        ("x", "y", "z"),
+        tables='[xlsx]\nsheet = "slide"\nheader_lines = 1\nunits_row = true\n',
+        tolerance_v=1e-15,  # openpyxl writes 16 digits
     ),
     "parquet": Format(_parquet, "parquet", ".parquet", ("x", "y", "z")),
     "hdf5": Format(_hdf5, "hdf5", ".h5", ("daq/v:0", "daq/v:1", "daq/v:2"), time='column = "daq/t"'),

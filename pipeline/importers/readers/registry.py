@@ -25,6 +25,7 @@ class Reader:
 
 READERS = {
     "csv": Reader((".csv", ".txt", ".tsv", ".dat"), "delimited text", "delimited", "read_delimited"),
+    "xlsx": Reader((".xlsx",), "Excel workbook", "workbook", "read_workbook"),
     "parquet": Reader((".parquet",), "Parquet", "parquet", "read_parquet"),
     "hdf5": Reader((".h5", ".hdf5", ".hdf"), "HDF5", "hdf5", "read_hdf5"),
     "tdms": Reader((".tdms",), "TDMS of LabVIEW", "tdms", "read_tdms"),
