@@ -9,6 +9,7 @@ from typing import Any
 
 from features.card_fields import check_fields
 from features.contact.calibration import ContactCalibration
+from features.contact.force_map import ForceMap
 from features.digest import sha256
 from features.errors import InputError
 from features.regular_file import read_regular
@@ -79,7 +80,7 @@ class Card:
     reference_mm: the point that offsets are measured from. intervals: by quantity (direction_deg, log_speed,
     offset_mm, depth_mm). provenance: what the model was trained from. golden: one worked example, the graph's inputs
     by name and its row for them. graph_sha256: of the graph's file. contact: what contacts are tracked with, None:
-    straight slides alone.
+    straight slides alone. force: of a contact by its place, None: not known.
 
     Raises:
         ValueError: an unknown input or output, channels that are no whole number of accelerometers, or a field of
@@ -100,6 +101,7 @@ class Card:
     golden: dict[str, Any]
     graph_sha256: str
     contact: ContactCalibration | None = None
+    force: ForceMap | None = None
 
     def __post_init__(self) -> None:
         if self.input not in INPUTS:
@@ -156,8 +158,9 @@ def read_card(path: Path) -> Card:
             f"{path}: card version {version!r:.40}, this release reads {VERSION}; export the bundle again"
         )
     table.pop("units", None)
-    # Bundles made before contacts were tracked have no such section.
+    # Bundles made before contacts were tracked, or forces known, have no such section.
     table.setdefault("contact", None)
+    table.setdefault("force", None)
     if odd := sorted(set(table) ^ {f.name for f in fields(Card)}):
         raise InputError(f"{path}: key {odd[0]!r:.60} is missing or unknown; export the bundle again")
     try:
@@ -207,6 +210,7 @@ def _card(table: dict[str, Any]) -> Card:
             "conditioning": Conditioning(**table["conditioning"]),
             "intervals": {k: Interval(**v) for k, v in table["intervals"].items()},
             "validity": Validity(**limits),
+            "force": None if table["force"] is None else ForceMap(**table["force"]),
             "contact": None if table["contact"] is None else _contact(table["contact"]),
         }
     )

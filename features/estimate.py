@@ -50,6 +50,8 @@ class Estimate(NamedTuple):
     skin's plane, from the chamber's centre. valid: false where the model abstains.
     contact: what touches; reason: why the estimate is not valid. vx_mm_s, vy_mm_s: the velocity. misfit: reduced
     chi-square of the straight slide at constant speed.
+    force_mn: of the skin on the object, normal to the flat skin; tangential_force_mn: the size of its part in the
+    plane.
     accelerometers: number that the slide is read from, 0 without a slide. zero_shift_v, gain, turn_deg: the sensor's
     drift (features/stream/drift.py).
     """
@@ -88,6 +90,12 @@ class Estimate(NamedTuple):
     depth_lo_mm: float = math.nan
     depth_hi_mm: float = math.nan
     misfit: float = math.nan
+    force_mn: float = math.nan
+    force_lo_mn: float = math.nan
+    force_hi_mn: float = math.nan
+    tangential_force_mn: float = math.nan
+    tangential_force_lo_mn: float = math.nan
+    tangential_force_hi_mn: float = math.nan
 
 
 _NO_INTERVAL = Interval(math.nan, math.nan)

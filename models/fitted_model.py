@@ -9,6 +9,7 @@ import onnx
 
 from features.card import Interval, Validity
 from features.contact.calibration import ContactCalibration
+from features.contact.force_map import ForceMap
 from features.stream.conditioning import Conditioning
 from pipeline.recordings.windows import LabelledWindows
 
@@ -22,7 +23,7 @@ class FittedModel:
     conditioning: of the signal that it reads.
     summary: figures of the fit, for the record.
     windows: what export is checked on where there are no recordings; None: the recordings' own.
-    contact: what contacts are tracked with; None: the model knows straight slides alone.
+    contact: what contacts are tracked with; None: the model knows straight slides alone. force: None: it knows none.
     untimed: how many slides had their onset fitted. left_out: why a recording was not learnt from, by name.
     """
 
@@ -37,6 +38,7 @@ class FittedModel:
     summary: dict[str, float] = field(default_factory=dict)
     windows: LabelledWindows | None = None
     contact: ContactCalibration | None = None
+    force: ForceMap | None = None
     untimed: int = 0
     left_out: dict[str, str] = field(default_factory=dict)
 

@@ -14,6 +14,7 @@ from features.contact.tracker import ContactTracker, Track, TrackingConfig
 from features.departure import held_at_rim
 from features.errors import InputError
 from features.estimate import Estimate, Reason, decode
+from features.force import ForceReader
 from features.stream.conditioning import ONSETS, Blocks, LagUndone
 from features.stream.drift import UNKNOWN, DriftWatch, measures_gravity
 from features.stream.faults import BRIDGED_BLOCKS, SignalWatch
@@ -56,6 +57,7 @@ class Localizer:
         self._lag = LagUndone(card.conditioning, len(self._tracker.touch))
         self._contact = contact_tracker(card, self._lag.noise_gain)
         self._limits = TrackLimits()
+        self._forces = None if card.force is None else ForceReader(card.force)
         self._inputs = {
             "volts": np.zeros((1, channels, WINDOW_BINS), np.float32),
             "elapsed_s": np.zeros(1, np.float32),
@@ -199,6 +201,8 @@ class Localizer:
         if self.card.conditioning.onset == ONSETS[0]:
             chamber, ball = self.card.sensor["chamber_mm"], self.card.sensor.get("indenter_diameter_mm", 0.0)
             estimate = held_at_rim(estimate, chamber, ball)
+        if self._forces is not None:
+            estimate = self._forces.with_force(estimate)
         return estimate._replace(**self._last_drift._asdict())
 
     def _no_contact(self) -> Reason:

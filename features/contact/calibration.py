@@ -57,17 +57,25 @@ class ContactCalibration:
 
     def splines(self) -> np.ndarray:
         """(4, K, K, C): the splines of M, Fx, Fy (V) and D (V/mm)."""
-        stored = np.frombuffer(base64.b64decode(self.coefficients, validate=True), dtype="<f2")
-        shape = (PARTS, self.knots, self.knots, len(self.noise_v))
-        if stored.size != math.prod(shape):
-            raise ValueError(f"{stored.size} coefficients of the contact calibration, not {math.prod(shape)}")
-        values = stored.astype(float).reshape(shape) * self.scale_v
-        if not np.isfinite(values).all():
-            raise ValueError("a coefficient of the contact calibration is not finite")
-        return values
+        return decoded(self.coefficients, (PARTS, self.knots, self.knots, len(self.noise_v)), self.scale_v)
 
 
 def encoded(coefficients: np.ndarray) -> tuple[str, float]:
     """Coefficients in V -> the card's text and its scale. Half precision keeps 1 in 2000 of each, below the noise."""
     scale = float(np.abs(coefficients).max()) or 1.0
     return base64.b64encode((coefficients / scale).astype("<f2").tobytes()).decode("ascii"), scale
+
+
+def decoded(text: str, shape: tuple[int, ...], scale: float) -> np.ndarray:
+    """Coefficients of the shape from a card's text and its scale.
+
+    Raises:
+        ValueError: they are not as many, or one is not finite.
+    """
+    stored = np.frombuffer(base64.b64decode(text, validate=True), dtype="<f2")
+    if stored.size != math.prod(shape):
+        raise ValueError(f"{stored.size} coefficients of a map, not {math.prod(shape)}")
+    values = stored.astype(float).reshape(shape) * scale
+    if not np.isfinite(values).all():
+        raise ValueError("a coefficient of a map is not finite")
+    return values

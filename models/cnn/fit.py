@@ -21,6 +21,7 @@ from models.intervals import conformal_interval
 from models.misfit_limit import misfit_limit
 from models.response_map.calibrate import CalibrationConfig
 from models.response_map.contact_card import contact_calibration
+from models.response_map.forces import calibrated_forces
 from models.response_map.from_atlas import SensorSpread
 from models.response_map.map import ResponseMap
 from models.response_map.select import CalibratedMap, calibrated_map
@@ -106,6 +107,9 @@ def fit_cnn(
         conditioning=config.conditioning,
         summary=dict(summary),
         contact=contact_calibration(found.response),
+        force=None
+        if atlas is None
+        else calibrated_forces(found.folder, atlas, found.summary, found.response.depth_mm),
         windows=None if found.slides else source.draw(200, torch.Generator().manual_seed(1)).labelled(),
         untimed=found.untimed,
         left_out=found.left_out,

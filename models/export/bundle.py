@@ -86,6 +86,7 @@ def write_bundle(
         },
         graph_sha256=hashlib.sha256(graph).hexdigest(),
         contact=fitted.contact,
+        force=fitted.force,
     )
     with staged(out) as folder:
         (folder / "model.onnx").write_bytes(graph)

@@ -1,0 +1,60 @@
+"""What the model card carries for forces: the solved skin's force on an object, times what a scale said of it."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from features.contact.calibration import LARGEST, MOST_KNOTS, decoded
+from features.contact.response_surface import PARTS, ResponseSurface
+
+AXES = 3  # along x, along y, normal
+
+
+@dataclass(frozen=True)
+class ForceMap:
+    """The card's section `force`: the skin's force on the object, in mN.
+
+    F(x, y, a, d) = M + cos(a) Fx + sin(a) Fy + (d - d0) D along x, along y and normal to the skin, like the response
+    map. coefficients: base64 of float16, little-endian, (4, K, K, 3) in units of scale_mn: the splines of M, Fx, Fy
+    (mN) and D (mN/mm). knots: K. half_mm: the splines cover [-half_mm, half_mm]. spacing_mm: of the knots. depth_mm:
+    d0. relative_sd: standard deviation of the map's common factor. scale_readings: how many readings it rests on.
+
+    Raises:
+        ValueError: a number is out of range, or the coefficients are not as many as K says.
+    """
+
+    coefficients: str
+    scale_mn: float
+    knots: int
+    half_mm: float
+    spacing_mm: float
+    depth_mm: float
+    relative_sd: float
+    scale_readings: int = 0
+
+    def __post_init__(self) -> None:
+        for value in (self.scale_mn, self.half_mm, self.spacing_mm, self.depth_mm, self.relative_sd):
+            if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < LARGEST:
+                raise ValueError(f"force: {value!r:.40} is no number above 0 and below {LARGEST:g}")
+        if type(self.knots) is not int or not 4 <= self.knots <= MOST_KNOTS:
+            raise ValueError(f"force: knots {self.knots!r:.40}: out of range")
+        if type(self.scale_readings) is not int or self.scale_readings < 0:
+            raise ValueError(f"force: scale_readings {self.scale_readings!r:.40} is no number of readings")
+        if not isinstance(self.coefficients, str):
+            raise ValueError("force: coefficients are no text")
+        self.surface()
+
+    def surface(self) -> ResponseSurface:
+        """The map, ready to be read: mN and mN/mm."""
+        shape = (PARTS, self.knots, self.knots, AXES)
+        splines = decoded(self.coefficients, shape, self.scale_mn)
+        return ResponseSurface(splines, self.half_mm, self.spacing_mm)
+
+
+def weights(direction_rad: np.ndarray | None, off_mm: np.ndarray | float, count: int) -> np.ndarray:
+    """(N, 4) of M, Fx, Fy, D. direction_rad: (N,), None without sliding. off_mm: depth less the map's."""
+    each = np.zeros((count, PARTS))
+    each[:, 0], each[:, 3] = 1.0, off_mm
+    if direction_rad is not None:
+        each[:, 1], each[:, 2] = np.cos(direction_rad), np.sin(direction_rad)
+    return each

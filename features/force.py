@@ -1,0 +1,73 @@
+"""The force of an estimated contact."""
+
+import math
+
+import numpy as np
+
+from features.card import HALF_WIDTH_SD
+from features.contact.force_map import ForceMap, weights
+from features.estimate import Contact, Estimate
+from features.stream.tracker import SlideState
+
+STEP_MM = 0.5  # between the places of a line that are looked at for the largest force
+
+
+class ForceReader:
+    """Reads a map at the place of an estimate."""
+
+    def __init__(self, forces: ForceMap) -> None:
+        self._map, self._surface = forces, forces.surface()
+        self._back_mm = np.arange(0.0, 2 * math.sqrt(2.0) * forces.half_mm, STEP_MM)
+
+    def at(
+        self,
+        x_mm: np.ndarray,
+        y_mm: np.ndarray,
+        direction_rad: np.ndarray | None,
+        depth_mm: np.ndarray | float,
+    ) -> np.ndarray:
+        """Forces (N, 3) mN along x, along y and normal at (N,) places; direction_rad: None without sliding."""
+        each = weights(direction_rad, depth_mm - self._map.depth_mm, len(x_mm))
+        return np.einsum("np,npc->nc", each, self._surface.at(x_mm, y_mm)[:, 0])
+
+    def with_force(self, estimate: Estimate) -> Estimate:
+        """The estimate with the force; unchanged where it is not valid or has no place.
+
+        While a contact is felt it is the force now; of a slide that has ended, the largest on its line. The interval
+        holds the map's own uncertainty and that of place and depth. Without a depth the map's is taken.
+        """
+        if not (estimate.valid and math.isfinite(estimate.x_mm)):
+            return estimate
+        heading = math.radians(estimate.direction_deg)
+        direction = None if estimate.contact is Contact.PRESS else np.array([heading])
+        depth_mm = estimate.depth_mm if math.isfinite(estimate.depth_mm) else self._map.depth_mm
+        x, y = np.array([estimate.x_mm]), np.array([estimate.y_mm])
+        if estimate.state is SlideState.ENDED and direction is not None:
+            x, y = x - self._back_mm * math.cos(heading), y - self._back_mm * math.sin(heading)
+            largest = self.at(x, y, np.full(len(x), heading), depth_mm)[:, 2].argmax()
+            x, y = x[[largest]], y[[largest]]
+        read = self._surface.at(x, y)[0]
+        each = weights(direction, depth_mm - self._map.depth_mm, 1)[0]
+        force, along_x, along_y = np.einsum("p,kpc->kc", each, read)
+        half_widths = (
+            (estimate.x_hi_mm - estimate.x_lo_mm) / 2,
+            (estimate.y_hi_mm - estimate.y_lo_mm) / 2,
+            (estimate.depth_hi_mm - estimate.depth_lo_mm) / 2,
+        )
+        normal, tangential = max(float(force[2]), 0.0), math.hypot(force[0], force[1])
+        slopes = np.stack([along_x, along_y, read[0, 3]])
+        # Of the tangential force that of its size.
+        in_plane = slopes[:, :2] @ force[:2] / max(tangential, 1e-9)
+        common = HALF_WIDTH_SD * self._map.relative_sd
+        normal_half, tangential_half = (
+            math.hypot(common * size, *np.nan_to_num(slope * half_widths).tolist())
+            for size, slope in ((normal, slopes[:, 2]), (tangential, in_plane))
+        )
+        return estimate._replace(
+            force_mn=normal,
+            force_lo_mn=max(normal - normal_half, 0.0),
+            force_hi_mn=normal + normal_half,
+            tangential_force_mn=tangential,
+            tangential_force_lo_mn=max(tangential - tangential_half, 0.0),
+            tangential_force_hi_mn=tangential + tangential_half,
+        )

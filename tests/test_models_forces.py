@@ -1,0 +1,170 @@
+"""Forces: the card's map against the solver, a scale's readings, and what an estimate says of them."""
+
+import dataclasses
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from small_bundle import write_small_bundle, write_table
+from streams import a_sensor, pass_over, still, stream
+
+from features.card import read_card, write_card
+from features.errors import InputError
+from features.estimate import Contact, Estimate
+from features.force import ForceReader
+from features.stream.tracker import SlideState
+from models.response_map.forces import calibrated_forces, force_map
+from pipeline.atlas.atlas import Atlas, read_atlas
+from pipeline.recordings.folder import Folder, read_folder
+from serve.localizer import Localizer
+
+HEIGHT_MM, DEPTH_MM = 7.1, 0.5
+CHAMBER_MM = (50.0, 50.0)
+# A line that is one of no atlas's: X forward along y = -8.3.
+LINE = {
+    "direction_deg": 0.0,
+    "start_x_mm": -29.0,
+    "start_y_mm": -8.3,
+    "travel_mm": 58.0,
+    "depth_mm": DEPTH_MM,
+}
+
+
+@pytest.fixture(scope="module")
+def atlas() -> Atlas:
+    return read_atlas()
+
+
+@pytest.fixture(scope="module")
+def reader(atlas: Atlas) -> ForceReader:
+    return ForceReader(force_map(atlas, CHAMBER_MM, HEIGHT_MM, DEPTH_MM))
+
+
+def solved_mn(
+    atlas: Atlas, x: np.ndarray, y: np.ndarray, direction_deg: np.ndarray | None, depth_mm: float
+) -> np.ndarray:
+    return 1e3 * atlas.force(x, y, direction_deg, depth_mm, atlas.pressure_at(HEIGHT_MM))
+
+
+@pytest.mark.parametrize("depth_mm", [0.35, 0.5, 0.8])
+def test_the_map_is_the_solved_force_at_any_place_and_heading(
+    atlas: Atlas, reader: ForceReader, depth_mm: float
+) -> None:
+    """Over the skin as far as a ball's radius from the rim, where the clamp is felt; of the tangential force the error
+    is judged beside the whole force, since it vanishes where slope and friction cancel."""
+    rng = np.random.default_rng(1)
+    x, y = rng.uniform(-22.0, 22.0, (2, 300))
+    direction = rng.uniform(0.0, 360.0, 300)
+    solved = solved_mn(atlas, x, y, direction, depth_mm)
+    read = reader.at(x, y, np.deg2rad(direction), depth_mm)
+    size = np.linalg.norm(solved, axis=1)
+    assert np.median(np.abs(read[:, 2] / solved[:, 2] - 1)) < 0.02
+    assert np.median(np.linalg.norm(read - solved, axis=1) / size) < 0.05
+    still_ = reader.at(x, y, None, depth_mm)
+    pressed = solved_mn(atlas, x, y, None, depth_mm)
+    assert np.median(np.linalg.norm(still_ - pressed, axis=1) / np.linalg.norm(pressed, axis=1)) < 0.05
+
+
+def labelled(folder: Folder, readings_mn: list[float]) -> Folder:
+    rows = folder.manifest.iloc[: len(readings_mn)].assign(**LINE, force_mn=readings_mn)
+    return dataclasses.replace(folder, manifest=rows)
+
+
+@pytest.fixture(scope="module")
+def sample() -> Folder:
+    return read_folder(Path(__file__).parents[1] / "pipeline" / "sample")
+
+
+def test_a_scale_gives_the_factor_and_narrows_the_interval(atlas: Atlas, sample: Folder) -> None:
+    fitted = {"height_mm": HEIGHT_MM, "friction": 1.0}
+    unread = calibrated_forces(sample, atlas, fitted, DEPTH_MM)
+    assert unread.scale_readings == 0
+    x = np.arange(-25.0, 25.0, 0.1)
+    largest = solved_mn(atlas, x, np.full_like(x, -8.3), np.zeros_like(x), DEPTH_MM)[:, 2].max()
+    widths = [unread.relative_sd]
+    for count in (1, 4):
+        readings = [1.4 * largest] * count
+        read = calibrated_forces(labelled(sample, readings), atlas, fitted, DEPTH_MM)
+        # The prior of no factor keeps a few percent of it.
+        assert read.scale_mn / unread.scale_mn == pytest.approx(1.4, rel=0.03)
+        assert read.scale_readings == count
+        widths.append(read.relative_sd)
+    assert widths == sorted(widths, reverse=True)
+    assert widths[1] < 0.3 * widths[0]
+
+
+def test_a_reading_without_its_line_is_not_used(atlas: Atlas, sample: Folder) -> None:
+    folder = labelled(sample, [500.0])
+    lost = dataclasses.replace(folder, manifest=folder.manifest.assign(start_x_mm=math.nan))
+    assert calibrated_forces(lost, atlas, {"height_mm": HEIGHT_MM}, DEPTH_MM).scale_readings == 0
+
+
+def test_a_laser_s_height_goes_before_the_fitted_one(atlas: Atlas, sample: Folder) -> None:
+    measured = dataclasses.replace(sample, manifest=sample.manifest.assign(skin_height_mm=9.0))
+    by_laser = calibrated_forces(measured, atlas, {"height_mm": 6.0}, DEPTH_MM)
+    assert by_laser.scale_mn == pytest.approx(force_map(atlas, CHAMBER_MM, 9.0, DEPTH_MM).scale_mn)
+
+
+def estimated(**values: float) -> Estimate:
+    base = {"direction_deg": 0.0, "depth_mm": DEPTH_MM, "x_mm": 4.0, "y_mm": -8.3, "valid": True}
+    return Estimate(1.0, SlideState.SLIDE, contact=Contact.SLIDE, **{**base, **values})
+
+
+def test_an_estimate_carries_the_force_where_it_is(atlas: Atlas, reader: ForceReader) -> None:
+    told = reader.with_force(estimated())
+    x, y, z = solved_mn(atlas, np.array([4.0]), np.array([-8.3]), np.zeros(1), DEPTH_MM)[0]
+    assert told.force_mn == pytest.approx(z, rel=0.03)
+    assert told.tangential_force_mn == pytest.approx(math.hypot(x, y), abs=0.05 * z)
+    assert told.force_lo_mn < told.force_mn < told.force_hi_mn
+    assert told.tangential_force_lo_mn < told.tangential_force_mn < told.tangential_force_hi_mn
+    vague = reader.with_force(estimated(x_lo_mm=2.0, x_hi_mm=6.0, y_lo_mm=-14.0, y_hi_mm=-2.0))
+    assert vague.force_mn == told.force_mn
+    assert vague.force_hi_mn - vague.force_lo_mn > told.force_hi_mn - told.force_lo_mn
+
+
+def test_after_the_slide_it_is_the_largest_on_its_line(atlas: Atlas, reader: ForceReader) -> None:
+    ended = reader.with_force(estimated(x_mm=26.0)._replace(state=SlideState.ENDED))
+    x = np.arange(-25.0, 25.0, 0.1)
+    solved = solved_mn(atlas, x, np.full_like(x, -8.3), np.zeros_like(x), DEPTH_MM)[:, 2]
+    assert ended.force_mn == pytest.approx(solved.max(), rel=0.03)
+
+
+@pytest.mark.parametrize("unknown", [{"valid": False}, {"x_mm": math.nan}])
+def test_without_a_valid_place_there_is_no_force(reader: ForceReader, unknown: dict) -> None:
+    assert math.isnan(reader.with_force(estimated(**unknown)).force_mn)
+
+
+def test_a_bundle_carries_the_map_and_one_without_it_works_as_before(tmp_path: Path, atlas: Atlas) -> None:
+    volts = stream(still(0.6), pass_over(1.2), still(0.6))
+    bundle = write_small_bundle(tmp_path / "old", a_sensor())
+    old = Localizer.load(bundle).push(volts)
+    assert all(math.isnan(estimate.force_mn) for estimate in old)
+    forces = force_map(atlas, CHAMBER_MM, HEIGHT_MM, DEPTH_MM)
+    size = (bundle / "model.json").stat().st_size
+    write_card(dataclasses.replace(read_card(bundle / "model.json"), force=forces), bundle / "model.json")
+    assert (bundle / "model.json").stat().st_size - size < 25_000
+    new = Localizer.load(bundle).push(volts)
+    assert any(estimate.force_mn > 100.0 for estimate in new)
+    assert [e.force_mn > 0 for e in new] == [e.valid for e in new]
+    fields = [name for name in Estimate._fields if "force" not in name]
+    assert [[repr(getattr(e, f)) for f in fields] for e in new] == [
+        [repr(getattr(e, f)) for f in fields] for e in old
+    ]
+
+
+@pytest.mark.parametrize(
+    ("key", "value"), [("coefficients", "AAAA"), ("scale_mn", -1.0), ("knots", 3), ("relative_sd", 0.0)]
+)
+def test_a_force_map_that_is_none_is_refused(
+    tmp_path: Path, atlas: Atlas, key: str, value: float | str
+) -> None:
+    import json
+
+    bundle = write_small_bundle(tmp_path / "bad", a_sensor())
+    table = json.loads((bundle / "model.json").read_text())
+    table["force"] = dataclasses.asdict(force_map(atlas, CHAMBER_MM, HEIGHT_MM, DEPTH_MM)) | {key: value}
+    table.pop("card_sha256")
+    write_table(bundle, table)
+    with pytest.raises(InputError, match="does not fit"):
+        read_card(bundle / "model.json")
