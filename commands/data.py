@@ -1,4 +1,4 @@
-"""Subcommands that make and check data: import, check, simulate, synthesize."""
+"""Subcommands that make and check data: import, check, height, press, simulate, synthesize."""
 
 import argparse
 import json
@@ -216,6 +216,42 @@ def height(parser: Parser) -> Run:
     return run
 
 
+def press(parser: Parser) -> Run:
+    """where and how hard something presses, in each recording of a folder
+
+    Reads the strongest 0.2 s that begin 0.3 s after the touch, and finds the
+    press of the solved skin that shows the same: place and depth in mm, force
+    in mN, each with a 90 % interval, and the radius (mm) that holds the place
+    with 90 %: one accelerometer leaves many places, several leave one. A line
+    for each recording, which rests at its start.
+
+        softslide press my-recordings --height 7.1
+        softslide press my-recordings --atlas atlas.npz --json
+    """
+    arguments.existing(parser, "folder", "DIR", "holds sensor.toml, manifest.csv, slides/*.parquet")
+    arguments.atlas(parser, "of the sensor's design (default: the one that ships, or solved now)")
+    parser.add_argument(
+        "--height",
+        type=float,
+        metavar="MM",
+        help="of the inflated skin, mm (default: the laser's reading in the manifest, skin_height_mm)",
+    )
+    parser.add_argument("--json", action="store_true", help="one JSON object a recording")
+
+    def run(given: argparse.Namespace) -> None:
+        from pipeline.atlas.library import atlas_of
+        from pipeline.atlas.presses import presses, told
+        from pipeline.atlas.skin_height import laser_mm
+        from pipeline.recordings.folder import read_folder
+
+        recordings = read_folder(given.folder)
+        height_mm = laser_mm(recordings) if given.height is None else given.height
+        for row in presses(recordings, atlas_of(recordings.sensor, given.atlas), height_mm):
+            print(json.dumps(row) if given.json else next(told([row])))
+
+    return run
+
+
 def synthesize(parser: Parser) -> Run:
     """write a folder of synthetic recordings from an atlas
 
@@ -228,6 +264,7 @@ def synthesize(parser: Parser) -> Run:
     seed writes the same files; synthesis.json says what they were drawn from.
 
         softslide synthesize --slides 100 --seed 5 --out synthetic
+        softslide synthesize --slides 100 --config deeper.toml --out deeper
         softslide synthesize --paths 40 --out paths
         softslide synthesize --protocol article --out protocol
     """
@@ -259,10 +296,23 @@ def synthesize(parser: Parser) -> Run:
     parser.add_argument(
         "--seed", type=int, default=0, metavar="S", help="of all that is random (default: %(default)s)"
     )
+    arguments.existing(
+        parser,
+        "--config",
+        "FILE",
+        "a TOML file that changes what slides and sensor are like: height_mm, pressure_share, depth_mm, offset_mm, "
+        "speed_mm_s, [electronics] noise and more (docs/format.md)",
+    )
     arguments.out(parser, "the folder to write")
 
     def run(given: argparse.Namespace) -> None:
+        from pipeline.synthesis.distribution import Distribution
         from pipeline.synthesis.synthesize import synthesize
+        from pipeline.toml_tables import from_table, read_toml
+
+        distribution = None
+        if given.config is not None:
+            distribution = from_table(Distribution, read_toml(given.config), str(given.config))
 
         folder = synthesize(
             given.atlas,
@@ -270,6 +320,7 @@ def synthesize(parser: Parser) -> Run:
             given.slides,
             given.seed,
             given.out,
+            distribution,
             paths=given.paths,
             protocol=given.protocol is not None,
         )
@@ -279,4 +330,4 @@ def synthesize(parser: Parser) -> Run:
     return run
 
 
-COMMANDS = (check, height, import_, simulate, synthesize)
+COMMANDS = (check, height, press, import_, simulate, synthesize)

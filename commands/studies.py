@@ -1,7 +1,8 @@
-"""Subcommands that compare and measure: article, compare, few, drift, bench."""
+"""Subcommands that compare and measure: article, compare, few, drift, sensitivity, bench."""
 
 import argparse
 import json
+from pathlib import Path
 
 from commands import arguments
 from commands.arguments import Parser, Run
@@ -137,6 +138,37 @@ def drift(parser: Parser) -> Run:
     return run
 
 
+def sensitivity(parser: Parser) -> Run:
+    """what each assumption about the skin moves
+
+    Changes one number of a design at a time (friction, height, depth, skin,
+    chamber, board, moduli, ball, mesh), solves a line along x forth and back,
+    10 mm beside the first accelerometer, and prints one JSON object each:
+    distance of V_x's extremes, width and hysteresis in mm, static tilt in deg,
+    largest V_x in mg, largest normal force in mN. Minutes on one core.
+
+        softslide sensitivity --picture sensitivity.svg
+    """
+    arguments.sensor(parser, "the design (default: the article's sensor)")
+    parser.add_argument(
+        "--picture", type=Path, metavar="sensitivity.svg", help="draw it too: .svg, .png or .pdf"
+    )
+
+    def run(given: argparse.Namespace) -> None:
+        from experiments.studies.skin_sensitivity import sensitivity
+
+        if given.picture and given.picture.suffix not in (".svg", ".png", ".pdf"):
+            raise InputError(f"{given.picture}: name a .svg, .png or .pdf", "picture")
+        for row in sensitivity(given.sensor, given.picture):
+            numbers = {
+                key: None if value != value else round(value, 4) if isinstance(value, float) else value
+                for key, value in row.items()
+            }
+            print(json.dumps(numbers), flush=True)
+
+    return run
+
+
 def bench(parser: Parser) -> Run:
     """the benchmark suite
 
@@ -188,4 +220,4 @@ def bench(parser: Parser) -> Run:
     return run
 
 
-COMMANDS = (article, compare, few, drift, bench)
+COMMANDS = (article, compare, few, drift, sensitivity, bench)

@@ -192,6 +192,7 @@ def test_the_version_is_told() -> None:
 CALLS = {
     "check": [SAMPLE],
     "height": [SAMPLE],
+    "press": [SAMPLE],
     "import": [SAMPLE / "slides", "--map", SAMPLE / "sensor.toml", "--out", "out"],
     "simulate": ["--sensor", SAMPLE / "sensor.toml", "--out", "out"],
     "synthesize": ["--slides", 1, "--out", "out"],
@@ -211,6 +212,7 @@ CALLS = {
     "plan": ["--sensor", SAMPLE / "sensor.toml", "--out", "out"],
     "record": ["--source", "udp://:9", "--plan", SAMPLE / "manifest.csv", "--out", "out"],
     "drift": ["--model", SAMPLE, "--recordings", SAMPLE],
+    "sensitivity": [],
     "bench": [],
     "predict": ["--model", "BUNDLE", "slide.parquet"],
     "serve": ["--model", "BUNDLE", "--source", "-", "--page", "0"],

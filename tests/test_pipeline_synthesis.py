@@ -17,11 +17,11 @@ from features.errors import InputError
 from pipeline.atlas.atlas import Atlas, read_atlas, write_atlas
 from pipeline.checks.findings import examine
 from pipeline.checks.zone_signs import sign_agreement
-from pipeline.recordings.folder import read_folder
+from pipeline.recordings.folder import Folder, read_folder
 from pipeline.sensor import Accelerometer, design_hash, design_of
 from pipeline.skin.lines import gravity
 from pipeline.synthesis.board_gravity import in_tilted_sensor, upright
-from pipeline.synthesis.distribution import SPLITS, Distribution
+from pipeline.synthesis.distribution import SCALE_MM, SPLITS, Distribution
 from pipeline.synthesis.motion import Stroke
 from pipeline.synthesis.protocol import article_slides
 from pipeline.synthesis.slide_plan import Slide, crossing
@@ -352,6 +352,42 @@ def test_an_atlas_of_another_version_or_design_and_an_unwritable_out_are_one_lin
         assert words in said
         assert len(said.strip().splitlines()) == 1
     assert sorted(path.name for path in tmp_path.iterdir()) == ["file", "old.npz", "other.npz"]
+
+
+def test_a_configuration_file_changes_what_is_drawn(tmp_path, capsys):
+    config = tmp_path / "deeper.toml"
+    config.write_text(
+        "height_mm = 8.0\npressure_share = [1.0, 1.0]\ndepth_mm = 0.9\nuneven = 0.0\nspeed_mm_s = [6.0, 6.5]\n"
+        "offset_mm = [-3.0, 3.0]\nrest_s = [2.0, 2.1]\n[electronics]\nnoise = 0.0\nmains_g = [1e-6, 2e-6]\n"
+    )
+
+    def made(name: str, *further: str) -> Folder:
+        out = tmp_path / name
+        assert softslide.main(["synthesize", "--slides", "2", *further, "--out", str(out)]) == 0
+        return read_folder(out)
+
+    quiet, usual = made("quiet", "--config", str(config)), made("usual")
+    table = quiet.manifest
+    assert (table["depth_mm"] == 0.9).all()
+    assert table["height_mm"].to_numpy(dtype=float) == pytest.approx([8.0, 8.0])
+    assert table["speed_mm_s"].between(6.0, 6.5).all()
+    assert table["offset_mm"].abs().max() <= 3.0 + SCALE_MM
+
+    def noise_v(folder: Folder) -> float:
+        start = folder.load("s00000").volts[:400]
+        return float(np.std(np.diff(start, axis=0)))
+
+    assert noise_v(quiet) < 0.3 * noise_v(usual)
+    config.write_text("height = 8.0\n")
+    capsys.readouterr()
+    assert (
+        softslide.main(["synthesize", "--slides", "1", "--config", str(config), "--out", str(tmp_path / "x")])
+        == 2
+    )
+    told = capsys.readouterr().err
+    assert "deeper.toml" in told
+    assert "height" in told
+    assert not (tmp_path / "x").exists()
 
 
 def test_a_distribution_that_cannot_be_is_refused():

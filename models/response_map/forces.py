@@ -4,6 +4,7 @@ import math
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 
 from features.contact.calibration import encoded
 from features.contact.force_map import ForceMap
@@ -11,11 +12,11 @@ from features.force import STEP_MM, ForceReader
 from models.response_map.from_atlas import DEPTH_STEP_MM, GRID_MM
 from models.response_map.map import MARGIN_MM, SPACING_MM, spline_coefficients
 from pipeline.atlas.atlas import Atlas
+from pipeline.atlas.skin_height import LASER
 from pipeline.recordings.folder import Folder
 from pipeline.skin.lines import PER_BOARD
 
 SCALE = "force_mn"  # column of the manifest: the largest normal force of the stroke that a scale read
-LASER = "skin_height_mm"
 # Without a scale the force is as uncertain as the modulus, which it is proportional to at a given height: the article
 # has 0.07 MPa, the data sheet of Ecoflex 00-10 8 psi = 0.055 MPa at 100 % (a factor of 1.27).
 MODULUS_SD = 0.24
@@ -72,8 +73,8 @@ def calibrated_forces(folder: Folder, atlas: Atlas, fitted: dict[str, float], de
     factor: the mean of their logarithms over the map's, with a prior of no factor.
     """
     table = folder.manifest
-    height_mm = float(np.nanmean(table[LASER].astype(float))) if LASER in table and len(table) else math.nan
-    height_mm = fitted["height_mm"] if math.isnan(height_mm) else height_mm
+    read = pd.to_numeric(table.get(LASER, pd.Series(dtype=float)), errors="coerce").mean()
+    height_mm = fitted["height_mm"] if math.isnan(read) else float(read)
     forces = force_map(atlas, folder.sensor.chamber_mm, height_mm, depth_mm, fitted.get("friction", 1.0))
     reader, ratios = ForceReader(forces), []
     for row in table.to_dict("records") if SCALE in table else ():

@@ -19,6 +19,20 @@ LASER = "skin_height_mm"  # column of the manifest: a laser's reading
 REST_S = 0.5  # what an unlabelled recording is taken to rest at its start
 
 
+def laser_mm(folder: Folder) -> float:
+    """The mean of a laser's readings in mm.
+
+    Raises:
+        InputError: the folder has none.
+    """
+    readings = pd.to_numeric(folder.manifest.get(LASER, pd.Series(dtype=float)), errors="coerce")
+    if readings.isna().all():
+        raise InputError(
+            f"not known: {folder.root / 'manifest.csv'} has no {LASER}; name one in mm", "height"
+        )
+    return float(readings.mean())
+
+
 def skin_heights(folder: Folder, atlas: Atlas) -> list[dict[str, Any]]:
     """A row for each pressure, NaN where something is not known.
 

@@ -2,6 +2,7 @@
 
     height = height_by_atlas(static_g, atlas)
     press = find_indentation(subtracted_g, atlas, atlas.pressure_at(height))
+    doubt = indentation_doubt(subtracted_g, atlas, atlas.pressure_at(height), press)
 
 Readings are volts over `sensitivity_v_per_g`: `static_g` of the untouched skin, less `zero_g_v`; `subtracted_g` of the
 touched skin, less the untouched one's. The article gives a formula for the height (section 5.1,
@@ -16,6 +17,13 @@ from scipy.optimize import brentq, least_squares
 
 from features.errors import InputError
 from pipeline.atlas.atlas import Atlas
+
+# What a reading of a press errs by: the mean of 0.2 s of an accelerometer that drifts by 1 mg in a minute, and the
+# share of the largest reading that a fitted design leaves (models/response_map/from_atlas.py).
+READING_G = 0.002
+MODEL_SHARE = 0.05
+# Of the grid that the doubt is read from.
+PLACE_MM, DEPTHS = 0.5, 5
 
 
 def height_by_formula(static_g: float, board_mm: float, half_width_mm: float) -> float:
@@ -110,3 +118,57 @@ def find_indentation(subtracted_g: np.ndarray, atlas: Atlas, pressure_level: flo
     depth = float(np.clip(depth, atlas.depth_mm[0], atlas.depth_mm[-1]))
     force = atlas.force(np.array([x]), np.array([y]), None, depth, pressure_level)[0, 2]
     return Indentation(float(x), float(y), depth, float(force), math.sqrt(2 * best.cost))
+
+
+@dataclass(frozen=True)
+class Doubt:
+    """How well readings tell a press: what holds 90 % of its posterior.
+
+    radius_mm: about its place. depth_mm, force_n: intervals.
+    """
+
+    radius_mm: float
+    depth_mm: tuple[float, float]
+    force_n: tuple[float, float]
+
+
+def indentation_doubt(
+    subtracted_g: np.ndarray, atlas: Atlas, pressure_level: float, found: Indentation
+) -> Doubt:
+    """The doubt of an indentation that `find_indentation` found in the same readings (boards, 3) in g.
+
+    Every place of a grid and every depth of the atlas is as likely before; a reading errs by READING_G and by
+    MODEL_SHARE of the largest.
+    """
+    wanted = np.asarray(subtracted_g, float)
+    reach = atlas.meta["reach_mm"]
+    x, y = (
+        axis.ravel()
+        for axis in np.meshgrid(*(np.arange(-r, r + PLACE_MM / 2, PLACE_MM) for r in reach), indexing="ij")
+    )
+    depths = np.linspace(atlas.depth_mm[0], atlas.depth_mm[-1], DEPTHS if len(atlas.depth_mm) > 1 else 1)
+    variance = READING_G**2 + (MODEL_SHARE * np.abs(wanted).max()) ** 2
+    off, force = np.empty((2, len(depths), len(x)))
+    for n, depth in enumerate(depths):
+        response = atlas.response(x, y, None, float(depth), pressure_level)
+        off[n] = np.nan_to_num(((response - wanted) ** 2).sum(axis=(1, 2)), nan=np.inf)
+        force[n] = atlas.force(x, y, None, float(depth), pressure_level)[:, 2]
+    weight = np.exp(-0.5 * (off - off.min()) / variance)
+    weight /= weight.sum()
+    away = np.broadcast_to(np.hypot(x - found.x_mm, y - found.y_mm), off.shape)
+    return Doubt(
+        max(_quantile(away, weight, 0.9), PLACE_MM),
+        _interval(np.broadcast_to(depths[:, None], off.shape), weight),
+        _interval(np.nan_to_num(force), weight),
+    )
+
+
+def _interval(values: np.ndarray, weight: np.ndarray) -> tuple[float, float]:
+    return _quantile(values, weight, 0.05), _quantile(values, weight, 0.95)
+
+
+def _quantile(values: np.ndarray, weight: np.ndarray, share: float) -> float:
+    """Of values with weights of the same shape, that sum to 1."""
+    order = np.argsort(values, axis=None)
+    at = min(int(np.searchsorted(np.cumsum(weight.ravel()[order]), share)), len(order) - 1)
+    return float(values.ravel()[order[at]])

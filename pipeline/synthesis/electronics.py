@@ -24,7 +24,7 @@ class ElectronicsSpread:
 
     sensitivity: relative error after a six-position calibration. zero_g_v: V. cross_axis: share of another axis.
     turn_deg: of a board about its normal as cast in. mains_g: bounds of the amplitude picked up, in g of the output;
-    mains_hz: one of these. harmonic: share of the third harmonic.
+    mains_hz: one of these. harmonic: share of the third harmonic. noise: density over the data sheet's.
     """
 
     sensitivity: float = 0.01
@@ -34,6 +34,11 @@ class ElectronicsSpread:
     mains_g: tuple[float, float] = (0.0003, 0.002)
     mains_hz: tuple[float, ...] = (50.0, 60.0)
     harmonic: float = 0.2
+    noise: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not self.noise >= 0:
+            raise ValueError(f"noise is {self.noise}; it must not be negative")
 
 
 @dataclass(frozen=True)
@@ -92,7 +97,7 @@ def draw_electronics(sensor: Sensor, spread: ElectronicsSpread, random: np.rando
         ideal.rate_hz,
         ideal.volts_per_g @ (gain * crossed) @ turned,
         ideal.zero_v + spread.zero_g_v * random.standard_normal((boards, 3)),
-        np.full((boards, 3), NOISE_G_RTHZ["MMA7361L"]),
+        np.full((boards, 3), spread.noise * NOISE_G_RTHZ["MMA7361L"]),
         BANDWIDTH_HZ,
         # The grid holds its frequency to some hundredths of a hertz.
         float(random.choice(spread.mains_hz)) + 0.02 * random.standard_normal(),

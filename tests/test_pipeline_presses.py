@@ -1,0 +1,143 @@
+"""Presses: where and how hard, and how far that is from certain."""
+
+import dataclasses
+import json
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import softslide
+from pipeline.atlas.atlas import DEFAULT_SENSOR, Atlas, read_atlas, write_atlas
+from pipeline.atlas.presses import MOST_MISFIT, presses, settled_reading
+from pipeline.recordings.folder import Folder, Recording, write_folder
+from pipeline.sensor import Sensor, design_hash, design_of, read_sensor
+from pipeline.skin.lines import MIRROR_BOARD, PER_BOARD
+
+HEIGHT_MM = 7.1
+RATE_HZ = 500.0
+# x, y, depth in mm.
+PLACES = [(-12.0, 7.0, 0.5), (9.0, -11.0, 0.8), (2.0, 14.0, 0.4), (-5.0, -6.0, 0.6), (15.0, 4.0, 0.7)]
+
+
+def four_boards() -> Atlas:
+    """The shipped atlas with its board at (5, 0) also at (-5, 0), (0, 5), (0, -5), by mirroring and turning the skin as
+    if each were the only one: what the estimator sees of several boards, though no skin that was solved."""
+    atlas = read_atlas()
+    one, force = atlas.parts[..., :PER_BOARD], atlas.parts[..., PER_BOARD:]
+    left = one[:, ::-1] * MIRROR_BOARD[0]
+    left[1] *= -1.0
+
+    def turned(board: np.ndarray) -> np.ndarray:
+        """By a quarter: (x, y) to (-y, x); along x becomes along y."""
+        there = np.swapaxes(board, 1, 2)[:, ::-1].copy()
+        vector = there.copy()
+        for first in (0, 3):
+            vector[..., first], vector[..., first + 1] = -there[..., first + 1], there[..., first]
+        return vector[[0, 2, 1]] * np.array([1.0, -1.0, 1.0])[:, None, None, None, None, None]
+
+    boards = [one, left, turned(one), turned(left)]
+    places = [(5.0, 0.0), (-5.0, 0.0), (0.0, 5.0), (0.0, -5.0)]
+    sensor = sensor_with(places)
+    return dataclasses.replace(
+        atlas,
+        parts=np.concatenate([*boards, force], axis=-1),
+        statics=np.concatenate([atlas.statics] * 4, axis=1),
+        meta={**atlas.meta, "design": design_of(sensor), "design_hash": design_hash(sensor)},
+    )
+
+
+def sensor_with(places: list[tuple[float, float]]) -> Sensor:
+    sensor = read_sensor(DEFAULT_SENSOR)
+    part = sensor.accelerometers[0]
+    parts = tuple(dataclasses.replace(part, name=f"a{n}", x_mm=x, y_mm=y) for n, (x, y) in enumerate(places))
+    return dataclasses.replace(sensor, accelerometers=parts, sample_rate_hz=RATE_HZ)
+
+
+def pressed(atlas: Atlas, sensor: Sensor, root: Path, gain: float = 1.02, count: int = len(PLACES)) -> Folder:
+    """A recording of each of PLACES: rest, a touch that comes down in half a second, rest on the skin, lift; and one of
+    nothing. The sensor answers 2 % more than solved, with noise."""
+    rng, level = np.random.default_rng(4), atlas.pressure_at(HEIGHT_MM)
+    shape = np.interp(np.arange(0.0, 6.0, 1 / RATE_HZ), [1.0, 1.5, 4.0, 4.5], [0.0, 1.0, 1.0, 0.0])
+    recordings, rows = [], []
+    for n, (x, y, depth) in enumerate([*PLACES[:count], (0.0, 0.0, 0.0)]):
+        answer = np.zeros((atlas.boards, 3))
+        if depth:
+            answer = gain * atlas.response(np.array([x]), np.array([y]), None, depth, level)[0]
+        tilt = atlas.static(level)[None] + shape[:, None, None] * answer
+        volts = (
+            1.65 + 0.8 * tilt.reshape(len(shape), -1) + rng.normal(0, 0.004, (len(shape), 3 * atlas.boards))
+        )
+        recordings.append(Recording(f"p{n}", np.arange(len(shape)) / RATE_HZ, volts))
+        rows.append({"recording": f"p{n}", "split": "test", "skin_height_mm": HEIGHT_MM})
+    return write_folder(root, sensor, pd.DataFrame(rows), recordings)
+
+
+def off_mm(rows: list[dict]) -> np.ndarray:
+    return np.array(
+        [np.hypot(r["x_mm"] - x, r["y_mm"] - y) for r, (x, y, _) in zip(rows, PLACES, strict=False)]
+    )
+
+
+def test_four_accelerometers_are_sharp_and_one_says_that_it_is_not(tmp_path: Path) -> None:
+    several, alone = four_boards(), read_atlas()
+    sensor = sensor_with([(a["x"], a["y"]) for a in ({"x": 5.0, "y": 0.0},)])
+    places = [tuple(place) for place in several.meta["design"]["boards_mm"]]
+    many = list(presses(pressed(several, sensor_with(places), tmp_path / "four"), several, HEIGHT_MM))
+    one = list(presses(pressed(alone, sensor, tmp_path / "one"), alone, HEIGHT_MM))
+    assert off_mm(many).max() < 1.5
+    level = several.pressure_at(HEIGHT_MM)
+    for sharp, vague, (x, y, depth) in zip(many, one, PLACES, strict=False):
+        assert sharp["radius_mm"] < 2.0
+        force = 1e3 * several.force(np.array([x]), np.array([y]), None, depth, level)[0, 2]
+        for row in (sharp, vague):
+            assert row["force_lo_mn"] <= force <= row["force_hi_mn"]
+            assert row["depth_lo_mm"] - 0.1 <= depth <= row["depth_hi_mm"] + 0.1
+            assert row["misfit"] < MOST_MISFIT
+    assert (off_mm(one) <= [row["radius_mm"] for row in one[: len(PLACES)]]).mean() >= 0.8
+    mean_mm = [np.mean([row["radius_mm"] for row in rows[: len(PLACES)]]) for rows in (many, one)]
+    assert mean_mm[1] > 2 * mean_mm[0]
+    assert "x_mm" not in many[-1]
+
+
+def test_the_command_tells_each_press_and_needs_a_height(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    atlas = four_boards()
+    write_atlas(atlas, tmp_path / "four.npz")
+    places = [tuple(place) for place in atlas.meta["design"]["boards_mm"]]
+    folder = pressed(atlas, sensor_with(places), tmp_path / "four", count=1)
+    named = ["press", str(folder.root), "--atlas", str(tmp_path / "four.npz")]
+    assert softslide.main([*named, "--json"]) == 0
+    rows = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert off_mm(rows[:1]).max() < 1.5
+    assert softslide.main(named) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert "mN" in lines[0]
+    assert lines[-1] == "p1: no touch"
+    folder.manifest.drop(columns="skin_height_mm").reset_index().to_csv(
+        folder.root / "manifest.csv", index=False
+    )
+    assert softslide.main(named) == 2
+    assert "--height" in capsys.readouterr().err
+
+
+def test_what_is_no_press_is_told_by_its_misfit(tmp_path: Path) -> None:
+    """Outputs ten times as large as any press of this skin."""
+    atlas = read_atlas()
+    folder = pressed(atlas, sensor_with([(5.0, 0.0)]), tmp_path / "hard", gain=10.0, count=1)
+    assert any(row["misfit"] > MOST_MISFIT for row in presses(folder, atlas, HEIGHT_MM) if "misfit" in row)
+
+
+def test_the_reading_is_the_strongest_after_the_touch_has_settled() -> None:
+    time = np.arange(0.0, 4.0, 0.002)
+    output = np.zeros((len(time), 3))
+    output[(time >= 1.0) & (time < 1.1), 0] = 0.5  # the jolt of a touch
+    output[time >= 1.1, 0] = 0.05
+    output[(time >= 2.0) & (time < 2.5), 0] = 0.08
+    found = settled_reading(time, output + 0.3)
+    assert found is not None
+    assert 2.0 <= found[0] <= 2.31
+    assert found[1] == pytest.approx([0.08, 0.0, 0.0], abs=1e-9)
+    assert settled_reading(time, np.zeros((len(time), 3))) is None
