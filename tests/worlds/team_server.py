@@ -101,7 +101,7 @@ def mlflow_server(database: str, artifacts: Path, port: int) -> Iterator[str]:
     address = f"http://127.0.0.1:{port}"
     try:
         until = time.monotonic() + PATIENCE_S
-        while not _healthy(address):
+        while not answers(f"{address}/health"):
             assert running.poll() is None, log.read_text()
             assert time.monotonic() < until, log.read_text()
             time.sleep(0.2)
@@ -111,9 +111,10 @@ def mlflow_server(database: str, artifacts: Path, port: int) -> Iterator[str]:
         running.wait(PATIENCE_S)
 
 
-def _healthy(address: str) -> bool:
+def answers(address: str) -> bool:
+    """Whether a server is there that says that all is well."""
     try:
-        with urllib.request.urlopen(f"{address}/health", timeout=5) as answer:
+        with urllib.request.urlopen(address, timeout=5) as answer:
             return answer.status == 200
     except OSError:
         return False
