@@ -7,20 +7,14 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-import mlflow
-import optuna
 import pytest
 from killed import Commands, commands
 from lab_files import FORMATS, write_lab
-from optuna.storages import JournalStorage
-from optuna.storages.journal import JournalFileBackend
-from optuna.trial import TrialState
 from small_bundle import write_small_bundle
 from trial_folder import SENSOR, a_folder
 
 from pipeline.atlas.atlas import DEFAULT_SENSOR, read_atlas
-from pipeline.recordings.folder import SAMPLE, read_folder
-from pipeline.recordings.manifest import write_manifest
+from pipeline.recordings.folder import SAMPLE
 
 KILLS = 20
 
@@ -109,16 +103,6 @@ def test_evaluate(softslide: Commands, tmp_path: Path) -> None:
     check(softslide, Case(command, "out", ".out.work/*.parquet"), tmp_path, KILLS)
 
 
-@pytest.fixture
-def lab(tmp_path: Path) -> Path:
-    """The sample's fastest calibration slides."""
-    shutil.copytree(SAMPLE, tmp_path / "lab")
-    slides = read_folder(tmp_path / "lab").select("calibration").manifest
-    fastest = slides.loc[slides["speed_mm_s"].nlargest(12).index]
-    write_manifest(tmp_path / "lab" / "manifest.csv", fastest)
-    return tmp_path / "lab"
-
-
 @pytest.mark.long
 def test_train(softslide: Commands, tmp_path: Path) -> None:
     command = words("train", "--recordings", SAMPLE, "--model", "interpolation", "--out", "out")
@@ -140,47 +124,3 @@ def test_simulate(softslide: Commands, tmp_path: Path) -> None:
     sensor.write_text(text.replace("size_mm = 2.5", "size_mm = 5.0"))
     command = words("simulate", "--sensor", sensor, "--coarse", "--depth", 0.5, "--out", "out.npz")
     check(softslide, Case(command, "out.npz", ".out.npz.lines/*/*.npz", solved), tmp_path, KILLS)
-
-
-@pytest.mark.long
-def test_sweep(softslide: Commands, lab: Path, tmp_path: Path) -> None:
-    """Killed again and again, it comes to its end; each trial that ended is kept, with one run that ended."""
-    text = f"model = 'trees'\nrecordings = {str(lab)!r}\n[space]\ntrees = {{{{ low = 2, high = 5 }}}}\n"
-    text += "[budget]\nworkers = 2\ntrials = {}\n"
-    softslide.start(words("sweep", "--config", written(tmp_path / "a.toml", text.format(3))), tmp_path / "a")
-    took_s = softslide.finish()
-    assert softslide.status == 0, said(tmp_path / "a")
-    config, chance = written(tmp_path / "b.toml", text.format(2 * KILLS)), random.Random(3)
-    before: dict[int, float | None] = {}
-    for _ in range(KILLS):
-        softslide.start(words("sweep", "--config", config), tmp_path / "b")
-        softslide.kill(chance.uniform(0.0, took_s))
-        now = completed(config)
-        assert now.items() >= before.items()
-        before = now
-    softslide.start(words("sweep", "--config", config), tmp_path / "b")
-    softslide.finish()
-    assert softslide.status == 0, said(tmp_path / "b")
-    assert len(completed(config)) == 2 * KILLS
-    store = f"sqlite:///{tmp_path}/b.store/mlflow.db"
-    runs = mlflow.MlflowClient(store, store).search_runs(["1"], "tags.command = 'trial'")
-    ended = [run.data.metrics["heldout_overall"] for run in runs if run.info.status == "FINISHED"]
-    assert set(ended) == set(completed(config).values())
-
-
-def written(path: Path, text: str) -> Path:
-    path.write_text(text)
-    return path
-
-
-def completed(config: Path) -> dict[int, float | None]:
-    """Each completed trial's value, by its number, from the sweep's journal."""
-    journal = config.with_suffix(".journal")
-    if not journal.exists() or not journal.read_bytes():
-        return {}
-    # A killed process leaves a last line without its end.
-    whole = config.with_suffix(".whole")
-    whole.write_bytes(b"".join(l for l in journal.read_bytes().splitlines(True) if l.endswith(b"\n")))
-    storage = JournalStorage(JournalFileBackend(str(whole)))
-    studies = [optuna.load_study(study_name=s, storage=storage) for s in optuna.get_all_study_names(storage)]
-    return {t.number: t.value for study in studies for t in study.get_trials(states=[TrialState.COMPLETE])}
