@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from features.angles import wrapped_deg
 from features.contact.tracker import Track
 from features.estimate import Contact, Estimate, Reason
 from features.stream.tracker import SlideState
@@ -16,7 +17,7 @@ from features.stream.tracker import SlideState
 
 @dataclass(frozen=True)
 class TrackLimits:
-    """Chosen on synthetic paths, the straight slide's limits also by a look at the emulated ones (experiments/LOG.md).
+    """Chosen on synthetic paths (experiments/LOG.md).
 
     half_width, heading_width: 90 % half-widths over the filters' standard deviations; the filters neglect the map's
     curvature and keep only the likeliest hypotheses. place_mm, speed_mm_s, heading_deg: and never less than these.
@@ -25,7 +26,8 @@ class TrackLimits:
     hypotheses that the contact is still being pressed on or lifted. evidence: least logarithm of the odds of a
     contact against a smooth signal of no known origin. way_mm: least way. stopped_mm_s: a contact slower than this has
     stopped. agreement: largest squared Mahalanobis distance of the straight slide from the track, four
-    degrees of freedom.
+    degrees of freedom. straight_misfit: largest reduced chi-square of the straight slide; straight_way_mm: its least
+    way. shared: share of the track's half-widths about its own estimate that the straight slide's intervals hold too.
     """
 
     half_width: float = 1.9
@@ -33,17 +35,18 @@ class TrackLimits:
     place_mm: float = 0.03
     speed_mm_s: float = 0.02
     heading_deg: float = 0.3
-    place_sd_mm: float = 1.2
+    place_sd_mm: float = 1.6
     heading_sd_deg: float = 20.0
-    certain: float = 0.93
+    certain: float = 0.97
     misfit: float = 2.2
     partial: float = 0.3
-    evidence: float = -2.0
+    evidence: float = -1.0
     way_mm: float = 1.5
     stopped_mm_s: float = 0.15
     agreement: float = 10.0
     straight_misfit: float = 2.0
     straight_way_mm: float = 8.0
+    shared: float = 0.5
 
 
 def judged(
@@ -74,7 +77,7 @@ def judged(
     heading_half = min(limits.heading_width * math.degrees(heading_sd) + limits.heading_deg, 180.0)
     offset, offset_half = float(across @ from_reference), limits.half_width * offset_sd + limits.place_mm
     contact = Contact.SLIDE
-    if track.partial > 0.5 or track.way_mm < limits.way_mm or track.one_way:
+    if track.partial > 0.5 or track.way_mm < limits.way_mm or track.one_press:
         contact = Contact.PRESS
     elif speed < limits.stopped_mm_s:
         contact = Contact.STOPPED
@@ -127,7 +130,7 @@ def _reason(
         heading_sd_deg > limits.heading_sd_deg and contact is not Contact.STOPPED
     )
     # What one press at a place nearby shows as well is ambiguous.
-    unclear = unclear or track.one_way
+    unclear = unclear or track.one_press
     if unclear or track.certain < limits.certain or track.partial > limits.partial:
         return Reason.AMBIGUOUS
     return Reason.NONE
@@ -146,10 +149,12 @@ def agrees(straight: Estimate, track: Track, limits: TrackLimits) -> bool:
     return bool(apart @ np.linalg.solve(spread, apart) <= limits.agreement)
 
 
-def with_place(straight: Estimate, tracked: Estimate) -> Estimate:
+def with_track(straight: Estimate, tracked: Estimate, shared: float) -> Estimate:
     """The straight slide's estimate, with intervals of place and velocity.
 
     Across the line the offset's interval holds; along it the track's own, which the straight slide only narrows.
+    A slide that bends or changes speed a little fits a straight one too: each interval is widened until it holds the
+    track's estimate and the share `shared` of its half-width on either side.
     """
     angle = math.radians(straight.direction_deg)
     cos, sin = abs(math.cos(angle)), abs(math.sin(angle))
@@ -164,7 +169,7 @@ def with_place(straight: Estimate, tracked: Estimate) -> Estimate:
         math.hypot(speed_half * cos, turn_half * sin),
         math.hypot(speed_half * sin, turn_half * cos),
     )
-    return straight._replace(
+    straight = straight._replace(
         contact=Contact.SLIDE,
         x_lo_mm=straight.x_mm - x_half,
         x_hi_mm=straight.x_mm + x_half,
@@ -175,3 +180,14 @@ def with_place(straight: Estimate, tracked: Estimate) -> Estimate:
         vy_lo_mm_s=straight.vy_mm_s - vy_half,
         vy_hi_mm_s=straight.vy_mm_s + vy_half,
     )
+    wider = {}
+    for name in ("direction_deg", "speed_mm_s", "offset_mm", "x_mm", "y_mm", "vx_mm_s", "vy_mm_s"):
+        quantity, unit = name.split("_", 1)
+        low, high = f"{quantity}_lo_{unit}", f"{quantity}_hi_{unit}"
+        value, apart = getattr(straight, name), getattr(tracked, name) - getattr(straight, name)
+        if name == "direction_deg":
+            apart = wrapped_deg(apart)
+        half = shared * (getattr(tracked, high) - getattr(tracked, low)) / 2
+        wider[low] = min(getattr(straight, low), value + apart - half)
+        wider[high] = max(getattr(straight, high), value + apart + half)
+    return straight._replace(**wider)

@@ -19,7 +19,7 @@ from features.stream.conditioning import ONSETS, Blocks, LagUndone
 from features.stream.drift import UNKNOWN, DriftWatch, measures_gravity
 from features.stream.faults import BRIDGED_BLOCKS, SignalWatch
 from features.stream.tracker import SlideState, SlideTracker
-from features.track_estimate import TrackLimits, agrees, judged, with_place
+from features.track_estimate import TrackLimits, agrees, judged, with_track
 from features.vector.energy import energy_width_s
 from features.vector.feature_vector import feature_vector
 from features.window import WINDOW_BINS, Window
@@ -189,7 +189,7 @@ class Localizer:
                 self._limits,
             )
             if straight is not None and straight.valid and agrees(straight, track, self._limits):
-                estimate = with_place(straight, estimate)
+                estimate = with_track(straight, estimate, self._limits.shared)
             elif straight is not None and straight.reason in _OF_THE_SIGNAL:
                 estimate = estimate._replace(valid=False, reason=straight.reason)
             elif straight is None and tracker.state is not SlideState.SLIDE:

@@ -20,6 +20,8 @@ from features.contact.hypotheses import (
 )
 from features.contact.smooth_signal import SmoothSignal
 from features.contact.tracker import ContactTracker, Track, TrackingConfig
+from features.stream.tracker import SlideState
+from features.track_estimate import TrackLimits, judged
 from models.response_map.contact_card import contact_calibration
 from models.response_map.map import ResponseMap
 
@@ -251,18 +253,69 @@ def test_the_smooth_signal_predicts_what_it_is_made_for() -> None:
     assert smooth.push(volts[-1] + 0.1) < min(logs[200:]) - 3
 
 
-def test_a_slide_has_more_evidence_than_a_sine_wave() -> None:
-    response = noisy_map()
-    slide = [t.evidence for t in followed(response, line(3.0)) if t is not None]
-    phase = 2 * np.pi * 0.2 * BLOCK_S * np.arange(800)
-    sine = 0.15 * np.stack([np.sin(phase), 0.5 * np.sin(phase)], axis=1)
-    sine = sine + np.random.default_rng(3).normal(0.0, 1e-3, sine.shape)
+def test_a_press_rests_and_a_drift_goes_on_changing() -> None:
+    """Along one direction both: the time for which the amplitude changes tells them apart."""
+    noise, step_s = np.full(2, 1e-3), 0.04
+    along, rise_s, seconds = np.array([0.12, -0.05]), 1.0, 6.0
+    time_s = step_s * np.arange(round(seconds / step_s))
+    random = np.random.default_rng(6)
+    changing = []
+    for amplitude in (np.minimum(0.1 + time_s / rise_s, 1.0), 0.1 + time_s / seconds):
+        smooth = SmoothSignal(noise, step_s)
+        smooth.reset(amplitude[0] * along, np.zeros(2))
+        for share in amplitude:
+            smooth.push(share * along + random.normal(0.0, noise))
+        assert smooth.one_way
+        changing.append(smooth.changing_s)
+    press_s, drift_s = changing
+    assert press_s == 0.0
+    assert drift_s > 4.0
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_slow_lift_is_no_turn(seed: int) -> None:
+    """The output of a contact that is lifted while it goes straight on fits a bent path too: none may be told then."""
+    response, speed = noisy_map(), 2.0
+    path = line(speed, half_mm=29.0)[: round(38.0 / speed / BLOCK_S)]
+    volts = volts_along(response, path, seed)
+    lifted = path[:, 0] > 0.0
+    gain = np.clip(1.0 - path[:, 0] / 9.0, 0.0, 1.0)[:, None]
+    clean = volts_along(response, path, seed) - np.random.default_rng(seed).normal(
+        0.0, response.noise_v, (len(path), response.channels)
+    )
+    volts = volts + (gain - 1.0) * clean
     tracked = tracker(response)
-    tracks = [tracked.push(v, n > 10) for n, v in enumerate(sine)]
-    # A wave along one direction may be a press that comes and goes, but no slide.
-    slides = [t is not None and t.evidence > 0.0 and t.partial < 0.3 for t in tracks]
-    assert np.median(slide) > 2.0
-    assert np.mean(slides) < 0.02
+    level = np.array([np.abs(volts[max(0, n - 4) : n + 1].mean(axis=0)).max() for n in range(len(volts))])
+    tracks = [tracked.push(v, bool(t)) for v, t in zip(volts, level > 0.005, strict=True)]
+    told = [
+        abs(np.degrees(np.arctan2(t.mean[3], t.mean[2])))
+        for t in np.array(tracks, dtype=object)[lifted]
+        if t is not None and t.partial < 0.3 and t.certain > 0.97
+    ]
+    assert np.mean(np.array([*told, 0.0]) > 20.0) < 0.1
+
+
+def test_a_slide_is_told_and_a_wave_seldom() -> None:
+    """A wave along one direction may be a press that comes and goes, or a slide forth and back over the board."""
+    response, limits = noisy_map(), TrackLimits()
+
+    def told(tracks: list[Track | None]) -> float:
+        judgements = [
+            judged(t, 0.0, SlideState.SLIDE, (0.0, 0.0), 0.5, limits) for t in tracks if t is not None
+        ]
+        return float(np.mean([j.valid for j in judgements]))
+
+    waves = []
+    for frequency_hz, along_y in ((0.1, 0.5), (0.2, 0.5), (0.2, -0.3), (0.4, 1.0)):
+        phase = 2 * np.pi * frequency_hz * BLOCK_S * np.arange(800)
+        wave = 0.15 * np.stack([np.sin(phase), along_y * np.sin(phase)], axis=1)
+        wave = wave + np.random.default_rng(3).normal(0.0, 1e-3, wave.shape)
+        tracked = tracker(response)
+        waves.append(told([tracked.push(v, n > 10) for n, v in enumerate(wave)]))
+    slide = followed(response, line(3.0))
+    assert np.median([t.evidence for t in slide if t is not None]) > 2.0
+    assert told(slide) > 0.6
+    assert np.mean(waves) < 0.1
 
 
 @pytest.mark.parametrize("seed", range(4))

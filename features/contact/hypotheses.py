@@ -28,7 +28,7 @@ PEAK_SHARE = (
     0.01  # of the present output: what friction's dependence on the path adds at 0.1 (rms, simulated)
 )
 # Of the present output, over 1 s: how much the shape of the response changes while a contact is pressed on.
-PARTIAL_SHARE = 0.05
+PARTIAL_SHARE = 0.02
 MISFIT_S = 0.5  # memory of the misfit
 
 
@@ -47,7 +47,7 @@ class MotionNoise:
     curvature: float = 0.003
     gain: float = 0.003
     depth: float = 0.005
-    rise: float = 0.5
+    rise: float = 0.1
 
 
 @dataclass

@@ -41,7 +41,7 @@ class Manoeuvres:
     stop: float = 0.012
     back: float = 0.006
     corner: float = 0.008
-    lift: float = 0.006
+    lift: float = 0.02
     rise: float = 0.7
     whole: float = 0.3
     restart: float = 0.004

@@ -18,13 +18,19 @@ SWITCH = 0.01  # probability a step that the strength or the family changes
 BENT = 0.03
 # Outputs whose part across their common direction is less than this share (root mean square) have kept it.
 STRAIGHT = 0.03
+# A resting output is within this share of its mean over the last RESTING_S.
+RESTING = 0.025
+RESTING_S = 0.5
 
 
 class SmoothSignal:
-    """One stream. noise_v: (C,) V of one step's measurement; step_s: its length."""
+    """One stream. noise_v: (C,) V of one step's measurement; step_s: its length.
+
+    changing_s: time for which the amplitude along the outputs' common direction has not rested.
+    """
 
     def __init__(self, noise_v: np.ndarray, step_s: float) -> None:
-        self._noise, self._log_noise = noise_v, float(np.log(noise_v).sum())
+        self._noise, self._log_noise, self._step_s = noise_v, float(np.log(noise_v).sum()), step_s
         self._free = Walks(
             np.broadcast_to(STRENGTHS[:, None], (len(STRENGTHS), len(noise_v))), noise_v, step_s
         )
@@ -40,6 +46,8 @@ class SmoothSignal:
         self._moment = np.outer(level, level)
         self._steps, self._lowest, self._highest = 1, 0.0, 0.0
         self._direction = level / max(float(np.hypot.reduce(level)), 1e-9)
+        self._lately = float(level @ self._direction)
+        self.changing_s = 0.0
         self._along.reset(
             np.array([level @ self._direction]), np.array([slope_v_s / self._noise @ self._direction])
         )
@@ -61,6 +69,10 @@ class SmoothSignal:
         self._weight = (1 - SWITCH) * weight / total + SWITCH / len(weight)
         self._free.join(self._weight[: len(STRENGTHS)])
         self._along.join(self._weight[len(STRENGTHS) :])
+        level = float(self._along.mean(self._weight[len(STRENGTHS) :])[0][0])
+        self._lately += min(self._step_s / RESTING_S, 1.0) * (level - self._lately)
+        changing = abs(level - self._lately) > RESTING * abs(level)
+        self.changing_s = self.changing_s + self._step_s if changing else 0.0
         return float(most + np.log(total))
 
     def _push_along(self, whitened: np.ndarray) -> np.ndarray:
@@ -99,12 +111,15 @@ class Walks:
 
     def join(self, weight: np.ndarray) -> None:
         """Sets the level and slope of walks of low weight to the weighted mean. weight: (S,)."""
-        weight = weight / weight.sum()
-        lost = weight < 2 * SWITCH
-        self._level[lost] = weight @ self._level
-        self._slope[lost] = weight @ self._slope
+        lost = weight < 2 * SWITCH * weight.sum()
+        self._level[lost], self._slope[lost] = self.mean(weight)
         if lost[0]:
             self._slope[0] = 0.0  # a press or a tilt may end at once
+
+    def mean(self, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The weighted mean of the levels (C,) and of the slopes (C,). weight: (S,)."""
+        weight = weight / weight.sum()
+        return weight @ self._level, weight @ self._slope
 
     def push(self, measured: np.ndarray) -> np.ndarray:
         """One measurement (C,) -> (S,), the logarithms of its predicted densities, less C/2 log(2 pi)."""

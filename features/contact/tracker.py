@@ -43,6 +43,13 @@ SETTLED_SHARE = 0.03
 # (synthetic paths and tilts, experiments/LOG.md).
 EVIDENCE_MM = 15.0
 EVIDENCE_S = 20.0
+EVIDENCE_AGAINST_S = (
+    4.0  # and of the evidence against one: how a contact was pressed on says little of what follows
+)
+# A press rests sooner than this: an output that changes for longer along one direction is a slide's or a drift's, and
+# a slide's from this evidence on (synthetic slides and drifts).
+PRESS_S = 3.0
+SLIDE_EVIDENCE = 2.0
 
 
 @dataclass(frozen=True)
@@ -76,7 +83,8 @@ class Track(NamedTuple):
     best one. misfit: chi-square over its degrees of freedom. partial: weight of hypotheses that the contact is being
     pressed on or lifted. gain, depth_mm (off the map's): means; depth_sd_mm. way_mm: since the touch, at most 25.
     evidence: logarithm of the odds of a contact against a signal that needs no map, forgotten over EVIDENCE_MM of way
-    and EVIDENCE_S. one_way: whether the output has kept one direction since the touch, as at a press.
+    and EVIDENCE_S. one_press: whether a press at one place, or a drift, may have made all of the output
+    since the touch.
     """
 
     mean: np.ndarray
@@ -90,7 +98,7 @@ class Track(NamedTuple):
     hypotheses: int
     way_mm: float
     evidence: float = 0.0
-    one_way: bool = False
+    one_press: bool = False
 
 
 class ContactTracker:
@@ -205,7 +213,10 @@ class ContactTracker:
             self._bank = self._bank.take(sound)
             gained = 0.0
         way_mm = elapsed_s * abs(float(self._bank.state[self._bank.log_weight.argmax(), SPEED]))
-        self._evidence += gained - self._evidence * min(elapsed_s / EVIDENCE_S + way_mm / EVIDENCE_MM, 1.0)
+        fades = elapsed_s / EVIDENCE_S + way_mm / EVIDENCE_MM
+        if self._evidence < 0.0:
+            fades = elapsed_s / EVIDENCE_AGAINST_S
+        self._evidence += gained - self._evidence * min(fades, 1.0)
         self._leave_skin()
         self._steps += 1
         if whole and not self._rested and self._steps * elapsed_s < config.young_s:
@@ -217,7 +228,11 @@ class ContactTracker:
             most = (config.first_most, config.first_partial) if first else (config.most, config.most_partial)
             bank = merged(self._bank, *most, config.log_odds)
             self._bank = branched(bank, config.parents, config.parent_odds, self._gain_sd, config.manoeuvres)
-        self._track = read(self._bank)._replace(evidence=self._evidence, one_way=self._smooth.one_way)
+        self._track = read(self._bank)._replace(
+            evidence=self._evidence,
+            one_press=self._smooth.one_way
+            and (self._smooth.changing_s < PRESS_S or self._evidence < SLIDE_EVIDENCE),
+        )
         self._lost = self._lost + 1 if self._track.misfit > config.lost else 0
         if self._lost * elapsed_s > LOST_S:
             self._start(anywhere=True, usable=usable)

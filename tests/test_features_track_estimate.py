@@ -1,0 +1,64 @@
+"""From a track and a straight slide to one estimate."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from features.angles import wrapped_deg
+from features.estimate import Estimate, Reason
+from features.stream.tracker import SlideState
+from features.track_estimate import with_track
+
+QUANTITIES = (("speed", "mm_s"), ("offset", "mm"), ("x", "mm"), ("y", "mm"), ("vx", "mm_s"), ("vy", "mm_s"))
+
+
+def estimate(direction_deg: float, speed: float, place: float, half: float) -> Estimate:
+    """Every interval is `half` to either side."""
+    angle = np.radians(direction_deg)
+    values = {"speed": speed, "offset": place, "x": place, "y": -place}
+    values |= {"vx": speed * float(np.cos(angle)), "vy": speed * float(np.sin(angle))}
+    numbers = {"direction_deg": direction_deg}
+    numbers |= {"direction_lo_deg": direction_deg - half, "direction_hi_deg": direction_deg + half}
+    for name, unit in QUANTITIES:
+        numbers |= {f"{name}_{unit}": values[name]}
+        numbers |= {f"{name}_lo_{unit}": values[name] - half, f"{name}_hi_{unit}": values[name] + half}
+    return Estimate(0.0, SlideState.SLIDE, valid=True, reason=Reason.NONE, **numbers)
+
+
+def interval(of: Estimate, name: str, unit: str) -> tuple[float, float]:
+    return getattr(of, f"{name}_lo_{unit}"), getattr(of, f"{name}_hi_{unit}")
+
+
+@given(
+    direction=st.floats(0.0, 359.9),
+    turn=st.floats(-170.0, 170.0),
+    place=st.floats(-15.0, 15.0),
+    half=st.floats(0.1, 5.0),
+    shared=st.sampled_from([0.0, 0.5, 1.0]),
+)
+def test_a_straight_slides_intervals_hold_what_the_track_says(
+    direction: float, turn: float, place: float, half: float, shared: float
+) -> None:
+    """The estimate stays the straight slide's; a track far off makes its intervals wide, one that agrees does not."""
+    straight, track = (
+        estimate(direction, 3.0, 1.0, 0.05),
+        estimate((direction + turn) % 360, 4.0, place, half),
+    )
+    both = with_track(straight, track, shared)
+    for name, unit in QUANTITIES:
+        low, high = interval(both, name, unit)
+        value = getattr(track, f"{name}_{unit}")
+        assert getattr(both, f"{name}_{unit}") == getattr(straight, f"{name}_{unit}")
+        assert low <= value - shared * half + 1e-9
+        assert high >= value + shared * half - 1e-9
+    apart = wrapped_deg(track.direction_deg - straight.direction_deg)
+    assert both.direction_lo_deg <= straight.direction_deg + apart - shared * half + 1e-9
+    assert both.direction_hi_deg >= straight.direction_deg + apart + shared * half - 1e-9
+
+
+def test_a_sharp_track_that_agrees_leaves_the_straight_slides_intervals() -> None:
+    straight = estimate(30.0, 3.0, 1.0, 0.5)
+    both = with_track(straight, estimate(30.0, 3.0, 1.0, 0.05), 0.5)
+    for name, unit in (("direction", "deg"), ("speed", "mm_s"), ("offset", "mm")):
+        assert interval(both, name, unit) == pytest.approx(interval(straight, name, unit))
