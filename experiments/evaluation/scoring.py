@@ -182,8 +182,11 @@ def _binned(scored: pd.DataFrame, values: pd.Series, edges: tuple[float, ...], u
 
 
 def _percent(error: pd.Series, size: pd.Series) -> pd.Series:
-    """error / size in percent; NaN where size is not positive."""
-    return 100 * error / size.where(size > 0)
+    """error / size in percent; NaN where size is nothing but rounding."""
+    return 100 * error / size.where(size > ROUNDING)
+
+
+ROUNDING = 1e-9  # of mm and mm/s in labels computed from angles
 
 
 def _beyond_rim(table: pd.DataFrame, sensor: Sensor) -> np.ndarray:
