@@ -72,6 +72,7 @@ def _sensor(sensor: Any) -> None:
         raise ValueError(f"sensor: accelerometers is no list of 1 to {MOST_ACCELEROMETERS}")
     text(sensor.get("name"), "sensor: name")
     numbers(sensor.get("chamber_mm"), "sensor: chamber_mm", 2, 0.0, MOST_MM)
+    number(sensor.get("indenter_diameter_mm", 0.0), "sensor: indenter_diameter_mm", 0.0, MOST_MM)
     for n, accelerometer in enumerate(accelerometers):
         place = f"sensor: accelerometer {n}"
         table(accelerometer, place)
