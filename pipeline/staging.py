@@ -5,6 +5,7 @@ A process that is killed leaves its folder behind; the next one that writes the 
 
 import os
 import shutil
+import stat
 import tempfile
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager, suppress
@@ -58,9 +59,14 @@ def check_replaceable(out: Path, names: Collection[str] | None = None) -> None:
     Raises:
         InputError: `out` is a file, or a folder that holds anything else: it was named by mistake.
     """
-    if out.exists() and not out.is_dir():
+    try:
+        # Looked at once: another process may replace it between two looks.
+        folder = stat.S_ISDIR(out.stat().st_mode)
+    except OSError:
+        return  # not there, or where nothing can be written either
+    if not folder:
         raise InputError(f"{out}: a file of this name is in the way; name a folder")
-    if names is not None and out.exists():
+    if names is not None:
         foreign = {path.name for path in out.iterdir()} - set(names)
         if foreign:
             raise InputError(f"{out}: holds other files ({min(foreign)}); name a new folder")
