@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from features.card import Card
+from features.contact.calibration import encoded
 from features.errors import InputError
 from features.stream.tracker import SlideState
 from serve.bundle import open_bundle, open_session
@@ -74,7 +75,13 @@ def _with_accelerometers(card: Card, count: int) -> Card:
     """The card with `count` accelerometers like its first one; at rest the graph is not run."""
     names = tuple(f"a{n}_{axis}" for n in range(count) for axis in ("vx", "vy", "vz"))
     accelerometers = [card.sensor["accelerometers"][0]] * count
-    return replace(card, channels=names, sensor={**card.sensor, "accelerometers": accelerometers})
+    sensor, contact = {**card.sensor, "accelerometers": accelerometers}, card.contact
+    if contact is not None:
+        first = slice(len(card.conditioning.touch_axes))
+        coefficients, scale_v = encoded(np.tile(contact.splines()[..., first], count))
+        noise_v = contact.noise_v[first] * count
+        contact = replace(contact, coefficients=coefficients, scale_v=scale_v, noise_v=noise_v)
+    return replace(card, channels=names, sensor=sensor, contact=contact)
 
 
 def one_node() -> Callable[[], object]:
