@@ -2,23 +2,32 @@
 
 import math
 
+import numpy as np
+
 from features.estimate import Estimate
 from features.stream.tracker import SlideState
+
+
+def beyond_rim_mm(indenter_mm: float, depth_mm: np.ndarray) -> np.ndarray:
+    """How far in mm beyond the clamped rim the centre of a ball that deep in the flat skin still touches it.
+
+    indenter_mm: the ball's diameter 2 R; depth_mm: d. sqrt(2 R d - d^2): there the ball is on the rim's edge.
+    """
+    return np.sqrt(np.maximum((indenter_mm - depth_mm) * depth_mm, 0.0))
 
 
 def held_at_rim(estimate: Estimate, chamber_mm: tuple[float, float], indenter_mm: float) -> Estimate:
     """The estimate with the place where the contact left the skin, once it has, and state `ended`; else unchanged.
 
     chamber_mm: sizes along x and y, centred on 0; the skin around it is clamped. indenter_mm: diameter of the ball, 0
-    where it is not known. A ball of radius R, d below the flat skin, touches the rim's edge until its centre is
-    sqrt(2 R d - d^2) beyond it. The place is where the line of motion crosses that border, going back from the
-    estimate's; a contact that comes in has no such place.
+    where it is not known. The place is where the line of motion crosses the border up to which the ball touches the
+    skin (`beyond_rim_mm`), going back from the estimate's; a contact that comes in has no such place.
     """
     x, y, speed = estimate.x_mm, estimate.y_mm, math.hypot(estimate.vx_mm_s, estimate.vy_mm_s)
     if not (math.isfinite(x + y) and speed > 0):
         return estimate
     depth = estimate.depth_mm if math.isfinite(estimate.depth_mm) else 0.0
-    beyond = math.sqrt(max((indenter_mm - depth) * depth, 0.0))
+    beyond = float(beyond_rim_mm(indenter_mm, np.asarray(depth)))
     along = (estimate.vx_mm_s / speed, estimate.vy_mm_s / speed)
     # Ways back, in mm, between which the line is over the skin.
     least, most = 0.0, math.inf

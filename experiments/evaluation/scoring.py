@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 
 from features.angles import wrapped_deg
+from features.departure import beyond_rim_mm
 from pipeline.sensor import Sensor
 
 # What is scored, and the unit each error is shown in.
@@ -78,7 +79,8 @@ def score(predictions: pd.DataFrame, manifest: pd.DataFrame, sensor: Sensor) -> 
     table["offset_percent_error"] = _percent(off, table["true_offset_mm"].abs())
 
     path = table["stroke_fraction"] * table["true_travel_mm"]
-    touched = np.minimum(path, _over(table, sensor, _beyond_rim(table, sensor))[1].fillna(np.inf))
+    beyond = beyond_rim_mm(sensor.indenter_diameter_mm, table["true_depth_mm"].fillna(0.0).to_numpy())
+    touched = np.minimum(path, _over(table, sensor, beyond)[1].fillna(np.inf))
     dx = estimated["x_mm"] - (table["true_start_x_mm"] + touched * along_x)
     dy = estimated["y_mm"] - (table["true_start_y_mm"] + touched * along_y)
     table["travelled_mm"] = path - _over(table, sensor)[0]
@@ -187,12 +189,6 @@ def _percent(error: pd.Series, size: pd.Series) -> pd.Series:
 
 
 ROUNDING = 1e-9  # of mm and mm/s in labels computed from angles
-
-
-def _beyond_rim(table: pd.DataFrame, sensor: Sensor) -> np.ndarray:
-    """How far in mm beyond the chamber's rim the centre of the ball still touches it (features/departure.py)."""
-    depth = table["true_depth_mm"].fillna(0.0).to_numpy()
-    return np.sqrt(np.maximum((sensor.indenter_diameter_mm - depth) * depth, 0.0))
 
 
 def _over(

@@ -2,6 +2,7 @@
 
 import base64
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -40,15 +41,10 @@ class ContactCalibration:
 
     def __post_init__(self) -> None:
         numbers = (self.scale_v, self.half_mm, self.spacing_mm, *self.chamber_mm, *self.noise_v, self.floor_v)
-        for value in (*numbers, self.gain_sd, self.depth_mm, self.depth_sd_mm):
-            if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < LARGEST:
-                raise ValueError(f"contact: {value!r:.40} is no number above 0 and below {LARGEST:g}")
-        if type(self.knots) is not int or not 4 <= self.knots <= MOST_KNOTS or len(self.chamber_mm) != 2:
-            raise ValueError(
-                f"contact: knots {self.knots!r:.40}, chamber_mm {self.chamber_mm!r:.40}: out of range"
-            )
-        if not isinstance(self.coefficients, str):
-            raise ValueError("contact: coefficients are no text")
+        numbers = (*numbers, self.gain_sd, self.depth_mm, self.depth_sd_mm)
+        check_map("contact", numbers, self.knots, self.coefficients)
+        if len(self.chamber_mm) != 2:
+            raise ValueError(f"contact: chamber_mm {self.chamber_mm!r:.40}: out of range")
         self.surface()
 
     def surface(self) -> ResponseSurface:
@@ -64,6 +60,21 @@ def encoded(coefficients: np.ndarray) -> tuple[str, float]:
     """Coefficients in V -> the card's text and its scale. Half precision keeps 1 in 2000 of each, below the noise."""
     scale = float(np.abs(coefficients).max()) or 1.0
     return base64.b64encode((coefficients / scale).astype("<f2").tobytes()).decode("ascii"), scale
+
+
+def check_map(section: str, numbers: Sequence[float], knots: int, coefficients: str) -> None:
+    """Sees that a card's map can be read. section: of the card.
+
+    Raises:
+        ValueError: a number is not above 0, there are too few or too many knots, or the coefficients are no text.
+    """
+    for value in numbers:
+        if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < LARGEST:
+            raise ValueError(f"{section}: {value!r:.40} is no number above 0 and below {LARGEST:g}")
+    if type(knots) is not int or not 4 <= knots <= MOST_KNOTS:
+        raise ValueError(f"{section}: knots {knots!r:.40}: out of range")
+    if not isinstance(coefficients, str):
+        raise ValueError(f"{section}: coefficients are no text")
 
 
 def decoded(text: str, shape: tuple[int, ...], scale: float) -> np.ndarray:

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from features.contact.calibration import LARGEST, MOST_KNOTS, decoded
+from features.contact.calibration import check_map, decoded
 from features.contact.response_surface import PARTS, ResponseSurface
 
 AXES = 3  # along x, along y, normal
@@ -33,15 +33,10 @@ class ForceMap:
     scale_readings: int = 0
 
     def __post_init__(self) -> None:
-        for value in (self.scale_mn, self.half_mm, self.spacing_mm, self.depth_mm, self.relative_sd):
-            if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < LARGEST:
-                raise ValueError(f"force: {value!r:.40} is no number above 0 and below {LARGEST:g}")
-        if type(self.knots) is not int or not 4 <= self.knots <= MOST_KNOTS:
-            raise ValueError(f"force: knots {self.knots!r:.40}: out of range")
+        numbers = (self.scale_mn, self.half_mm, self.spacing_mm, self.depth_mm, self.relative_sd)
+        check_map("force", numbers, self.knots, self.coefficients)
         if type(self.scale_readings) is not int or self.scale_readings < 0:
             raise ValueError(f"force: scale_readings {self.scale_readings!r:.40} is no number of readings")
-        if not isinstance(self.coefficients, str):
-            raise ValueError("force: coefficients are no text")
         self.surface()
 
     def surface(self) -> ResponseSurface:
