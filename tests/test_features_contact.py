@@ -69,7 +69,12 @@ def volts_along(response: ResponseMap, path_mm: np.ndarray, seed: int = 0) -> np
 
 
 def followed(response: ResponseMap, path_mm: np.ndarray, seed: int = 0) -> list[Track | None]:
-    volts, tracked = volts_along(response, path_mm, seed), tracker(response)
+    return tracks_of(response, volts_along(response, path_mm, seed))
+
+
+def tracks_of(response: ResponseMap, volts: np.ndarray) -> list[Track | None]:
+    """What is told of blocks (m, C) V; 5 mV are a touch."""
+    tracked = tracker(response)
     level = np.array([np.abs(volts[max(0, n - 4) : n + 1].mean(axis=0)).max() for n in range(len(volts))])
     return [tracked.push(v, bool(touched)) for v, touched in zip(volts, level > 0.005, strict=True)]
 
@@ -277,20 +282,14 @@ def test_a_slow_lift_is_no_turn(seed: int) -> None:
     """The output of a contact that is lifted while it goes straight on fits a bent path too: none may be told then."""
     response, speed = noisy_map(), 2.0
     path = line(speed, half_mm=29.0)[: round(38.0 / speed / BLOCK_S)]
-    volts = volts_along(response, path, seed)
-    lifted = path[:, 0] > 0.0
+    noise = np.random.default_rng(seed).normal(0.0, response.noise_v, (len(path), response.channels))
     gain = np.clip(1.0 - path[:, 0] / 9.0, 0.0, 1.0)[:, None]
-    clean = volts_along(response, path, seed) - np.random.default_rng(seed).normal(
-        0.0, response.noise_v, (len(path), response.channels)
-    )
-    volts = volts + (gain - 1.0) * clean
-    tracked = tracker(response)
-    level = np.array([np.abs(volts[max(0, n - 4) : n + 1].mean(axis=0)).max() for n in range(len(volts))])
-    tracks = [tracked.push(v, bool(t)) for v, t in zip(volts, level > 0.005, strict=True)]
+    volts = noise + gain * (volts_along(response, path, seed) - noise)
+    tracks = tracks_of(response, volts)
     told = [
         abs(np.degrees(np.arctan2(t.mean[3], t.mean[2])))
-        for t in np.array(tracks, dtype=object)[lifted]
-        if t is not None and t.partial < 0.3 and t.certain > 0.97
+        for t, x_mm in zip(tracks, path[:, 0], strict=True)
+        if x_mm > 0.0 and t is not None and t.partial < 0.3 and t.certain > 0.97
     ]
     assert np.mean(np.array([*told, 0.0]) > 20.0) < 0.1
 

@@ -10,8 +10,9 @@ import pandas as pd
 import pytest
 import torch
 from bump_map import bump_map
-from dome_map import CHAMBER_MM, dome_map
+from dome_map import dome_map
 from small_bundle import write_small_bundle
+from touched_skin import SENSOR
 
 from features.card import Card, Validity, write_card
 from features.digest import sha256
@@ -24,21 +25,9 @@ from models.graph.from_torch import export_graph
 from models.response_map.contact_card import contact_calibration, response_of
 from models.response_map.gains import COMMON_SD, Press, fit_gains
 from pipeline.recordings.folder import Recording, write_folder
-from pipeline.sensor import Accelerometer, Sensor
 from serve.bundle import open_bundle
 from softslide import main
 
-SENSOR = Sensor(
-    "a printed skin",
-    200.0,
-    CHAMBER_MM,
-    8.0,
-    10.0,
-    0.001,
-    (0.0, 0.0),
-    0.1,
-    (Accelerometer("a0", 0.0, 0.0, kind="magnetometer", unit="uT"),),
-)
 TRUE = np.array([1.12, 1.15, 1.18])
 REST, SPEED = 200, 20.0
 
