@@ -128,8 +128,9 @@ def evaluate(parser: Parser) -> Run:
     Writes predictions.csv (deg, mm/s, mm), metrics.json and report.html.
     Recordings with their truth beside them (slides/NAME.truth.csv) are
     followed over time as well: errors of place, direction and speed, by split.
-    Slides along calibration lines are scored apart. The same command goes on
-    where it was stopped. Exit status 1: a bound of the article is not met, or
+    Slides along calibration lines are scored apart. Of a bundle with a
+    response map, errors are shown over its Cramer-Rao bound. The same command
+    goes on where it was stopped. Exit status 1: a bound of the article is not met, or
     nothing tests it (see --allow-untested).
 
         softslide evaluate --model my-model --recordings my-recordings --out results

@@ -16,6 +16,7 @@ import pandas as pd
 
 from experiments.evaluation.archive import Archive
 from experiments.evaluation.bounds import Verdict, check, read_bounds
+from experiments.evaluation.efficiency import bounds_of, over_bound
 from experiments.evaluation.readout import check_fits, open_localizer, predictions
 from experiments.evaluation.report import write_report
 from experiments.evaluation.scoring import (
@@ -133,12 +134,14 @@ def _evaluated(
         table = pd.concat(_watched(f"localizing with {bundle.name}", rows, len(folder)), ignore_index=True)
         write_predictions(scratch / "predictions.csv", table)
         followed = _followed(bundle, folder, archive)
+        least = list(bounds_of(bundle, folder, archive))
         scored = score(table, folder.manifest, folder.sensor)
         taught = scored["recording"].map(taught_lines(whole.manifest)) != ""
         unseen, depths_mm = scored[~taught], taught_depths_mm(whole.manifest)
         verdicts = tuple(check(bound, unseen, depths_mm) for bound in bounds)
         metrics = measure(unseen, verdicts) | {"taught_lines": _apart(scored[taught])}
         metrics |= {"bundle": _bundle(bundle), "sensor": folder.sensor.name}
+        metrics["over_bound"] = over_bound(unseen, pd.concat(least)) if least else None
         if followed:
             metrics["tracks"] = by_split(followed)
         text = json.dumps(_finite(metrics), indent=1, allow_nan=False)

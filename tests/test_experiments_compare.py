@@ -14,10 +14,10 @@ from pandas.testing import assert_frame_equal
 from small_bundle import OUTPUTS, write_small_bundle
 
 import softslide
-from experiments.comparison import efficiency
 from experiments.comparison import figures as comparison_figures
 from experiments.comparison.peers import Study, kept
 from experiments.comparison.table import error_rows, markdown
+from experiments.evaluation import efficiency
 from experiments.evaluation.archive import Archive
 from experiments.evaluation.readout import predictions
 from experiments.evaluation.window_readout import window_card, window_predictions
@@ -221,6 +221,9 @@ def test_ratios_to_the_bound_by_hand() -> None:
     assert near["offset_mm_ratio"] == pytest.approx(2.0)
     assert far["direction_deg_ratio"] == pytest.approx(0.5)
     assert far["log_speed_ratio"] == pytest.approx(0.0)
+    (row,) = efficiency.ratios(scored.assign(split="test"), bounds, "split").to_dict("records")
+    assert (row["split"], row["n"]) == ("test", 3)
+    assert row["direction_deg_ratio"] == pytest.approx(math.sqrt((1 + 9 + 4) / (1 + 1 + 16)))
 
 
 def test_the_bound_s_figure_has_a_line_for_each_distance() -> None:

@@ -2,19 +2,28 @@
 
 import json
 import re
+import shutil
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
+from bump_map import bump_map
 from small_bundle import write_small_bundle
 from trial_folder import SENSOR, a_folder
 
 import softslide
+from experiments.evaluation import efficiency_figures
+from experiments.evaluation.archive import Archive
+from experiments.evaluation.efficiency import bounds_of, over_bound
 from experiments.evaluation.figures import wilson
 from experiments.evaluation.readout import COLUMNS
+from experiments.evaluation.scoring import score
 from experiments.pages.figures import COLOURS, INK, inline, log_with_zero, panel
+from features.card import read_card, write_card
+from models.response_map.contact_card import contact_calibration
 from pipeline.recordings.folder import SAMPLE, read_folder
 from serve.localizer import Localizer
 
@@ -292,6 +301,34 @@ def test_the_report_begins_with_its_answer(tmp_path: Path) -> None:
         )
     assert "Directions near 30, 60, 90" in words
     assert "Speeds other than 2 mm/s." in words
+
+
+def test_errors_are_held_against_the_bound_of_the_bundles_own_map(bundle: Path, tmp_path: Path) -> None:
+    folder = a_folder(tmp_path / "lab", one={}, two={"split": "test-deep", "depth_mm": 0.8})
+    page = report_of(bundle, tmp_path / "lab", tmp_path / "without")
+    assert "this bundle carries no response map" in page.words
+    assert json.loads((tmp_path / "without/metrics.json").read_text())["over_bound"] is None
+    mapped = shutil.copytree(bundle, tmp_path / "mapped")
+    card = read_card(bundle / "model.json")
+    write_card(replace(card, contact=contact_calibration(bump_map())), mapped / "model.json")
+    # This map is another sensor's, and so no estimate is valid.
+    assert (
+        "no labelled recording with a valid estimate"
+        in report_of(mapped, folder.root, tmp_path / "with").words
+    )
+
+    least = pd.concat(bounds_of(mapped, folder, Archive(1)))
+    assert set(least["recording"]) == {"one"}  # the map's depth is 0.5 mm: the deep slide has no bound
+    scored = score(pd.read_csv(tmp_path / "without/predictions.csv"), folder.manifest, folder.sensor)
+    found = over_bound(scored, least)
+    assert list(found) == ["test"]
+    end = least.set_index("stroke_fraction").loc[1.0]
+    assert found["test"]["1.0"]["recordings"] == 1
+    assert found["test"]["1.0"]["direction_deg"] == pytest.approx(30.0 / end["direction_deg_bound"], rel=1e-3)
+    told = " ".join(panel.caption for panel in efficiency_figures.over_bound(found))
+    for word in ("direction", "speed", "distance"):
+        assert f"Rms error of the {word} over its Cramer-Rao bound" in told
+    assert told.count("Recordings behind each point: test 1.") == 3
 
 
 def test_every_figure_has_a_text_that_tells_it_and_its_unit(bundle: Path, tmp_path: Path) -> None:

@@ -13,10 +13,10 @@ from typing import Any
 import pandas as pd
 import torch
 
-from experiments.comparison import efficiency
 from experiments.comparison import figures as comparison_figures
 from experiments.comparison.peers import MODELS, Study, kept, map_settings, read_out
 from experiments.comparison.table import error_rows, markdown
+from experiments.evaluation import efficiency
 from experiments.evaluation.scoring import score
 from features.errors import InputError
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from experiments.evaluation import figures, track_figures, tracks
+from experiments.evaluation import efficiency_figures, figures, track_figures, tracks
 from experiments.evaluation.bounds import Verdict
 from experiments.evaluation.scoring import INTERVALS, QUANTITIES
 from experiments.evaluation.traces import trace
@@ -72,6 +72,9 @@ def write_report(
             ("Do the intervals hold?", figures.interval_coverage(scored)),
             ("Recording by recording", figures.recording_by_recording(end, verdicts)),
         ],
+        over_bound=metrics["over_bound"],
+        bound_shares=efficiency_figures.SHARES,
+        bound_panels=efficiency_figures.over_bound(metrics["over_bound"] or {}),
         worst=worst(scored, folder),
         silent=_silent(end),
         tracks=metrics.get("tracks", {}),
