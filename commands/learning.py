@@ -35,7 +35,9 @@ def train(parser: Parser) -> Run:
     Uses the splits whose names begin with calibration or train and no other.
     The run is kept in sqlite:///mlflow.db, or where MLFLOW_TRACKING_URI says.
     A folder without labelled recordings trains cnn from the sensor's design.
-    Says how many recordings were used, and why the others were not.
+    Says how many recordings were used, and why the others were not. cnn keeps
+    its calibrated response map in the user's cache folder; a second training
+    of the same recordings starts from it, to the same bytes.
 
         softslide train --recordings my-recordings --out my-model
         softslide train --recordings my-recordings --model trees --out my-trees
@@ -68,6 +70,9 @@ def train(parser: Parser) -> Run:
         action="store_true",
         help="register the bundle, as the next version of models:/softslide",
     )
+    parser.add_argument(
+        "--fresh", action="store_true", help="calibrate the response map anew, even where one is kept"
+    )
     arguments.out(parser, "where the bundle goes", metavar="BUNDLE")
 
     def run(given: argparse.Namespace) -> None:
@@ -82,6 +87,7 @@ def train(parser: Parser) -> Run:
             config=given.config,
             design_alone=given.design_alone,
             register=given.register,
+            fresh=given.fresh,
         )
         print(f"softslide train: {done.run.place}", file=sys.stderr)
         model, folder = shlex.quote(str(done.bundle)), shlex.quote(str(given.recordings[0]))

@@ -4,6 +4,7 @@ import hashlib
 import os
 import platform
 import subprocess
+from collections.abc import Iterable
 from importlib.metadata import distributions
 from pathlib import Path
 from typing import Any
@@ -41,6 +42,16 @@ def code_revision() -> str:
         return git("rev-parse", "HEAD") + ("+changes" if git("status", "--porcelain", "-uno") else "")
     except (OSError, subprocess.CalledProcessError):
         return "unknown"
+
+
+def source_hash(rooms: Iterable[str]) -> str:
+    """SHA-256 of the rooms' source as it lies there: of what runs, committed or not, in a clone or installed."""
+    here = Path(__file__).parents[1]
+    sources = hashlib.sha256()
+    for path in sorted(path for room in rooms for path in (here / room).rglob("*.py")):
+        sources.update(f"{path.relative_to(here).as_posix()}\0".encode())
+        sources.update(hashlib.sha256(path.read_bytes()).digest())
+    return sources.hexdigest()
 
 
 def packages() -> str:

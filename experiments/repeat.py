@@ -113,6 +113,7 @@ def _train_again(
         init=_path(configuration["init"]),
         change=lambda default: changed(default, settings, place),
         design_alone=configuration["design_alone"],
+        fresh=True,
         track=False,
     )
 

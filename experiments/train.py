@@ -4,6 +4,7 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from experiments.evaluation import figures
 from experiments.evaluation.archive import Archive
 from experiments.evaluation.readout import predictions
 from experiments.evaluation.scoring import score, summary
+from experiments.kept_map import kept_map
 from experiments.pages.page import panels_page
 from experiments.provenance import bundle_hash, code_revision, data_hashes
 from experiments.tracking.registry import MODEL
@@ -67,6 +69,7 @@ def train(
     change: Callable[[Any], Any] = lambda default: default,
     design_alone: bool = False,
     register: bool = False,
+    fresh: bool = False,
     store: str | None = None,
     track: bool = True,
 ) -> Training:
@@ -76,8 +79,9 @@ def train(
     atlas: what the sensor's design says, from `softslide simulate`; without one, and without labelled
     recordings, the default sensor's. init: a bundle to start from (warm start). config: TOML over the model's defaults,
     or `configuration.json` of a run; change: applied to the defaults before it. design_alone: uses no recording.
-    register: whether to register the bundle. store: as in `tracking.store.store_address`. track: whether
-    a run is logged.
+    register: whether to register the bundle. fresh: calibrates the response map even where an earlier training of the
+    same recordings kept it (experiments/kept_map.py). store: as in `tracking.store.store_address`. track: whether a run
+    is logged.
 
     Raises:
         InputError: what is read is not as docs/format.md says, there is nothing to train on, or no recording that has
@@ -112,7 +116,7 @@ def train(
     last_s = last_duration_s({"command": "train", "model": model}, store) if track else None
     report_plan(model, whole.select(*LEARNT), folder, design is not None, last_s)
     with _logged(out, folder, provenance, store) if track else nullcontext(UNTRACKED) as run:
-        fitted, losses = _fit(model, folder, settings, design, start)
+        fitted, losses = _fit(model, folder, settings, design, start, fresh)
         _warn_if_lost(fitted)
         if not design_alone:
             report_use(whole.select(*LEARNT), folder, fitted)
@@ -168,7 +172,12 @@ def _path(given: str | Path | None) -> Path | None:
 
 
 def _fit(
-    model: str, folder: Folder, settings: Any, design: Atlas | None, start: onnx.ModelProto | None
+    model: str,
+    folder: Folder,
+    settings: Any,
+    design: Atlas | None,
+    start: onnx.ModelProto | None,
+    fresh: bool,
 ) -> tuple[FittedModel, dict[int, float]]:
     """The fitted model and its loss by step, with a bar for who watches: the map's calibration, then the steps."""
     losses: dict[int, float] = {}
@@ -185,7 +194,12 @@ def _fit(
             bar.set_postfix(loss=f"{loss:.3f}", refresh=False)
             bar.update(step - bar.n)
 
-        return fit_model(model, folder, settings, atlas=design, init=start, progress=progress), losses
+        def taken(place: Path) -> None:
+            bar.write(f"took the response map that an earlier training kept ({place})", file=sys.stderr)
+
+        calibrate = partial(kept_map, fresh=fresh, taken=taken)
+        fitted = fit_model(model, folder, settings, design, start, progress, calibrate)
+        return fitted, losses
 
 
 def _warn_if_lost(fitted: FittedModel) -> None:

@@ -48,8 +48,8 @@ class Model:
     """A model's entry in the registry.
 
     config: its default configuration, a frozen dataclass with a field `conditioning`, the signal path's constants.
-    fit: (folder, configuration) -> FittedModel; with from_design (folder, configuration, atlas, init, progress), as
-    `models.registry.fit_model` describes them.
+    fit: (folder, configuration) -> FittedModel; with from_design (folder, configuration, atlas, init, progress,
+    calibrate), as `models.registry.fit_model` describes them.
     from_design: whether it can use the sensor's design and start from an earlier bundle.
     """
 

@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     import onnx
 
     from models.fitted_model import FittedModel, Model
+    from models.response_map.select import CalibratedMap
     from pipeline.atlas.atlas import Atlas
     from pipeline.recordings.folder import Folder
 
@@ -57,11 +58,13 @@ def fit_model(
     atlas: "Atlas | None" = None,
     init: "onnx.ModelProto | None" = None,
     progress: Callable[[int, float], None] = lambda step, loss: None,
+    calibrate: "Callable[..., CalibratedMap] | None" = None,
 ) -> "FittedModel":
     """Fits the model to the folder's labelled recordings.
 
     atlas: the sensor's design, and init: the graph of a bundle of the same model to start from, for models that use
-    them (`uses_design`). progress: called with the step and the loss, now and then.
+    them (`uses_design`). progress: called with the step and the loss, now and then. calibrate: for these models,
+    in place of `calibrated_map` (models/response_map/select.py).
 
     Raises:
         InputError: no such model, nothing to fit it to, or `init` is of another kind.
@@ -71,7 +74,7 @@ def fit_model(
     model = _model(name)
     config = replace(config, conditioning=conditioning_for(folder, config.conditioning))
     if model.from_design:
-        fitted = model.fit(folder, config, atlas, init, progress)
+        fitted = model.fit(folder, config, atlas, init, progress, calibrate)
     elif atlas is None and init is None:
         fitted = model.fit(folder, config)
     else:

@@ -1,4 +1,4 @@
-"""What holds for every test: runs are logged into a store of the test session's own."""
+"""What holds for every test: runs are logged into a store, and files cached in a folder, of the test session's own."""
 
 import os
 from collections.abc import Iterator
@@ -13,3 +13,11 @@ def tracking_store(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
         patch.setenv("MLFLOW_TRACKING_URI", f"sqlite:///{tmp_path_factory.mktemp('runs') / 'mlflow.db'}")
         patch.setenv("MLFLOW_DISABLE_TELEMETRY", "true")
         yield os.environ["MLFLOW_TRACKING_URI"]
+
+
+@pytest.fixture(scope="session", autouse=True)
+def cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Solved atlases and calibrated maps of the user are neither read nor written."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("SOFTSLIDE_CACHE", str(tmp_path_factory.mktemp("cache")))
+        yield

@@ -3,6 +3,7 @@
 import math
 from typing import Any
 
+from experiments.kept_map import kept_map
 from features.errors import InputError
 from models.registry import fit_model
 from pipeline.atlas.atlas import Atlas
@@ -15,7 +16,7 @@ def held_out_errors(model: str, folder: Folder, settings: Any, atlas: Atlas | No
     Raises:
         InputError: the model cannot be fitted, or there are too few lines to hold some out.
     """
-    summary = fit_model(model, folder, settings, atlas=atlas).summary
+    summary = fit_model(model, folder, settings, atlas=atlas, calibrate=kept_map).summary
     if "heldout_log_speed" in summary:
         summary = summary | {"heldout_speed_percent": 100.0 * summary["heldout_log_speed"]}
     try:

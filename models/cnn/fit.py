@@ -69,18 +69,21 @@ def fit_cnn(
     atlas: Atlas | None = None,
     init: onnx.ModelProto | None = None,
     progress: Callable[[int, float], None] = lambda step, loss: None,
+    calibrate: Callable[..., CalibratedMap] | None = None,
 ) -> FittedModel:
     """Calibrates the map on the folder's labelled slides and trains the network on it.
 
     folder: its calibration splits. atlas: of the sensor's design; None: from recordings alone.
     init: an exported graph to start from (a warm start). progress: called with the step and the loss, every 50 steps.
+    calibrate: in place of `calibrated_map`.
 
     Raises:
         InputError: neither enough slides nor an atlas, or `init` holds another network.
     """
     # At this size threads wait for each other more than they work.
     torch.set_num_threads(1)
-    found = calibrated_map(folder, atlas, config.conditioning, config.calibration, config.spread)
+    calibrate = calibrate or calibrated_map
+    found = calibrate(folder, atlas, config.conditioning, config.calibration, config.spread)
     config = replace(config, conditioning=found.conditioning)
     if not found.response.rim:
         config = _with_more_steps(config, UNSOLVED_STEPS)

@@ -1,0 +1,150 @@
+"""The calibrated map of a training, kept for the next training of the same recordings.
+
+A file of the user's cache folder, named by a hash of all that the map depends on: recordings, atlas, settings, code,
+the libraries that compute it and the processor.
+"""
+
+import hashlib
+import json
+import os
+import tempfile
+import zipfile
+from collections.abc import Callable
+from dataclasses import asdict, fields, replace
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from experiments.provenance import data_hashes, machine, source_hash
+from features.stream.conditioning import Conditioning
+from models.response_map.calibrate import CalibrationConfig
+from models.response_map.from_atlas import SensorSpread
+from models.response_map.map import ResponseMap
+from models.response_map.select import CalibratedMap, calibrated_map
+from models.response_map.slides import LABELS
+from pipeline.atlas.atlas import Atlas, atlas_hash
+from pipeline.atlas.library import cache_folder
+from pipeline.recordings.folder import Folder
+
+# Files of some 200 kB each; beyond these the ones that were used longest ago are removed.
+MOST = 50
+# What the map is computed from and by. experiments/ is not among them: it computes none of it.
+ROOMS = ("features", "pipeline", "models")
+LIBRARIES = ("numpy", "scipy")
+
+Arrays = dict[str, np.ndarray]
+
+
+def kept_map(
+    folder: Folder,
+    atlas: Atlas | None,
+    conditioning: Conditioning,
+    calibration: CalibrationConfig,
+    spread: SensorSpread,
+    *,
+    fresh: bool = False,
+    taken: Callable[[Path], None] = lambda place: None,
+) -> CalibratedMap:
+    """`calibrated_map`, or what an earlier call kept of it; the same to the bit.
+
+    fresh: calibrates in any case. taken: called with the file that the map is taken from. Where the cache folder
+    cannot be written, nothing is kept.
+
+    Raises:
+        InputError: as `calibrated_map`.
+    """
+    settings = [asdict(each) for each in (folder.sensor, conditioning, calibration, spread)]
+    place = cache_folder() / "maps" / f"{_key(folder, atlas, settings)}.npz"
+    arrays = None if fresh else _read(place)
+    if arrays is None:
+        arrays = _packed(calibrated_map(folder, atlas, conditioning, calibration, spread))
+        _keep(place, arrays)
+    else:
+        taken(place)
+    # Kept or not, the map goes this way: arrays in another order of memory would be rounded otherwise later.
+    return _unpacked(arrays, folder)
+
+
+def _key(folder: Folder, atlas: Atlas | None, settings: list[dict[str, Any]]) -> str:
+    what = {
+        "data": data_hashes(folder),
+        "atlas": None if atlas is None else atlas_hash(atlas),
+        "settings": settings,
+        "code": source_hash(ROOMS),
+        "libraries": {name: version(name) for name in LIBRARIES},
+        "processor": machine()["processor"],
+    }
+    return hashlib.sha256(json.dumps(what, sort_keys=True).encode()).hexdigest()[:32]
+
+
+def _read(place: Path) -> Arrays | None:
+    """What is kept there; None where there is nothing, or a file that is damaged."""
+    try:
+        with np.load(place, allow_pickle=False) as file:
+            arrays = {name: file[name] for name in file.files}
+        # Told apart from those that nobody asks for any more.
+        os.utime(place)
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile):
+        return None
+    return arrays
+
+
+def _keep(place: Path, arrays: Arrays) -> None:
+    """Writes the file whole or not at all, whoever else writes it; then removes the oldest of too many."""
+    try:
+        place.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile(dir=place.parent, suffix=".partial", delete=False) as scratch:
+            np.savez(scratch, **arrays)  # type: ignore[arg-type]
+        os.replace(scratch.name, place)
+        kept = sorted(place.parent.iterdir(), key=lambda path: path.stat().st_mtime)
+        for old in kept[:-MOST]:
+            old.unlink(missing_ok=True)
+    except OSError:
+        # A training does not need it.
+        return
+
+
+def _packed(found: CalibratedMap) -> Arrays:
+    maps = [found.response, *(response for response, _ in found.held_out)]
+    arrays = {f"unseen.{n}": names for n, (_, names) in enumerate(found.held_out)}
+    numbers = []
+    for n, response in enumerate(maps):
+        values = {field.name: getattr(response, field.name) for field in fields(ResponseMap)}
+        arrays |= {f"map.{n}.{k}": v for k, v in values.items() if isinstance(v, np.ndarray)}
+        numbers.append({k: v for k, v in values.items() if not isinstance(v, np.ndarray)})
+    rest = {
+        "maps": numbers,
+        "conditioning": asdict(found.conditioning),
+        "slides": found.slides,
+        "summary": found.summary,
+        "untimed": found.untimed,
+        "left_out": found.left_out,
+    }
+    return {
+        **{name: np.ascontiguousarray(values) for name, values in arrays.items()},
+        "motion": found.folder.manifest[list(LABELS)].to_numpy(float),
+        "rest": np.array(json.dumps(rest)),
+    }
+
+
+def _unpacked(arrays: Arrays, folder: Folder) -> CalibratedMap:
+    """folder: the recordings that the map was calibrated on; their motion is the one that was kept."""
+    rest = json.loads(str(arrays["rest"]))
+    maps = []
+    for n, numbers in enumerate(rest["maps"]):
+        own = {k.removeprefix(f"map.{n}."): v for k, v in arrays.items() if k.startswith(f"map.{n}.")}
+        values: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in numbers.items()}
+        maps.append(ResponseMap(**(own | values)))
+    motion = dict(zip(LABELS, arrays["motion"].T, strict=True))
+    return CalibratedMap(
+        response=maps[0],
+        held_out=[(response, arrays[f"unseen.{n}"]) for n, response in enumerate(maps[1:])],
+        conditioning=Conditioning(**rest["conditioning"]),
+        slides=rest["slides"],
+        summary=rest["summary"],
+        folder=replace(folder, manifest=folder.manifest.assign(**motion)),
+        untimed=rest["untimed"],
+        left_out=rest["left_out"],
+    )

@@ -1,0 +1,164 @@
+"""The calibrated map that is kept: a second training takes it, to the same bytes, and notices what has changed."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from experiments import kept_map as module
+from experiments.kept_map import kept_map
+from experiments.train import train
+from features.errors import InputError
+from models.registry import default_config
+from models.response_map.calibrate import CalibrationConfig
+from models.response_map.select import CalibratedMap
+from pipeline.recordings.folder import SAMPLE, Folder, Recording, read_folder, write_folder
+
+CONFIG = """
+calibration.iterations = 1
+network.refinement.steps = 2
+[training]
+steps = 200
+batch = 32
+average = 0.9
+"""
+# From recordings alone, two candidates: the quickest calibration there is.
+COUNT = 26
+
+
+@pytest.fixture(scope="module")
+def lab(tmp_path_factory: pytest.TempPathFactory) -> Folder:
+    """The sample's fastest calibration slides."""
+    folder = read_folder(SAMPLE).select("calibration")
+    names = folder.manifest["speed_mm_s"].nlargest(COUNT).index
+    recordings = [folder.load(str(name)) for name in names]
+    place = tmp_path_factory.mktemp("kept") / "lab"
+    return write_folder(place, folder.sensor, folder.manifest.loc[names], recordings)
+
+
+@pytest.fixture
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("SOFTSLIDE_CACHE", str(tmp_path / "cache"))
+    return tmp_path / "cache" / "maps"
+
+
+def found(
+    folder: Folder, config: CalibrationConfig | None = None, **options: bool
+) -> tuple[CalibratedMap, bool]:
+    """The map, and whether it was taken from what was kept."""
+    cnn, taken = default_config("cnn"), []
+    conditioning = replace(cnn.conditioning, delayed=0.1)
+    calibration = config or replace(cnn.calibration, iterations=1)
+    told = kept_map(folder, None, conditioning, calibration, cnn.spread, taken=taken.append, **options)
+    return told, bool(taken)
+
+
+def assert_same(a: CalibratedMap, b: CalibratedMap) -> None:
+    for x, y in zip(
+        [a.response, *(m for m, _ in a.held_out)], [b.response, *(m for m, _ in b.held_out)], strict=True
+    ):
+        for name, value in vars(x).items():
+            np.testing.assert_array_equal(value, getattr(y, name), name)
+            assert type(value) is type(getattr(y, name)), name
+    for (_, x), (_, y) in zip(a.held_out, b.held_out, strict=True):
+        np.testing.assert_array_equal(x, y)
+    assert (a.conditioning, a.slides, a.summary) == (b.conditioning, b.slides, b.summary)
+    assert (a.untimed, a.left_out) == (b.untimed, b.left_out)
+    assert a.folder.manifest.equals(b.folder.manifest)
+
+
+def test_a_second_call_takes_what_the_first_kept(lab: Folder, cache: Path) -> None:
+    first, second = found(lab), found(lab)
+    assert (first[1], second[1]) == (False, True)
+    assert_same(first[0], second[0])
+    assert len(list(cache.iterdir())) == 1
+    assert found(lab, fresh=True)[1] is False
+
+
+def changed_recording(folder: Folder, place: Path) -> Folder:
+    """One sample of one recording is 0.5 mV higher."""
+    recordings = [folder.load(str(name)) for name in folder.manifest.index]
+    volts = recordings[3].volts.copy()
+    volts[7, 1] += 5e-4
+    recordings[3] = Recording(recordings[3].name, recordings[3].time_s, volts)
+    return write_folder(place, folder.sensor, folder.manifest, recordings)
+
+
+def changed_label(folder: Folder, place: Path) -> Folder:
+    table = folder.manifest.copy()
+    table.loc[table.index[0], "depth_mm"] += 0.01
+    return replace(folder, manifest=table)
+
+
+def other_sensor(folder: Folder, place: Path) -> Folder:
+    return replace(folder, sensor=replace(folder.sensor, pressure_mpa=0.03))
+
+
+@pytest.mark.parametrize("change", [changed_recording, changed_label, other_sensor])
+def test_a_change_is_noticed(
+    lab: Folder, cache: Path, tmp_path: Path, change: Callable[[Folder, Path], Folder]
+) -> None:
+    found(lab)
+    assert found(change(lab, tmp_path / "changed"))[1] is False
+
+
+def test_other_settings_and_other_code_are_noticed(
+    lab: Folder, cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found(lab)
+    assert found(lab, CalibrationConfig(iterations=1, gain_sd=0.02))[1] is False
+    monkeypatch.setattr(module, "ROOMS", ("features", "pipeline"))
+    assert found(lab)[1] is False
+
+
+@pytest.mark.parametrize("damage", [b"", b"no map", None])
+def test_a_damaged_file_is_made_anew(lab: Folder, cache: Path, damage: bytes | None) -> None:
+    first, _ = found(lab)
+    (file,) = cache.iterdir()
+    whole = bytearray(file.read_bytes())
+    whole[len(whole) // 2] ^= 1
+    file.write_bytes(bytes(whole) if damage is None else damage)
+    again, taken = found(lab)
+    assert not taken
+    assert_same(first, again)
+    assert found(lab)[1]
+
+
+def test_a_cache_that_cannot_be_written_costs_nothing(
+    lab: Folder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv("SOFTSLIDE_CACHE", str(tmp_path / "file"))
+    assert (found(lab)[1], found(lab)[1]) == (False, False)
+
+
+def test_the_oldest_go(lab: Folder, cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "MOST", 2)
+    for gain_sd in (0.02, 0.03, 0.04):
+        found(lab, CalibrationConfig(iterations=1, gain_sd=gain_sd))
+    assert len(list(cache.iterdir())) == 2
+    assert found(lab, CalibrationConfig(iterations=1, gain_sd=0.02))[1] is False
+
+
+def test_an_error_keeps_nothing(lab: Folder, cache: Path) -> None:
+    few = replace(lab, manifest=lab.manifest.iloc[:3])
+    with pytest.raises(InputError):
+        found(few)
+    assert not cache.exists()
+
+
+def test_the_bundle_is_the_same_to_the_byte(
+    lab: Folder, cache: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Calibrated anew, then with what was kept."""
+    (tmp_path / "config.toml").write_text(CONFIG)
+    bundles, said = [], []
+    for fresh in (True, False):
+        out = tmp_path / f"bundle-{fresh}"
+        train(lab.root, out, config=tmp_path / "config.toml", fresh=fresh, track=False)
+        bundles.append({path.name: path.read_bytes() for path in out.iterdir()})
+        said.append("took the response map that an earlier training kept" in capsys.readouterr().err)
+    assert said == [False, True]
+    assert bundles[0] == bundles[1]
