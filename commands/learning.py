@@ -35,9 +35,11 @@ def train(parser: Parser) -> Run:
     Uses the splits whose names begin with calibration or train and no other.
     The run is kept in sqlite:///mlflow.db, or where MLFLOW_TRACKING_URI says.
     A folder without labelled recordings trains cnn from the sensor's design.
-    Says how many recordings were used, and why the others were not. cnn keeps
-    its calibrated response map in the user's cache folder; a second training
-    of the same recordings starts from it, to the same bytes.
+    trees, mlp and gp learn from recorded slides and from slides drawn from the
+    response map that these calibrate; [training] recorded_share in FILE says
+    how many are recorded. Says how many recordings were used, and why the
+    others were not. The calibrated map is kept in the user's cache folder; a
+    second training of the same recordings starts from it, to the same bytes.
 
         softslide train --recordings my-recordings --out my-model
         softslide train --recordings my-recordings --model trees --out my-trees

@@ -27,9 +27,9 @@ from features.card import read_card
 from features.errors import InputError
 from models.export.bundle import read_graph, write_bundle
 from models.fitted_model import FittedModel
-from models.registry import default_config, fit_model, uses_design
+from models.registry import default_config, fit_model, learns_from_design_alone, uses_design
 from pipeline.atlas.atlas import Atlas, atlas_hash
-from pipeline.atlas.library import atlas_of
+from pipeline.atlas.library import atlas_at_hand, atlas_of
 from pipeline.progress import progress_bar
 from pipeline.recordings.derived_labels import (
     LINE,
@@ -95,7 +95,7 @@ def train(
     settings = configured(change(default_config(model)), config, model)
     start = None if init is None else _graph_of(init)
     check_replaceable(out, BUNDLE_FILES)
-    design = design_of(folder, atlas) if uses_design(model) or atlas is not None else None
+    design = _design(model, folder, atlas)
     configuration = {
         "model": model,
         "recordings": str(roots[0]) if len(roots) == 1 else [str(root) for root in roots],
@@ -181,8 +181,8 @@ def _fit(
 ) -> tuple[FittedModel, dict[int, float]]:
     """The fitted model and its loss by step, with a bar for who watches: the map's calibration, then the steps."""
     losses: dict[int, float] = {}
-    steps = settings.training.steps if hasattr(settings, "training") else None
-    stage = "calibrating the response map" if uses_design(model) else f"fitting {model}"
+    steps = settings.training.steps if learns_from_design_alone(model) else None
+    stage = f"fitting {model}" if steps is None else "calibrating the response map"
     with progress_bar(stage, "step", total=steps) as bar:
 
         def progress(step: int, loss: float) -> None:
@@ -226,6 +226,13 @@ def _graph_of(bundle: Path) -> onnx.ModelProto:
     """
     Localizer.load(bundle)
     return read_graph(bundle)
+
+
+def _design(model: str, folder: Folder, atlas: Path | None) -> Atlas | None:
+    """The atlas that the model is to use: solved now only for one that learns from the design alone."""
+    if learns_from_design_alone(model):
+        return design_of(folder, atlas)
+    return atlas_at_hand(folder.sensor, atlas) if uses_design(model) or atlas is not None else None
 
 
 def design_of(folder: Folder, atlas: Path | None) -> Atlas | None:

@@ -48,11 +48,13 @@ class Model:
     """A model's entry in the registry.
 
     config: its default configuration, a frozen dataclass with a field `conditioning`, the signal path's constants.
-    fit: (folder, configuration) -> FittedModel; with from_design (folder, configuration, atlas, init, progress,
-    calibrate), as `models.registry.fit_model` describes them.
-    from_design: whether it can use the sensor's design and start from an earlier bundle.
+    fit: (folder, configuration) -> FittedModel; with from_design (folder, configuration, atlas, calibrate), with alone
+    (folder, configuration, atlas, init, progress, calibrate), as `models.registry.fit_model` describes them.
+    from_design: whether it can use an atlas of the sensor's design. alone: whether that suffices, so that an atlas is
+    solved where none is at hand; such a model can also start from an earlier bundle.
     """
 
     config: Callable[[], Any]
     fit: Callable[..., FittedModel]
     from_design: bool = False
+    alone: bool = False

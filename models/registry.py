@@ -43,12 +43,21 @@ def default_config(name: str) -> Any:
 
 
 def uses_design(name: str) -> bool:
-    """Whether the model can use an atlas of the sensor's design, and an earlier bundle to start from.
+    """Whether the model can use an atlas of the sensor's design.
 
     Raises:
         InputError: no such model.
     """
     return _model(name).from_design
+
+
+def learns_from_design_alone(name: str) -> bool:
+    """Whether the model needs no recordings, and can start from an earlier bundle.
+
+    Raises:
+        InputError: no such model.
+    """
+    return _model(name).alone
 
 
 def fit_model(
@@ -62,9 +71,9 @@ def fit_model(
 ) -> "FittedModel":
     """Fits the model to the folder's labelled recordings.
 
-    atlas: the sensor's design, and init: the graph of a bundle of the same model to start from, for models that use
-    them (`uses_design`). progress: called with the step and the loss, now and then. calibrate: for these models,
-    in place of `calibrated_map` (models/response_map/select.py).
+    atlas: the sensor's design (`uses_design`). init: the graph of a bundle of the same model to start from
+    (`learns_from_design_alone`). progress: called with the step and the loss, now and then. calibrate: for models that
+    use the design, in place of `calibrated_map` (models/response_map/select.py).
 
     Raises:
         InputError: no such model, nothing to fit it to, or `init` is of another kind.
@@ -73,14 +82,16 @@ def fit_model(
 
     model = _model(name)
     config = replace(config, conditioning=conditioning_for(folder, config.conditioning))
-    if model.from_design:
+    if atlas is not None and not model.from_design:
+        raise InputError(f"{name} learns from recordings alone; leave the atlas out, or use {DEFAULT}")
+    if init is not None and not model.alone:
+        raise InputError(f"{name} starts from no bundle; leave it out, or use {DEFAULT}")
+    if model.alone:
         fitted = model.fit(folder, config, atlas, init, progress, calibrate)
-    elif atlas is None and init is None:
-        fitted = model.fit(folder, config)
+    elif model.from_design:
+        fitted = model.fit(folder, config, atlas, calibrate)
     else:
-        raise InputError(
-            f"{name} learns from recordings alone; leave the atlas and the bundle to start from out, or use {DEFAULT}"
-        )
+        fitted = model.fit(folder, config)
     peak_v = PEAK_TRIGGERS * config.conditioning.trigger_v
     validity = replace(fitted.validity, peak_v=max(fitted.validity.peak_v, peak_v))
     return replace(fitted, name=name, validity=validity)

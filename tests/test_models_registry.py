@@ -89,8 +89,8 @@ def test_an_unknown_name_is_refused_with_the_known_ones():
         registry.default_config("oracle")
 
 
-@pytest.mark.parametrize("name", [n for n in registry.names() if not registry.uses_design(n)])
+@pytest.mark.parametrize("name", [n for n in registry.names() if not registry.learns_from_design_alone(n)])
 def test_a_model_on_features_refuses_a_bundle_to_start_from(name):
     folder = read_folder(SAMPLE).select("calibration")
-    with pytest.raises(InputError, match="recordings alone"):
+    with pytest.raises(InputError, match="starts from no bundle"):
         registry.fit_model(name, folder, registry.default_config(name), init=object())

@@ -184,7 +184,7 @@ def _read_inversion(study: Study) -> Readout:
 def _read_minirocket(study: Study) -> Readout:
     taught = regression.late_windows(labelled_windows(study.taught, study.conditioning))
     validity = Validity(offset_mm=offset_reach_mm(taught))
-    card = window_card("minirocket", regression.OUTPUTS, study.scored.sensor, study.conditioning, validity)
+    card = window_card("minirocket", minirocket.OUTPUTS, study.scored.sensor, study.conditioning, validity)
     window_s = np.empty(0)
 
     def predict(volts: np.ndarray, elapsed_s: np.ndarray) -> np.ndarray:

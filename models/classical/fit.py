@@ -12,15 +12,18 @@ from features.errors import InputError
 from features.vector.feature_vector import feature_names
 from models.classical.misfit import Misfit
 from models.classical.regression import EARLIEST, float_features, late_windows
+from models.classical.taught import SharesConfig, Taught, taught_windows
 from models.fitted_model import FittedModel, Model
 from models.graph.builder import GraphBuilder
-from models.held_out import line_folds, mean_errors, offset_reach_mm, signed_errors
+from models.held_out import mean_errors, offset_reach_mm, signed_errors
 from models.intervals import COVERAGE, conformal_interval, step_between
 from models.misfit_limit import misfit_limit
+from models.response_map.select import CalibratedMap, calibrated_map
+from pipeline.atlas.atlas import Atlas
 from pipeline.recordings.folder import Folder
-from pipeline.recordings.windows import LabelledWindows, labelled_windows
+from pipeline.recordings.windows import LabelledWindows
 
-FOLDS = 5
+RECORDED_ALONE = SharesConfig(recorded_share=1.0)
 LEAST_WINDOWS = 20  # to set intervals on: with fewer a 90 % quantile is the largest error
 
 
@@ -71,16 +74,23 @@ def graph_of(model: OnFeatures, features: int) -> onnx.ModelProto:
 def feature_model(config: Callable[[], Any], fit: Fit) -> Model:
     """The registry's entry for a model on features.
 
-    config: its configuration's dataclass, with a field `conditioning`. fit: windows and configuration -> the model.
+    config: its configuration's dataclass, with a field `conditioning`, and `training` where drawn windows are to stand
+    beside recorded ones (taught.py). fit: windows and configuration -> the model.
     """
 
-    def fitted(folder: Folder, settings: Any) -> FittedModel:
+    def fitted(
+        folder: Folder,
+        settings: Any,
+        atlas: Atlas | None = None,
+        calibrate: Callable[..., CalibratedMap] | None = None,
+    ) -> FittedModel:
         boards = len(folder.sensor.accelerometers)
         if not len(folder):
             raise InputError(f"{folder.root}: no labelled recordings; record some, or train cnn without")
-        windows = labelled_windows(folder, settings.conditioning)
-        model = WithMisfit(fit(windows, settings), Misfit.of(windows))
-        intervals, limit, summary = _judge(windows, settings, fit, model.outputs)
+        shares = getattr(settings, "training", RECORDED_ALONE)
+        taught = taught_windows(folder, settings.conditioning, shares, atlas, calibrate or calibrated_map)
+        model = WithMisfit(fit(taught.whole, settings), Misfit.of(taught.whole))
+        intervals, limit, summary = _judge(taught, settings, fit, model.outputs)
         return FittedModel(
             name="",
             input="features",
@@ -88,30 +98,26 @@ def feature_model(config: Callable[[], Any], fit: Fit) -> Model:
             graph=graph_of(model, len(feature_names(boards))),
             original=lambda inputs: model.predict(inputs["features"]),
             intervals=intervals,
-            validity=Validity(offset_mm=offset_reach_mm(windows), misfit=limit),
-            conditioning=settings.conditioning,
-            summary=summary,
-            left_out={
-                str(name): "no output reaches the trigger"
-                for name in folder.manifest.index
-                if name not in windows.recording
-            },
+            validity=Validity(offset_mm=offset_reach_mm(taught.recorded), misfit=limit),
+            conditioning=taught.conditioning,
+            summary=taught.summary | summary,
+            untimed=taught.untimed,
+            left_out=taught.left_out,
         )
 
-    return Model(config, fitted)
+    return Model(config, fitted, from_design=hasattr(config(), "training"))
 
 
 def _judge(
-    windows: LabelledWindows, settings: Any, fit: Fit, outputs: tuple[str, ...]
+    taught: Taught, settings: Any, fit: Fit, outputs: tuple[str, ...]
 ) -> tuple[dict[str, Interval], float, dict[str, float]]:
     """Intervals, the largest misfit of a valid estimate, and mean errors, on lines that the fit has not seen.
 
     No intervals, and a limit that nothing meets, where there are too few lines.
     """
-    fold = line_folds(windows.direction_deg, windows.offset_mm, FOLDS)
+    windows = taught.recorded
     rows = np.full((len(windows), len(outputs)), np.nan)
-    for k in range(FOLDS):
-        seen, unseen = windows[fold != k], fold == k
+    for seen, unseen in taught.folds:
         if len(late_windows(seen)) and unseen.any():
             model = WithMisfit(fit(seen, settings), Misfit.of(seen))
             rows[unseen] = model.predict(float_features(windows[unseen]))

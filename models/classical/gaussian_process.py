@@ -11,6 +11,7 @@ from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
 from features.stream.conditioning import Conditioning
 from models.classical.fit import feature_model
 from models.classical.regression import Regressor, regression_table
+from models.classical.taught import SharesConfig
 from models.graph.builder import GraphBuilder
 from pipeline.recordings.windows import LabelledWindows
 
@@ -21,6 +22,7 @@ class GpConfig:
     least, in units of the target's variance."""
 
     conditioning: Conditioning = field(default_factory=Conditioning)
+    training: SharesConfig = field(default_factory=SharesConfig)
     search_rows: int = 400
     least_noise: float = 1e-5
     seed: int = 0

@@ -10,6 +10,7 @@ from sklearn.neural_network import MLPRegressor
 from features.stream.conditioning import Conditioning
 from models.classical.fit import feature_model
 from models.classical.regression import Regressor, regression_table
+from models.classical.taught import SharesConfig
 from models.graph.builder import GraphBuilder
 from pipeline.recordings.windows import LabelledWindows
 
@@ -20,6 +21,7 @@ class MlpConfig:
     iterations: passes over the data."""
 
     conditioning: Conditioning = field(default_factory=Conditioning)
+    training: SharesConfig = field(default_factory=SharesConfig)
     members: int = 3
     hidden: tuple[int, ...] = (64, 64)
     penalty: float = 0.03

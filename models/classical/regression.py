@@ -1,13 +1,12 @@
 """What the regressors on the feature vector share: their targets, the columns they read, their units.
 
-Each estimates the same four numbers: direction as cosine and sine, log(v sigma_t), offset. Energy width sigma_t times
-speed v is a length that the line alone decides; the features they read hold no seconds either, so that no speed can
-leak in.
+Each estimates the same numbers: direction as cosine and sine, log(v sigma_t), offset, and, where recordings say where
+the contact was, its place along the line. Energy width sigma_t times speed v is a length that the line alone decides;
+the features they read hold no seconds either, so that no speed can leak in.
 """
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 from onnx import TensorProto
@@ -18,7 +17,7 @@ from models.classical.augmentation import with_lines_between
 from models.graph.builder import GraphBuilder
 from pipeline.recordings.windows import LabelledWindows
 
-OUTPUTS = ("direction_cos", "direction_sin", "log_speed_width", "offset_mm")
+OUTPUTS = ("direction_cos", "direction_sin", "log_speed_width", "offset_mm", "along_mm")
 
 # Share of the stroke before which windows are left out of a fit: slides that differ look alike there, and what is
 # learnt from them spoils later windows. A Gaussian process's speed error falls from 7.5 to 2.6 % (experiments/LOG.md).
@@ -50,12 +49,12 @@ def float_features(windows: LabelledWindows) -> np.ndarray:
 
 
 def targets(windows: LabelledWindows) -> np.ndarray:
-    """Targets (n, 4) in OUTPUTS order."""
+    """Targets (n, K) in OUTPUTS order; without the last one if it is not known of all windows."""
     angle = np.deg2rad(windows.direction_deg)
     width = energy_width_s(windows.volts, windows.elapsed_s)
-    return np.stack(
-        [np.cos(angle), np.sin(angle), np.log(windows.speed_mm_s * width), windows.offset_mm], axis=1
-    )
+    line = [np.cos(angle), np.sin(angle), np.log(windows.speed_mm_s * width), windows.offset_mm]
+    place = [windows.along_mm] if np.isfinite(windows.along_mm).all() else []
+    return np.stack(line + place, axis=1)
 
 
 @dataclass(frozen=True)
@@ -102,31 +101,35 @@ class Regressor(ABC):
     """A model from standardized features to standardized targets, with its graph."""
 
     units: Units
-    outputs: ClassVar[tuple[str, ...]] = OUTPUTS
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """Names of the K columns: those of OUTPUTS that the targets had."""
+        return OUTPUTS[: len(self.units.target.mean)]
 
     @abstractmethod
     def standard_rows(self, x: np.ndarray) -> np.ndarray:
-        """Standardized targets (n, 4) of standardized features x (n, F')."""
+        """Standardized targets (n, K) of standardized features x (n, F')."""
 
     @abstractmethod
     def standard_nodes(self, g: GraphBuilder, x: str) -> str:
         """`standard_rows` in nodes of an ONNX graph, in float64."""
 
     def predict(self, features: np.ndarray) -> np.ndarray:
-        """Rows (n, 4) in OUTPUTS order of features (n, F)."""
+        """Rows (n, K) in OUTPUTS order of features (n, F)."""
         u = self.units
         x = u.input.standard(np.asarray(features, np.float64)[:, u.columns])
         return u.target.natural(self.standard_rows(x))
 
     def nodes(self, g: GraphBuilder, features: str) -> str:
-        """The same in nodes, in float64: rows (B, 4) of features (B, F) float32."""
+        """The same in nodes, in float64: rows (B, K) of features (B, F) float32."""
         u = self.units
         x = u.input.standard_nodes(g, g.cast(g.columns(features, u.columns), TensorProto.DOUBLE))
         return u.target.natural_nodes(g, self.standard_nodes(g, x))
 
 
 def regression_table(windows: LabelledWindows, between_lines: bool) -> tuple[Units, np.ndarray, np.ndarray]:
-    """What to fit to: the units, standardized features (n, F') and standardized targets (n, 4).
+    """What to fit to: the units, standardized features (n, F') and standardized targets (n, K).
 
     between_lines: whether rows between neighbouring lines are added (augmentation.py).
     """

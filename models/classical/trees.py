@@ -1,7 +1,6 @@
 """Extremely randomized trees (Geurts, Ernst and Wehenkel 2006) on the feature vector."""
 
 from dataclasses import dataclass, field
-from typing import ClassVar
 
 import numpy as np
 import onnx
@@ -21,21 +20,24 @@ from models.classical.regression import (
     read_columns,
     targets,
 )
+from models.classical.taught import SharesConfig
 from models.graph.builder import OPSET, OPSET_ML, GraphBuilder
 from pipeline.recordings.windows import LabelledWindows
 
 # Each forest's targets, and those of them that are taken from it. Direction and speed fare better alone: what splits
 # the one does not split the other (one forest for all doubles the speed's error, experiments/LOG.md). The offset fares
-# better beside the direction: its sign is tied to it.
-FORESTS = (((0, 1), (0, 1)), ((2,), (2,)), ((0, 1, 3), (3,)))
+# better beside the direction: its sign is tied to it; and without the place along the line (a formula's slides: below
+# 0.5 instead of 0.75 mm).
+FORESTS = (((0, 1), (0, 1)), ((2,), (2,)), ((0, 1, 3), (3,)), ((0, 1, 4), (4,)))
 
 
 @dataclass(frozen=True)
 class TreesConfig:
-    """trees: in each of the three forests. least_leaf: windows that a leaf averages at least; fewer make the graph
+    """trees: in each of the forests. least_leaf: windows that a leaf averages at least; fewer make the graph
     larger (200 trees with leaves of 6: 26 MB)."""
 
     conditioning: Conditioning = field(default_factory=Conditioning)
+    training: SharesConfig = field(default_factory=SharesConfig)
     trees: int = 150
     least_leaf: int = 6
     seed: int = 0
@@ -48,13 +50,17 @@ class Trees:
     columns: np.ndarray
     forests: tuple[ExtraTreesRegressor, ...]
     target: Scale
-    outputs: ClassVar[tuple[str, ...]] = OUTPUTS
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """Names of the K columns."""
+        return OUTPUTS[: len(self.target.mean)]
 
     def predict(self, features: np.ndarray) -> np.ndarray:
-        """Rows (n, 4) of features (n, F)."""
+        """Rows (n, K) of features (n, F)."""
         read = np.asarray(features, np.float32)[:, self.columns]
-        standard = np.empty((len(read), len(OUTPUTS)))
-        for (grown, taken), forest in zip(FORESTS, self.forests, strict=True):
+        standard = np.empty((len(read), len(self.outputs)))
+        for (grown, taken), forest in zip(_forests(len(self.outputs)), self.forests, strict=True):
             rows = forest.predict(read).reshape(len(read), -1)
             standard[:, taken] = rows[:, [grown.index(k) for k in taken]]
         return self.target.natural(standard)
@@ -63,13 +69,14 @@ class Trees:
         """One ensemble node a forest, their columns put back in order. skl2onnx is exact for forests."""
         read = g.columns(features, self.columns)
         parts = []
-        for (grown, taken), forest in zip(FORESTS, self.forests, strict=True):
+        forests = _forests(len(self.outputs))
+        for (grown, taken), forest in zip(forests, self.forests, strict=True):
             (node,) = _ensemble(forest, len(self.columns)).graph.node
             out = g.name()
             node.input[0], node.output[0], node.name = read, out, out
             g.nodes.append(node)
             parts.append(g.columns(out, np.array([grown.index(k) for k in taken])))
-        order = np.argsort(np.concatenate([taken for _, taken in FORESTS]))
+        order = np.argsort(np.concatenate([taken for _, taken in forests]))
         standard = g.columns(g.op("Concat", *parts, axis=1), order)
         return self.target.natural_nodes(g, g.cast(standard, TensorProto.DOUBLE))
 
@@ -85,9 +92,14 @@ def fit_trees(windows: LabelledWindows, config: TreesConfig) -> Trees:
         ExtraTreesRegressor(config.trees, min_samples_leaf=config.least_leaf, random_state=config.seed).fit(
             read, standard[:, grown] if len(grown) > 1 else standard[:, grown[0]]
         )
-        for grown, _ in FORESTS
+        for grown, _ in _forests(goals.shape[1])
     )
     return Trees(columns, forests, scale)
+
+
+def _forests(count: int) -> list[tuple[tuple[int, ...], tuple[int, ...]]]:
+    """Those of FORESTS that the first `count` targets suffice for."""
+    return [(grown, taken) for grown, taken in FORESTS if max(grown) < count]
 
 
 def _ensemble(forest: ExtraTreesRegressor, columns: int) -> onnx.ModelProto:

@@ -268,4 +268,4 @@ def _errors(rows: np.ndarray, windows: LabelledWindows) -> dict[str, float]:
     }
 
 
-MODEL = Model(CnnConfig, fit_cnn, from_design=True)
+MODEL = Model(CnnConfig, fit_cnn, from_design=True, alone=True)

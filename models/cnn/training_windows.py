@@ -60,15 +60,16 @@ class SynthesisConfig:
 @dataclass(frozen=True)
 class WindowBatch:
     """volts (B, C, 64) V of the channels that answer to a touch, elapsed_s (B,), weight (B, A); targets (B, 6):
-    direction cos, sin, log speed, offset mm, along mm, depth mm."""
+    direction cos, sin, log speed, offset mm, along mm, depth mm; seen (B,): share of the slide."""
 
     volts: Tensor
     elapsed_s: Tensor
     weight: Tensor
     targets: Tensor
+    seen: Tensor
 
     def labelled(self) -> LabelledWindows:
-        """The same windows as of recordings, their V_z still, the stroke held to be whole."""
+        """The same windows as of recordings, their V_z still."""
         count = len(self.elapsed_s)
         boards = self.weight.shape[1]
         axes = self.volts.shape[1] // boards
@@ -83,7 +84,7 @@ class WindowBatch:
             offset_mm=offset,
             depth_mm=depth,
             along_mm=along,
-            stroke_fraction=np.ones(count),
+            stroke_fraction=self.seen.numpy().astype(float),
             recording=np.array([f"synthetic-{n}" for n in range(count)]),
             split=np.full(count, "train"),
         )
@@ -127,7 +128,7 @@ class WindowSource:
         elapsed = motion.seconds * (1 - start / SAMPLES)
         along, depth_mm = motion.first + motion.length, self.response.depth_mm + depth
         targets = torch.stack([lines.cos, lines.sin, lines.speed.log(), lines.offset, along, depth_mm], 1)
-        return WindowBatch(windows[whole], elapsed[whole], weight[whole], targets[whole])
+        return WindowBatch(windows[whole], elapsed[whole], weight[whole], targets[whole], motion.seen[whole])
 
     def _lines(self, random: "_Random") -> "_Lines":
         """Lines at any angle, at an offset that crosses the chamber or not, with a speed."""
@@ -158,7 +159,7 @@ class WindowSource:
         length = (last - first) * seen
         paused = random.chance(c.paused)
         pause = torch.where(paused, length * random.uniform(0.0, LONGEST_PAUSE), torch.zeros(random.count))
-        return _Motion(first, length, pause, (length + pause) / lines.speed)
+        return _Motion(first, length, pause, (length + pause) / lines.speed, seen)
 
     def _volts(self, lines: "_Lines", motion: "_Motion", random: "_Random") -> tuple[Tensor, Tensor]:
         """Output (B, SAMPLES, C) V as a device would record it, and the depth (B,) mm about the map's."""
@@ -277,13 +278,14 @@ class _Lines:
 
 @dataclass(frozen=True)
 class _Motion:
-    """(B,) each: where the slide begins along its line, mm; its length and the rest at its end, as a length, mm; and
-    how long both take, s."""
+    """(B,) each: where the slide begins along its line, mm; its length and the rest at its end, as a length, mm; how
+    long both take, s; and which share of the slide that is."""
 
     first: Tensor
     length: Tensor
     pause: Tensor
     seconds: Tensor
+    seen: Tensor
 
 
 def _crossing(foot: Tensor, slope: Tensor, half_mm: float) -> tuple[Tensor, Tensor]:

@@ -22,21 +22,9 @@ def atlas_of(sensor: Sensor, named: Path | None = None, workers: int = 2) -> Atl
     """
     if not sensor.measures_gravity:
         check_design(sensor, sensor.name)
-    if named is not None:
-        atlas = read_atlas(named)
-        check_atlas(atlas, sensor, str(named))
+    if (atlas := atlas_at_hand(sensor, named)) is not None:
         return atlas
-    if _is_shipped(sensor):
-        print("atlas: the one that ships, of the article's sensor", file=sys.stderr)
-        return read_atlas()
-    cached = cache_folder() / f"coarse-{design_hash(sensor)}.npz"
-    if cached.exists():
-        try:
-            atlas = read_atlas(cached)
-            print(f"atlas: {cached}, solved earlier", file=sys.stderr)
-            return atlas
-        except InputError:
-            cached.unlink()
+    cached = _cached(sensor)
     print(
         f"atlas: none of {sensor.name} yet; solving a coarse one (minutes), to be cached in {cached}",
         file=sys.stderr,
@@ -51,6 +39,39 @@ def atlas_of(sensor: Sensor, named: Path | None = None, workers: int = 2) -> Atl
     )
     write_atlas(atlas, cached)
     return atlas
+
+
+def atlas_at_hand(sensor: Sensor, named: Path | None = None) -> Atlas | None:
+    """The sensor's atlas that is named, ships or was solved earlier; None: there is none.
+
+    Raises:
+        InputError: the file named is no atlas or one of another design.
+    """
+    if not sensor.measures_gravity:
+        if named is None:
+            return None
+        check_design(sensor, sensor.name)
+    if named is not None:
+        atlas = read_atlas(named)
+        check_atlas(atlas, sensor, str(named))
+        return atlas
+    if _is_shipped(sensor):
+        print("atlas: the one that ships, of the article's sensor", file=sys.stderr)
+        return read_atlas()
+    cached = _cached(sensor)
+    if not cached.exists():
+        return None
+    try:
+        atlas = read_atlas(cached)
+    except InputError:
+        cached.unlink()
+        return None
+    print(f"atlas: {cached}, solved earlier", file=sys.stderr)
+    return atlas
+
+
+def _cached(sensor: Sensor) -> Path:
+    return cache_folder() / f"coarse-{design_hash(sensor)}.npz"
 
 
 def cache_folder() -> Path:

@@ -49,6 +49,12 @@ class LabelledWindows:
         return LabelledWindows(**{name: values[rows] for name, values in vars(self).items()})
 
 
+def joined(parts: Sequence[LabelledWindows]) -> LabelledWindows:
+    """The windows of all parts, of one sensor, in their order."""
+    columns = {name: [getattr(part, name) for part in parts] for name in vars(parts[0])}
+    return LabelledWindows(**{name: np.concatenate(values) for name, values in columns.items()})
+
+
 def labelled_windows(
     folder: Folder,
     conditioning: Conditioning | None = None,
