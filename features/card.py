@@ -210,10 +210,14 @@ def _card(table: dict[str, Any]) -> Card:
             "conditioning": Conditioning(**table["conditioning"]),
             "intervals": {k: Interval(**v) for k, v in table["intervals"].items()},
             "validity": Validity(**limits),
-            "force": None if table["force"] is None else ForceMap(**table["force"]),
+            "force": None if table["force"] is None else _force(table["force"]),
             "contact": None if table["contact"] is None else _contact(table["contact"]),
         }
     )
+
+
+def _force(table: dict[str, Any]) -> ForceMap:
+    return ForceMap(**{**table, "steps_mn": tuple(table["steps_mn"])})
 
 
 def _contact(table: dict[str, Any]) -> ContactCalibration:

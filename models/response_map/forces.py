@@ -6,8 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 
-from features.contact.calibration import encoded
-from features.contact.force_map import ForceMap
+from features.contact.force_map import ForceMap, in_steps
 from features.force import STEP_MM, ForceReader
 from models.response_map.from_atlas import DEPTH_STEP_MM, GRID_MM
 from models.response_map.map import MARGIN_MM, SPACING_MM, spline_coefficients
@@ -53,10 +52,10 @@ def force_map(
     splines = np.stack(
         [spline_coefficients(v.reshape(len(grid), len(grid), -1), grid, half) for v in surfaces]
     )
-    text, scale = encoded(splines)
+    text, steps_mn = in_steps(splines)
     return ForceMap(
         coefficients=text,
-        scale_mn=scale,
+        steps_mn=steps_mn,
         knots=splines.shape[1],
         half_mm=half,
         spacing_mm=SPACING_MM,
@@ -94,7 +93,7 @@ def calibrated_forces(folder: Folder, atlas: Atlas, fitted: dict[str, float], de
     # The map's own error along a stroke is in no mean over readings.
     return replace(
         forces,
-        scale_mn=factor * forces.scale_mn,
+        steps_mn=tuple(factor * step for step in forces.steps_mn),
         relative_sd=math.hypot(precision**-0.5, READING_SD),
         scale_readings=len(ratios),
     )
