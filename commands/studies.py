@@ -45,9 +45,12 @@ def compare(parser: Parser) -> Run:
     process on features, MiniRocket, the inverted response map and the default
     model to the same calibration slides and scores all on the same test
     slides: errors in degrees (deg), percent (%) and mm, time of a window in
-    ms, and errors over the Cramer-Rao bound. Writes comparison.csv,
-    comparison.md, times.csv, efficiency.csv and figures. Bundles and readouts
-    are kept below DIR; a later run of the same settings and data reuses them.
+    ms, errors over the Cramer-Rao bound, and each model's differences from the
+    default (or the first named) on the same slides, with 95 % confidence
+    intervals over lines. Writes comparison.html, comparison.md,
+    comparison.csv, paired.csv, times.csv, efficiency.csv and figures. Bundles
+    and readouts are kept below DIR; a later run of the same settings and data
+    reuses them.
 
         softslide compare --recordings bench-a bench-d --out comparison
     """
@@ -67,6 +70,7 @@ def compare(parser: Parser) -> Run:
 
         compare(given.recordings, given.out, given.models or MODELS, given.jobs)
         print(given.out / "comparison.md")
+        print(given.out / "comparison.html")
 
     return run
 

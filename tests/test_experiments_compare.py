@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
@@ -15,6 +16,8 @@ from small_bundle import OUTPUTS, write_small_bundle
 
 import softslide
 from experiments.comparison import figures as comparison_figures
+from experiments.comparison.page import verdict
+from experiments.comparison.paired import interval, paired
 from experiments.comparison.peers import Study, kept
 from experiments.comparison.table import error_rows, markdown
 from experiments.evaluation import efficiency
@@ -242,6 +245,61 @@ def test_the_bound_s_figure_has_a_line_for_each_distance() -> None:
     ElementTree.fromstring(figure)
     for text in (">0-5 mm<", ">5-10 mm<", ">cnn: speed<", ">inversion: distance<", ">rms error / bound<"):
         assert text in figure
+
+
+def judged(errors: list[float], lines: list[float]) -> pd.DataFrame:
+    """Scores at the end of the stroke of slides along x at these offsets, mm; errors in deg, NaN: no estimate."""
+    same = pd.DataFrame(
+        {"recording": [f"r{n}" for n in range(len(errors))], "split": "test", "stroke_fraction": 1.0}
+    )
+    known = {
+        "speed_percent_error": 1.0,
+        "offset_mm_error": 0.5,
+        "true_direction_deg": 0.0,
+        "true_offset_mm": lines,
+    }
+    return same.assign(direction_deg_error=errors, **known)
+
+
+def test_paired_differences_by_hand() -> None:
+    """Two slides of one line count once: lines differ by 1, 2 and 6, whose mean is 3 +- 4.303 sqrt(7 / 3)."""
+    nan = math.nan
+    lines = [1.0, 1.0, 2.0, 3.0, 4.0]
+    ours, theirs = judged([1.5, 2.5, 3.0, 7.0, 9.0], lines), judged([1.0, 1.0, 1.0, 1.0, nan], lines)
+    table = paired({"ours": ours, "theirs": theirs}, "theirs").set_index("quantity")
+    row = table.loc["direction_deg"]
+    assert (row["model"], row["against"], row["lines"], row["recordings"]) == ("ours", "theirs", 3, 4)
+    assert (row["valid_alone"], row["against_alone"]) == (1, 0)
+    assert row["difference"] == pytest.approx(3.0)
+    assert row["high"] - 3.0 == pytest.approx(4.3027 * math.sqrt(7 / 3), rel=1e-4)
+    assert 3.0 - row["low"] == pytest.approx(row["high"] - 3.0)
+    assert verdict(row.to_dict()) == ""
+    assert verdict(table.loc["speed_percent"].to_dict() | {"low": 0.1, "high": 0.2}) == "larger"
+    few = paired({"ours": ours[:2], "theirs": theirs[:2]}, "theirs").iloc[0]
+    assert math.isnan(few["low"])
+    assert verdict(few.to_dict()) == "too few"
+
+
+def test_ninety_five_of_a_hundred_intervals_hold_the_truth() -> None:
+    random = np.random.default_rng(0)
+    drawn = (interval(random.normal(0.3, 1.0, 8)) for _ in range(2000))
+    held = np.mean([low < 0.3 < high for _, low, high in drawn])
+    assert held == pytest.approx(0.95, abs=0.015)
+
+
+def test_the_page_shows_models_side_by_side(out: Path) -> None:
+    pairs = pd.read_csv(out / "paired.csv")
+    assert set(pairs["model"]) == {"gp"}
+    assert set(pairs["against"]) == {"interpolation"}  # the first, without the default model
+    text = (out / "comparison.html").read_text(encoding="utf-8")
+    assert not re.search(r"url\((?!#)|@import|https?://|<script", text)
+    alts = re.findall(r'aria-label="([^"]*)"', text)
+    assert len(alts) == 3
+    for alt, unit in zip(alts, ("(deg)", "(%)", "(mm)"), strict=True):
+        assert unit in alt
+        assert "each model less interpolation on the same slides" in alt
+    assert "test-diagonal, gp" in text
+    assert ">too few<" in text  # of one diagonal line
 
 
 def test_emulated_recordings_are_called_so() -> None:

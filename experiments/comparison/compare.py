@@ -1,7 +1,8 @@
 """Every baseline in one table: fitted to the same calibration slides, scored on the same test slides.
 
-Writes comparison.csv, comparison.md, times.csv, efficiency.csv and figures. Below OUT each folder of recordings has
-its bundles and readouts; what an earlier run has left there, of the same configuration and data, is taken up again.
+Writes comparison.html, comparison.md, comparison.csv, paired.csv, times.csv, efficiency.csv and figures. Below OUT each
+folder of recordings has its bundles and readouts; what an earlier run has left there, of the same configuration and
+data, is taken up again.
 """
 
 import sys
@@ -14,21 +15,33 @@ import pandas as pd
 import torch
 
 from experiments.comparison import figures as comparison_figures
+from experiments.comparison.page import TEMPLATE, section
+from experiments.comparison.paired import COLUMNS as PAIRED
+from experiments.comparison.paired import paired
 from experiments.comparison.peers import MODELS, Study, kept, map_settings, read_out
 from experiments.comparison.table import error_rows, markdown
 from experiments.evaluation import efficiency
 from experiments.evaluation.scoring import score
+from experiments.pages.page import render
 from features.errors import InputError
+from pipeline.recordings.folder import read_folder
+from pipeline.recordings.taught import taught_lines
+
+# The model that the others are held against, where it is among them; else the first.
+REFERENCE = "cnn"
 
 
 @dataclass
 class Findings:
-    """One folder's rows of comparison.csv, times.csv and efficiency.csv, and the models left out, with the reason.
+    """One folder's rows of comparison.csv, times.csv, efficiency.csv and paired.csv, and the models left out, with the
+    reason.
 
-    origin: of its sensor.toml.
+    origin: of its sensor.toml. taught: number of scored recordings along calibration lines, which are not paired.
     """
 
     origin: str
+    taught: int = 0
+    paired: pd.DataFrame = field(default_factory=lambda: pd.DataFrame(columns=list(PAIRED)))
     errors: list[dict[str, Any]] = field(default_factory=list)
     times: list[dict[str, Any]] = field(default_factory=list)
     ratios: list[pd.DataFrame] = field(default_factory=list)
@@ -84,6 +97,12 @@ def compare_on(study: Study, models: Sequence[str]) -> Findings:
         found.times.append(head | times)
     if not scored:
         raise InputError(f"{study.recordings}: {next(iter(found.left_out.values()))}")
+    lines = taught_lines(read_folder(study.recordings).manifest)
+    taught = lines.index[lines != ""].intersection(study.scored.manifest.index)
+    found.taught = len(taught)
+    unseen = {model: table[~table["recording"].isin(taught)] for model, table in scored.items()}
+    found.paired = paired(unseen, REFERENCE if REFERENCE in scored else next(iter(scored)))
+    found.paired.insert(0, "folder", name)
     if against := [model for model in efficiency.COMPARED if model in scored]:
         bounds = _bounds(study)
         for model in against:
@@ -112,7 +131,9 @@ def _write(found: dict[str, Findings], out: Path) -> None:
     times = pd.DataFrame([row for findings in found.values() for row in findings.times])
     parts = [part for findings in found.values() for part in findings.ratios]
     ratios = pd.concat(parts, ignore_index=True) if parts else pd.DataFrame(columns=["folder"])
-    for name, table in (("comparison", errors), ("times", times), ("efficiency", ratios)):
+    pairs = pd.concat([findings.paired for findings in found.values()], ignore_index=True)
+    tables = {"comparison": errors, "times": times, "efficiency": ratios, "paired": pairs}
+    for name, table in tables.items():
         table.to_csv(out / f"{name}.csv", index=False, float_format="%.6g", lineterminator="\n")
     text = []
     for folder, findings in found.items():
@@ -122,3 +143,9 @@ def _write(found: dict[str, Findings], out: Path) -> None:
         if len(r):
             (out / f"efficiency-{folder}.svg").write_text(comparison_figures.efficiency(r), encoding="utf-8")
     (out / "comparison.md").write_text("\n".join(text), encoding="utf-8")
+    sections = [
+        section(folder, findings.origin, errors[errors["folder"] == folder], findings.paired, findings.taught)
+        | {"left_out": findings.left_out}
+        for folder, findings in found.items()
+    ]
+    (out / "comparison.html").write_text(render(TEMPLATE, sections=sections), encoding="utf-8")

@@ -1,0 +1,89 @@
+"""Models side by side: differences of their errors on the same slides, with confidence intervals over lines.
+
+A slide that is hard for one model is hard for all, so that differences slide by slide tell more than two means. Slides
+along one line are alike: a line's mean counts once.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from scipy.special import stdtrit
+
+from models.held_out import line_folds
+
+QUANTITIES = {"direction_deg": "deg", "speed_percent": "%", "offset_mm": "mm"}
+CONFIDENCE = 0.95
+LEAST_LINES = 3  # fewer tell nothing of the spread between lines
+COLUMNS = (
+    "split",
+    "model",
+    "against",
+    "quantity",
+    "lines",
+    "recordings",
+    "difference",
+    "low",
+    "high",
+    "valid_alone",
+    "against_alone",
+)
+
+
+def paired(scored: Mapping[str, pd.DataFrame], against: str) -> pd.DataFrame:
+    """For each split, model and quantity the mean difference of the absolute errors at the end of the stroke, model
+    less `against`, with its 95 % confidence interval (paired t-test over lines, Student 1908); a row each, of COLUMNS.
+
+    scored: by model, from `scoring.score`, of the same recordings. Pairs are recordings that both models estimate;
+    valid_alone, against_alone: how many one of the two alone does. low, high: NaN with fewer than LEAST_LINES lines.
+    """
+    ends = {
+        model: table[table["stroke_fraction"] == 1.0].set_index("recording")
+        for model, table in scored.items()
+    }
+    rows = []
+    for split, other in ends[against].groupby("split"):
+        for model in ends:
+            if model == against:
+                continue
+            mine = ends[model].loc[other.index]
+            for quantity in QUANTITIES:
+                pair = [table[f"{quantity}_error"] for table in (mine, other)]
+                head = {"split": split, "model": model, "against": against, "quantity": quantity}
+                rows.append(head | _difference(pair[0], pair[1], other))
+    return pd.DataFrame(rows, columns=list(COLUMNS))
+
+
+def _difference(mine: pd.Series, other: pd.Series, labels: pd.DataFrame) -> dict[str, Any]:
+    """mine, other: absolute errors by recording, NaN where nothing is estimated; labels: `true_` columns."""
+    both = mine.notna() & other.notna()
+    difference = (mine - other)[both]
+    direction, offset = (
+        labels.loc[difference.index, name].to_numpy(float)
+        for name in ("true_direction_deg", "true_offset_mm")
+    )
+    line = line_folds(direction, offset, len(difference) + 1)
+    by_line = difference.groupby(line).mean().to_numpy()
+    mean, low, high = interval(by_line)
+    return {
+        "lines": len(by_line),
+        "recordings": len(difference),
+        "difference": mean,
+        "low": low,
+        "high": high,
+        "valid_alone": int((mine.notna() & other.isna()).sum()),
+        "against_alone": int((mine.isna() & other.notna()).sum()),
+    }
+
+
+def interval(values: np.ndarray) -> tuple[float, float, float]:
+    """The mean of independent values and its two-sided 95 % confidence interval; NaN where they do not tell it."""
+    if not len(values):
+        return np.nan, np.nan, np.nan
+    mean = float(values.mean())
+    if len(values) < LEAST_LINES:
+        return mean, np.nan, np.nan
+    error = float(values.std(ddof=1) / np.sqrt(len(values)))
+    half = float(stdtrit(len(values) - 1, (1 + CONFIDENCE) / 2)) * error
+    return mean, mean - half, mean + half
