@@ -6,6 +6,7 @@ import re
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
+import mlflow
 import numpy as np
 import onnxruntime as ort
 import pandas as pd
@@ -24,6 +25,7 @@ from experiments.evaluation import efficiency
 from experiments.evaluation.archive import Archive
 from experiments.evaluation.readout import predictions
 from experiments.evaluation.window_readout import window_card, window_predictions
+from experiments.tracking.store import find_run
 from features.card import Interval, Validity
 from features.stream.conditioning import Conditioning
 from models.classical import regression
@@ -96,6 +98,24 @@ def test_tables_and_figures_name_every_model_and_split(out: Path) -> None:
     assert times["model"].tolist() == ["interpolation", "gp"]
     assert (times["window_ms"] > 0).all()
     assert np.allclose(times["ratio"], times["window_ms"] / times["one_node_ms"], rtol=1e-4)
+
+
+def test_a_comparison_is_a_run_with_one_below_it_for_each_model(out: Path, tracking_store: str) -> None:
+    client = mlflow.MlflowClient(tracking_store, tracking_store)
+    table = pd.read_csv(out / "comparison.csv")
+    whole = find_run(client, {"command": "compare"}, "FINISHED")
+    assert whole is not None
+    below = f"tags.`mlflow.parentRunId` = '{whole.info.run_id}'"
+    parts = {run.data.params["model"]: run for run in client.search_runs([whole.info.experiment_id], below)}
+    assert set(parts) == {"interpolation", "gp"}
+    for model, run in parts.items():
+        rows = table[
+            (table["model"] == model) & (table["split"] == "test") & (table["stroke_fraction"] == 1.0)
+        ]
+        mean = rows["offset_mean_mm"].item()
+        assert run.data.metrics["test.offset_mean_mm"] == pytest.approx(mean, rel=1e-5)
+    files = {item.path for item in client.list_artifacts(whole.info.run_id, "comparison")}
+    assert {"comparison/comparison.md", "comparison/times.csv"} <= files
 
 
 def test_work_that_is_there_is_taken_up_again(lab: Folder, out: Path) -> None:

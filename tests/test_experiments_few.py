@@ -1,11 +1,15 @@
 """From how few recordings: the figures are of the test slides, and recordings help."""
 
+import json
 from pathlib import Path
 
+import mlflow
 import pytest
+from small_bundle import write_small_bundle
 
 import softslide
 from experiments.studies.few_recordings import study
+from experiments.tracking.store import find_run
 from pipeline.atlas.library import atlas_of
 from pipeline.recordings.folder import Folder, read_folder
 
@@ -24,6 +28,23 @@ def test_twelve_recordings_are_better_than_none():
     assert twelve["offset_mm_mean"] < none["offset_mm_mean"] < 2.0
     assert twelve["speed_percent_mean"] < 3.0
     assert twelve["direction_deg_max"] < 6.0
+
+
+def test_a_drift_s_study_is_a_run_with_one_below_it_for_each_drift(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], tracking_store: str
+) -> None:
+    bundle = write_small_bundle(tmp_path / "bundle", read_folder(SAMPLE).sensor)
+    command = ["drift", "--model", bundle, "--recordings", SAMPLE, "--every", 9]
+    assert softslide.main([str(word) for word in command]) == 0
+    told = json.loads(capsys.readouterr().out)
+    client = mlflow.MlflowClient(tracking_store, tracking_store)
+    whole = find_run(client, {"command": "drift"}, "FINISHED")
+    assert whole is not None
+    below = f"tags.`mlflow.parentRunId` = '{whole.info.run_id}'"
+    parts = client.search_runs([whole.info.experiment_id], below)
+    assert {run.data.params["drift"]: run.data.metrics["valid"] for run in parts} == {
+        name: figures["valid"] for name, figures in told.items()
+    }
 
 
 @pytest.mark.parametrize(

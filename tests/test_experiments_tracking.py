@@ -4,6 +4,8 @@ import json
 import math
 import os
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import mlflow
@@ -13,10 +15,15 @@ from small_bundle import write_small_bundle
 
 import softslide
 from experiments.provenance import code_revision, data_hashes
+from experiments.tracking.process import is_gone, process_tags
 from experiments.tracking.run import flattened, tracked
 from experiments.tracking.store import find_run
+from experiments.tracking.study import tracked_study
+from experiments.tracking.unsent import sync
 from features.errors import InputError
 from pipeline.recordings.folder import SAMPLE, Folder, read_folder, write_folder
+
+HERE = Path(__file__).parents[1]
 
 
 @pytest.fixture(scope="module")
@@ -122,6 +129,87 @@ def test_a_run_that_breaks_off_is_marked_as_failed(
     run = find_run(client, {"command": "broken"})
     assert run is not None
     assert run.info.status == "FAILED"
+
+
+def test_a_run_whose_process_was_killed_is_marked_by_the_next(tmp_path: Path) -> None:
+    """Two processes begin runs; one of them is killed, and the run of the other goes on."""
+    store = f"sqlite:///{tmp_path / 'mlflow.db'}"
+    environment = {**os.environ, "MLFLOW_TRACKING_URI": store, "PYTHONPATH": str(HERE)}
+    command = [sys.executable, str(HERE / "tests" / "worlds" / "begun_run.py"), str(tmp_path)]
+    killed, alive = (subprocess.Popen(command, stdout=subprocess.PIPE, env=environment) for _ in range(2))
+    try:
+        for process in (killed, alive):
+            assert process.stdout is not None
+            assert process.stdout.readline() == b"begun\n"
+        killed.kill()
+        killed.wait()
+        with tracked("train", "next", {}, tmp_path / "out", store=store):
+            pass
+        runs = mlflow.MlflowClient(store, store).search_runs(["1"])
+        status = {run.data.tags["process"].split()[0]: run.info.status for run in runs}
+        assert status[str(killed.pid)] == "KILLED"
+        assert status[str(alive.pid)] == "RUNNING"
+        assert status[str(os.getpid())] == "FINISHED"
+    finally:
+        for process in (killed, alive):
+            process.kill()
+            process.communicate()
+
+
+def test_only_a_process_that_is_surely_gone_is_gone() -> None:
+    """Not this one, none of another computer, and none before its number was given away again."""
+    here = process_tags()
+    with subprocess.Popen([sys.executable, "-c", ""]) as short:
+        pass
+    assert is_gone({**here, "process": f"{short.pid} 1"})
+    assert not is_gone({**here, "process": f"{short.pid} 1", "host": "elsewhere"})
+    assert not is_gone(here)
+    assert not is_gone({})
+    identifier, _, started = here["process"].partition(" ")
+    if started:
+        assert is_gone({**here, "process": f"{identifier} {int(started) - 1}"})
+
+
+def test_a_study_is_a_run_with_one_below_it_for_each_part(tmp_path: Path) -> None:
+    store = f"sqlite:///{tmp_path / 'mlflow.db'}"
+    with tracked_study("few", "few on x", {"draws": 2}, tmp_path / "few", store=store) as (_, part):
+        for draw in range(2):
+            part(f"draw {draw}", {"draw": draw}, {"direction_deg": draw / 2, "offset_mm": math.nan})
+    client = mlflow.MlflowClient(store, store)
+    whole = find_run(client, {"command": "few"})
+    parts = client.search_runs(["1"], "tags.command = 'few part'")
+    assert whole is not None
+    assert {run.data.tags["mlflow.parentRunId"] for run in parts} == {whole.info.run_id}
+    assert {run.data.params["draw"]: run.data.metrics for run in parts} == {
+        "0": {"direction_deg": 0.0},
+        "1": {"direction_deg": 0.5},
+    }
+
+
+def test_a_study_that_no_store_took_is_sent_with_its_parts_below_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "store").write_text("a file where the store's folder should be")
+    later = f"sqlite:///{tmp_path / 'store' / 'mlflow.db'}"
+    with tracked_study("few", "few on x", {}, tmp_path / "few", store=later) as (_, part):
+        part("draw 0", {}, {})
+    (tmp_path / "store").unlink()
+    monkeypatch.delenv("MLFLOW_TRACKING_URI")
+    assert len(sync([tmp_path])) == 2
+    client = mlflow.MlflowClient(later, later)
+    whole, below = find_run(client, {"command": "few"}), find_run(client, {"command": "few part"})
+    assert whole is not None
+    assert below is not None
+    assert below.data.tags["mlflow.parentRunId"] == whole.info.run_id
+
+
+def test_what_cannot_even_be_kept_costs_a_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "file").write_text("")
+    nowhere = tmp_path / "file" / "below"
+    with tracked("few", "few", {}, nowhere / "few", store=f"sqlite:///{nowhere / 'mlflow.db'}") as run:
+        run.metrics({"direction_deg": 1.0})
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "nor can it be kept" in line
 
 
 def test_what_a_store_does_not_take_is_kept_and_sent_later(

@@ -23,6 +23,7 @@ from experiments.comparison.table import error_rows, markdown
 from experiments.evaluation import efficiency
 from experiments.evaluation.scoring import score
 from experiments.pages.page import render
+from experiments.tracking.study import tracked_study
 from features.errors import InputError
 from pipeline.recordings.folder import read_folder
 from pipeline.recordings.taught import taught_lines
@@ -51,6 +52,8 @@ class Findings:
 def compare(recordings: Sequence[Path], out: Path, models: Sequence[str] = MODELS, jobs: int = 1) -> None:
     """Fits, reads out and scores every model on every folder, and writes tables and figures into `out`.
 
+    A run is logged, with one below it for each model on each folder; the trainings' own are in `out`.
+
     Raises:
         InputError: an unknown model, a folder that is none, two of the same name, or no model that suits a folder.
     """
@@ -70,8 +73,28 @@ def compare(recordings: Sequence[Path], out: Path, models: Sequence[str] = MODEL
     for study in studies:
         # Both are read before any work, so that bad input is found at once.
         _ = study.taught, study.scored
-    found = {study.place.name: compare_on(study, models) for study in studies}
-    _write(found, out)
+    configuration = {"recordings": [str(folder) for folder in recordings], "models": list(models)}
+    with tracked_study("compare", f"compare on {', '.join(names)}", configuration, out) as (run, part):
+        found = {study.place.name: compare_on(study, models) for study in studies}
+        _write(found, out)
+        for name, findings in found.items():
+            for row in findings.times:
+                figures = _at_the_end(findings, row["model"]) | {"window_ms": row["window_ms"]}
+                part(f"{row['model']} on {name}", {"folder": name, "model": row["model"]}, figures)
+        for path in sorted(out.iterdir()):
+            if path.suffix in (".md", ".csv", ".svg", ".html"):
+                run.text(path.read_text(encoding="utf-8"), f"comparison/{path.name}")
+
+
+def _at_the_end(findings: Findings, model: str) -> dict[str, float]:
+    """A model's figures at the end of the stroke, by split."""
+    return {
+        f"{row['split']}.{key}": value
+        for row in findings.errors
+        if row["model"] == model and row["stroke_fraction"] == 1.0
+        for key, value in row.items()
+        if isinstance(value, float) and key != "stroke_fraction"
+    }
 
 
 def compare_on(study: Study, models: Sequence[str]) -> Findings:

@@ -11,6 +11,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from experiments.provenance import data_hashes
+from experiments.tracking.study import tracked_study
 from features.errors import InputError
 from models.cnn.fit import CnnConfig
 from models.cnn.inversion import Inversion
@@ -26,21 +28,42 @@ from pipeline.recordings.windows import LabelledWindows, labelled_windows
 
 
 def few(
-    recordings: Path, slides: Sequence[int], draws: int, splits: Sequence[str], plan: Path | None = None
+    recordings: Path,
+    slides: Sequence[int],
+    draws: int,
+    splits: Sequence[str],
+    plan: Path | None = None,
+    store: str | None = None,
 ) -> Iterator[dict[str, float]]:
     """`study` of a folder, with the atlas of its sensor's design; or `planned`, where a plan's CSV names recordings.
 
-    Sensors that are no accelerometers have no such atlas: their maps come from the recordings alone.
+    Sensors that are no accelerometers have no such atlas: their maps come from the recordings alone. A run is logged,
+    with one below it for each draw. store: as in `tracking.store.store_address`.
 
     Raises:
         InputError: as in `study` and `planned`, or the folder or its sensor is not valid.
     """
     folder = read_folder(recordings)
     atlas = atlas_of(folder.sensor) if folder.sensor.measures_gravity else None
-    if plan is None:
-        yield from study(folder, slides, draws, splits, atlas)
-    else:
-        yield planned(folder, plan, splits, atlas)
+    rows = (
+        study(folder, slides, draws, splits, atlas)
+        if plan is None
+        else iter([planned(folder, plan, splits, atlas)])
+    )
+    configuration = {
+        "recordings": str(recordings),
+        "slides": list(slides),
+        "draws": draws,
+        "splits": list(splits),
+        "plan": None if plan is None else str(plan),
+    }
+    tags = {f"data.{name}": digest for name, digest in data_hashes(folder).items()}
+    name = f"few on {folder.sensor.name}"
+    with tracked_study("few", name, configuration, Path("few"), tags=tags, store=store) as (_, part):
+        for row in rows:
+            settings: dict[str, float] = {key: row[key] for key in row if key in ("slides", "draw")}
+            part(f"{row['slides']} slides", settings, {k: v for k, v in row.items() if k not in settings})
+            yield row
 
 
 def study(

@@ -8,6 +8,8 @@ import numpy as np
 import pandas as pd
 
 from experiments.evaluation.scoring import signed_errors
+from experiments.provenance import bundle_hash, data_hashes
+from experiments.tracking.study import tracked_study
 from features.errors import InputError
 from pipeline.recordings.folder import Folder, read_folder
 from pipeline.sensor import Sensor
@@ -77,8 +79,12 @@ def errors(localizer: Localizer, folder: Folder, drift: Drift) -> Iterator[dict[
         }
 
 
-def drift(bundle: Path, recordings: Path, every: int = 1) -> dict[str, dict[str, float]]:
-    """`study` of every n-th labelled recording of a folder's test splits.
+def drift(
+    bundle: Path, recordings: Path, every: int = 1, store: str | None = None
+) -> dict[str, dict[str, float]]:
+    """`study` of every n-th labelled recording of a folder's test splits, logged as a run with one below it a drift.
+
+    store: as in `tracking.store.store_address`.
 
     Raises:
         InputError: the bundle or the folder is not valid, it has no such recording, or `every` is below 1.
@@ -88,7 +94,17 @@ def drift(bundle: Path, recordings: Path, every: int = 1) -> dict[str, dict[str,
     folder = read_folder(recordings).select("test").labelled()
     if not len(folder):
         raise InputError(f"{recordings}: no labelled slide of a split test*; name another folder")
-    return study(bundle, replace(folder, manifest=folder.manifest.iloc[::every]))
+    folder = replace(folder, manifest=folder.manifest.iloc[::every])
+    model = Localizer.load(bundle).card.model
+    configuration = {"bundle": str(bundle), "recordings": str(recordings), "every": every}
+    tags = {"bundle": bundle_hash(bundle)}
+    tags |= {f"data.{name}": digest for name, digest in data_hashes(folder).items()}
+    name = f"drift of {model} on {folder.sensor.name}"
+    with tracked_study("drift", name, configuration, Path("drift"), tags=tags, store=store) as (_, part):
+        figures = study(bundle, folder)
+        for label, found in figures.items():
+            part(label, {"drift": label}, found)
+    return figures
 
 
 def study(bundle: Path, folder: Folder) -> dict[str, dict[str, float]]:

@@ -5,7 +5,7 @@ forces, and neither tilt nor width.
 """
 
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +16,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 
+from experiments.tracking.study import tracked_study
 from pipeline.atlas.atlas import DEFAULT_SENSOR
 from pipeline.sensor import Sensor, read_sensor
 from pipeline.skin.lines import Line, skin_of, solve_line
@@ -74,19 +75,27 @@ def variants(sensor: Sensor) -> Iterator[tuple[str, str, Sensor, float, float]]:
         yield "mesh, mm x layers", f"{size:g} x {layers}", finer, HEIGHT_MM, DEPTH_MM
 
 
-def sensitivity(sensor_path: Path | None, picture: Path | None) -> Iterator[dict[str, Any]]:
+def sensitivity(
+    sensor_path: Path | None, picture: Path | None, store: str | None = None
+) -> Iterator[dict[str, Any]]:
     """A row for each variant: `changed`, `to` and the figures of SHOWN, NaN where no equilibrium was found.
 
-    picture: drawn at the end.
+    A run is logged, with one below it a variant. picture: drawn at the end. store: as in
+    `tracking.store.store_address`.
 
     Raises:
         InputError: the sensor is none.
     """
     sensor = read_sensor(sensor_path or DEFAULT_SENSOR)
     rows = []
-    for changed, to, variant, height_mm, depth_mm in variants(sensor):
-        rows.append({"changed": changed, "to": to, **figures(variant, height_mm, depth_mm)})
-        yield rows[-1]
+    configuration = {"sensor": asdict(sensor)}
+    name = f"sensitivity of {sensor.name}"
+    with tracked_study("sensitivity", name, configuration, Path("sensitivity"), store=store) as (_, part):
+        for changed, to, variant, height_mm, depth_mm in variants(sensor):
+            setting, found = {"changed": changed, "to": to}, figures(variant, height_mm, depth_mm)
+            part(f"{changed} {to}".strip(), setting, found)
+            rows.append({**setting, **found})
+            yield rows[-1]
     if picture is not None:
         draw(pd.DataFrame(rows), picture)
 

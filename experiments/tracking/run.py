@@ -5,6 +5,7 @@ the command goes on.
 """
 
 import json
+import math
 import re
 import sys
 import time
@@ -16,6 +17,7 @@ from typing import Any
 from mlflow.data.pandas_dataset import from_pandas
 
 from experiments import provenance
+from experiments.tracking.process import process_tags
 from experiments.tracking.store import STORE_ERRORS, Record, Sender, first_line, store_address
 from experiments.tracking.unsent import Unsent
 from pipeline.recordings.folder import Folder
@@ -86,19 +88,27 @@ class _Log:
     def __init__(self, sender: Sender, beside: Path) -> None:
         self.sender, self.beside = sender, beside
         self.unsent: Unsent | None = None
+        self.lost = False
 
     def __call__(self, record: Record) -> None:
-        if self.unsent is None:
+        if self.unsent is None and not self.lost:
             try:
                 return self.sender.send(record, Path("/"))
             except STORE_ERRORS as error:
-                self.unsent = Unsent(self.beside, self.sender)
-                print(
-                    f"run not logged: {self.sender.address} does not take it ({first_line(error)}); what is missing "
-                    f"is kept in {self.unsent.folder}, 'softslide sync {self.unsent.folder}' sends it",
-                    file=sys.stderr,
-                )
-        self.unsent.keep(record)
+                self._keep_from_here(first_line(error))
+        if self.unsent is not None:
+            self.unsent.keep(record)
+
+    def _keep_from_here(self, fault: str) -> None:
+        told = f"run not logged: {self.sender.address} does not take it ({fault})"
+        try:
+            self.unsent = Unsent(self.beside, self.sender)
+        except OSError as error:
+            self.lost = True
+            print(f"{told}, nor can it be kept in {self.beside.parent} ({error.strerror})", file=sys.stderr)
+            return
+        kept = self.unsent.folder
+        print(f"{told}; what is missing is kept in {kept}, 'softslide sync {kept}' sends it", file=sys.stderr)
 
 
 @contextmanager
@@ -122,6 +132,7 @@ def tracked(
     run = Run(log)
     machine = provenance.machine()
     marks = {"command": command, "code": provenance.code_revision(), "processor": machine["processor"]}
+    marks |= process_tags()
     log(
         {
             "kind": "begin",
@@ -140,9 +151,9 @@ def tracked(
         status = "FINISHED"
     finally:
         log({"kind": "end", "status": status, "time_ms": _now_ms()})
-        run.place = (
-            f"run {log.sender.run} in {log.sender.address}" if log.unsent is None else str(log.unsent.folder)
-        )
+        run.place = f"run {log.sender.run} in {log.sender.address}"
+        if log.unsent is not None or log.lost:
+            run.place = "no run" if log.unsent is None else str(log.unsent.folder)
 
 
 def flattened(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
@@ -154,6 +165,11 @@ def flattened(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
         else:
             flat[prefix + key] = value
     return flat
+
+
+def finite(figures: Mapping[str, float]) -> dict[str, float]:
+    """Those that are numbers: not every store takes NaN or infinity."""
+    return {name: float(value) for name, value in figures.items() if math.isfinite(value)}
 
 
 def _name(name: str) -> str:

@@ -27,6 +27,7 @@ from mlflow.utils.mlflow_tags import MLFLOW_DATASET_CONTEXT, MLFLOW_PARENT_RUN_I
 from sqlalchemy.exc import SQLAlchemyError
 
 from experiments.provenance import machine
+from experiments.tracking.process import HOST, is_gone, process_tags
 from experiments.tracking.recording_model import log_recording_model
 from features.errors import InputError
 
@@ -115,6 +116,7 @@ class Sender:
 
     def _begin(self, client: mlflow.MlflowClient, record: Record, files: Path) -> None:
         experiment = open_experiment(client, self.address)
+        end_killed(client, experiment)
         tags = dict(record["tags"])
         if parent := find_run(client, record["parent"]) if record["parent"] else None:
             tags[MLFLOW_PARENT_RUN_ID] = parent.info.run_id
@@ -189,6 +191,17 @@ def open_experiment(client: mlflow.MlflowClient, address: str) -> str:
             ):
                 return found.experiment_id
             raise
+
+
+def end_killed(client: mlflow.MlflowClient, experiment: str) -> None:
+    """Marks as killed the runs under way whose process was one of this computer and is gone; they end when it is seen.
+
+    Each run that begins does so. Runs of other computers are theirs to look after.
+    """
+    wanted = f"attributes.status = 'RUNNING' and tags.{HOST} = '{process_tags()[HOST]}'"
+    for run in client.search_runs([experiment], wanted):
+        if is_gone(run.data.tags):
+            client.set_terminated(run.info.run_id, "KILLED")
 
 
 def find_run(

@@ -58,8 +58,9 @@ def sync(places: Iterable[Path]) -> list[str]:
         InputError: a folder's records cannot be read. CheckFailed: the store does not take them.
     """
     lines = []
-    for folder in sorted({folder for place in places for folder in _folders(place)}):
-        state, records = _read(folder)
+    kept = {folder: _read(folder) for place in places for folder in _folders(place)}
+    # A run comes before those below it, which are to find it.
+    for folder, (state, records) in sorted(kept.items(), key=lambda item: _began_ms(item[1][1])):
         sender = Sender(os.environ.get("MLFLOW_TRACKING_URI") or state.store, state.run, state.model)
         for number, record in enumerate(records[state.sent :], state.sent):
             try:
@@ -81,6 +82,11 @@ def _folders(place: Path) -> list[Path]:
     if place.name.endswith(SUFFIX):
         return [place]
     return [folder for folder in place.rglob(f"*{SUFFIX}") if (folder / "state.json").is_file()]
+
+
+def _began_ms(records: list[dict[str, Any]]) -> int:
+    """When a run began; 0 where the store knows it already."""
+    return int(records[0]["time_ms"]) if records and records[0]["kind"] == "begin" else 0
 
 
 def _read(folder: Path) -> tuple[_State, list[dict[str, Any]]]:
