@@ -3,6 +3,7 @@
 import argparse
 import json
 from pathlib import Path
+from typing import Any
 
 from commands import arguments
 from commands.arguments import Parser, Run
@@ -203,25 +204,72 @@ def bench(parser: Parser) -> Run:
         "are late, for the stream alone and with 0, 1 and 4 viewers, each over N estimates",
     )
 
+    parser.add_argument(
+        "--results",
+        type=Path,
+        metavar="results.json",
+        help="the figures that documents claim; tables.toml beside it says which table shows which",
+    )
+    parser.add_argument(
+        "--evaluated",
+        nargs="+",
+        default=[],
+        metavar="NAME=DIR",
+        help="measure nothing: take the figures of these evaluations, by the name of their source in it",
+    )
+    parser.add_argument(
+        "--rewrite",
+        nargs="+",
+        type=Path,
+        default=[],
+        metavar="FILE",
+        help="measure nothing: write the tables of these documents from it",
+    )
+
     def run(given: argparse.Namespace) -> None:
         if given.model is None and given.page:
             raise InputError("measures a bundle; name one with --model", "page")
         if given.decisions < 1:
             raise InputError(f"{given.decisions}: measure at least one", "decisions")
-        if given.model is None:
-            from experiments.bench.skin import run_all
+        if given.results is None:
+            for name in ("evaluated", "rewrite"):
+                if getattr(given, name):
+                    raise InputError("needs a file of figures; name one with --results", name)
+            print(json.dumps(_measured(given)))
+            return
+        from experiments.bench import documents
 
-            print(json.dumps(run_all()))
-        elif given.page:
-            from serve.bench.page import bench_page
-
-            print(json.dumps(bench_page(given.model, given.decisions)))
-        else:
-            from serve.bench.runtime import bench
-
-            print(json.dumps(bench(given.model, given.decisions)))
+        results = documents.read_results(given.results)
+        tables = documents.read_tables(given.results.with_name("tables.toml"))
+        if given.rewrite:
+            for document in given.rewrite:
+                changed = documents.rewrite(document, results, tables)
+                print(f"{document}: {'rewritten' if changed else 'as it was'}")
+            return
+        for word in given.evaluated:
+            source, _, folder = word.partition("=")
+            documents.take_evaluation(results, source, Path(folder), tables)
+        if not given.evaluated:
+            documents.take(results, "bench" if given.model is None else "device", _measured(given))
+        documents.write_results(given.results, results)
+        print(json.dumps(results))
 
     return run
+
+
+def _measured(given: argparse.Namespace) -> dict[str, Any]:
+    """What `bench` measures: the skin, a bundle's runtime, or its live page."""
+    if given.model is None:
+        from experiments.bench.skin import run_all
+
+        return run_all()
+    if given.page:
+        from serve.bench.page import bench_page
+
+        return bench_page(given.model, given.decisions)
+    from serve.bench.runtime import bench
+
+    return bench(given.model, given.decisions)
 
 
 COMMANDS = (article, compare, few, drift, sensitivity, bench)

@@ -24,6 +24,7 @@ from experiments.evaluation.scoring import (
     by_direction,
     by_distance,
     by_speed,
+    coverage,
     score,
     summary,
 )
@@ -185,7 +186,7 @@ def measure(scored: pd.DataFrame, verdicts: Sequence[Verdict]) -> dict[str, Any]
     """`metrics.json`: bounds, then errors overall, for each split, direction, distance and speed.
 
     scored: without slides along taught lines. `overall` and each of `splits` hold a summary for each stroke fraction;
-    the others are at the end of the stroke.
+    `coverage` is over all fractions, the others are at the end of the stroke.
     """
     end = scored[scored["stroke_fraction"] == 1.0]
     return {
@@ -193,6 +194,7 @@ def measure(scored: pd.DataFrame, verdicts: Sequence[Verdict]) -> dict[str, Any]
         "overall": along_the_stroke(scored),
         "splits": {str(name): along_the_stroke(rows) for name, rows in scored.groupby("split")},
         "end_of_stroke": summary(end),
+        "coverage": coverage(scored),
         "by_direction": by_direction(end),
         "by_distance": by_distance(end),
         "by_speed": by_speed(end),

@@ -1,4 +1,4 @@
-"""Benchmarks of making data: the skin's solver beside FElupe, workers, memory, synthetic signal.
+"""Benchmarks of making data: the skin's solver beside FElupe, workers, memory, synthetic signal, features.
 
 Every benchmark runs on one thread and returns its figures by name; `BENCHMARKS` lists them. The environment is to say
 OMP_NUM_THREADS=1 before Python starts, so that no library takes more.
@@ -29,6 +29,7 @@ COUNTED = (6, 9, 12)
 # FElupe takes seconds, which average over a machine's load; the solver tenths, of which the median is taken.
 OWN_RUNS = 7
 SLIDES = 120
+WINDOWS, SAMPLES = 256, 2048
 
 
 def solver_against_felupe() -> dict[str, float]:
@@ -119,12 +120,51 @@ def synthetic_signal() -> dict[str, float]:
     return {"synthetic_times_real_time": float(made / (time.process_time() - began))}
 
 
+def features_of_a_window() -> dict[str, float]:
+    """Core-milliseconds a window of 3 x 2048 samples: averaged over the runtime's bins, then the feature vector.
+
+    In batches; and, for what a batch and the bins save, the features of all samples, and of one window at a time.
+    """
+    from features.vector.feature_vector import feature_matrix
+    from features.window import WINDOW_BINS
+
+    s = np.linspace(0.0, 1.0, SAMPLES)
+    pulse = 0.15 * np.sin(np.pi * s) ** 2
+    slide = np.stack([-pulse * np.cos(np.pi * s), pulse, 0.1 * pulse])
+    samples = slide + np.random.default_rng(0).normal(0.0, 1e-3, (WINDOWS, *slide.shape))
+    elapsed_s = np.full(WINDOWS, 5.0)
+
+    def binned(volts: np.ndarray) -> np.ndarray:
+        return volts.reshape(*volts.shape[:2], WINDOW_BINS, -1).mean(axis=-1)
+
+    def one_by_one() -> None:
+        for volts in samples:
+            feature_matrix(binned(volts[None]), elapsed_s[:1])
+
+    return {
+        "features_ms": _core_ms_a_window(lambda: feature_matrix(binned(samples), elapsed_s)),
+        "features_of_all_samples_ms": _core_ms_a_window(lambda: feature_matrix(samples, elapsed_s)),
+        "features_one_window_at_a_time_ms": _core_ms_a_window(one_by_one),
+    }
+
+
 BENCHMARKS: dict[str, Callable[[], dict[str, float]]] = {
     "solver against FElupe": solver_against_felupe,
     "sliding": sliding,
     "two workers": two_workers,
     "synthetic signal": synthetic_signal,
+    "features": features_of_a_window,
 }
+
+
+def _core_ms_a_window(call: Callable[[], object]) -> float:
+    """Median over OWN_RUNS, after one that is not counted."""
+    times = []
+    for _ in range(OWN_RUNS + 1):
+        began = time.process_time()
+        call()
+        times.append(time.process_time() - began)
+    return 1e3 * float(np.median(times[1:])) / WINDOWS
 
 
 def _coarse_line(sensor: Sensor) -> float:

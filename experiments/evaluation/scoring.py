@@ -128,12 +128,18 @@ def summary(scored: pd.DataFrame) -> dict[str, Any]:
                 "max": float(error.max()),
                 "worst": str(scored["recording"][error.index[int(error.argmax())]]),
             }
+    return result | {f"{column}_coverage": held for column, held in coverage(scored).items()}
+
+
+def coverage(scored: pd.DataFrame) -> dict[str, dict[str, Any]]:
+    """For each of INTERVALS how many intervals there are, `n`, and the `share` of them that holds the label."""
+    found: dict[str, dict[str, Any]] = {}
     for column in INTERVALS:
         covered = scored[f"{column}_covered"].dropna()
-        result[f"{column}_coverage"] = {"n": len(covered)}
+        found[column] = {"n": len(covered)}
         if len(covered):
-            result[f"{column}_coverage"]["share"] = float(covered.mean())
-    return result
+            found[column]["share"] = float(covered.mean())
+    return found
 
 
 def along_the_stroke(scored: pd.DataFrame) -> dict[str, dict[str, Any]]:
