@@ -54,6 +54,7 @@ def compare(parser: Parser) -> Run:
     reuses them.
 
         softslide compare --recordings bench-a bench-d --out comparison
+        softslide compare --recordings my-recordings --models my-model other-model --out which
     """
     arguments.recordings(parser, "folders, one sensor each", nargs="+")
     arguments.out(parser, "where everything goes")
@@ -61,7 +62,8 @@ def compare(parser: Parser) -> Run:
         "--models",
         nargs="+",
         metavar="NAME",
-        help="some of interpolation, trees, mlp, gp, minirocket, inversion, cnn (default: all)",
+        help="some of interpolation, trees, mlp, gp, minirocket, inversion, cnn, or folders of bundles, which are read "
+        "out as they are (default: all that have a name)",
     )
     arguments.jobs(parser, 1, "recordings that a bundle reads at a time")
 

@@ -267,6 +267,30 @@ def test_the_bound_s_figure_has_a_line_for_each_distance() -> None:
         assert text in figure
 
 
+def test_bundles_are_compared_as_they_are_without_calibration_slides(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    root = bump_folder(
+        tmp_path / "lab", bump_sensor(1), {"test": lines((0.0,), (-4.5, -2.0, 3.0), (8.0,))}
+    ).root
+    bundles = [
+        write_small_bundle(tmp_path / name, bump_sensor(1), direction_deg=direction, speed_mm_s=8.0)
+        for name, direction in (("near", 1.0), ("far", 3.0))
+    ]
+    assert compared(root, tmp_path / "out", *map(str, bundles)) == 0
+    pairs = pd.read_csv(tmp_path / "out" / "paired.csv").set_index("quantity")
+    assert pairs["model"].tolist() == ["far"] * 3
+    assert (pairs["against"] == "near").all()
+    assert pairs.loc["direction_deg", "difference"] == pytest.approx(2.0, abs=1e-3)
+    assert pairs.loc["speed_percent", "difference"] == pytest.approx(0.0, abs=1e-3)
+    assert "far" in (tmp_path / "out" / "errors-lab.svg").read_text(encoding="utf-8")
+    capsys.readouterr()
+    assert compared(root, tmp_path / "again", str(bundles[0]), str(bundles[0])) == 2
+    assert "two models of this name" in capsys.readouterr().err
+    assert compared(root, tmp_path / "again", str(tmp_path / "none")) == 2
+    assert "nor a bundle there" in capsys.readouterr().err
+
+
 def judged(errors: list[float], lines: list[float]) -> pd.DataFrame:
     """Scores at the end of the stroke of slides along x at these offsets, mm; errors in deg, NaN: no estimate."""
     same = pd.DataFrame(

@@ -11,6 +11,7 @@ from experiments.article.scoring import Scored
 from experiments.article.slide_figures import Whole, extreme_place, sign_share, speed_effect
 from experiments.evaluation.bounds import Bound, Verdict
 from experiments.evaluation.scoring import QUANTITIES
+from experiments.pages.page import number
 
 HOLDS, FAILS, UNTESTED, PARTLY = "holds", "does not hold", "not tested", "in part"
 HEIGHT_LIMIT = 12.0
@@ -158,7 +159,7 @@ def _said(verdict: Verdict, unit: str) -> str:
     if verdict.max is None:
         return "no answer"
     gaps = f", {verdict.missing} without an answer" if verdict.missing else ""
-    return f"{verdict.max:.3g} {unit} at most ({verdict.recordings} slides{gaps})"
+    return f"{number(verdict.max)} {unit} at most ({verdict.recordings} slides{gaps})"
 
 
 def _why(plain: Verdict, best: Verdict) -> str:

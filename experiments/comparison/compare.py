@@ -18,7 +18,7 @@ from experiments.comparison import figures as comparison_figures
 from experiments.comparison.page import TEMPLATE, section
 from experiments.comparison.paired import COLUMNS as PAIRED
 from experiments.comparison.paired import paired
-from experiments.comparison.peers import MODELS, Study, kept, map_settings, read_out
+from experiments.comparison.peers import MODELS, Study, kept, label, map_settings, read_out
 from experiments.comparison.table import error_rows, markdown
 from experiments.evaluation import efficiency
 from experiments.evaluation.scoring import score
@@ -52,13 +52,21 @@ class Findings:
 def compare(recordings: Sequence[Path], out: Path, models: Sequence[str] = MODELS, jobs: int = 1) -> None:
     """Fits, reads out and scores every model on every folder, and writes tables and figures into `out`.
 
-    A run is logged, with one below it for each model on each folder; the trainings' own are in `out`.
+    models: some of MODELS, or folders of bundles. A run is logged, with one below it for each model on each folder; the
+    trainings' own are in `out`.
 
     Raises:
         InputError: an unknown model, a folder that is none, two of the same name, or no model that suits a folder.
     """
-    if unknown := [name for name in models if name not in MODELS]:
-        raise InputError(f"no model '{unknown[0]}'; name some of {', '.join(MODELS)}")
+    fitted = [name for name in models if name in MODELS]
+    given = [name for name in models if name not in MODELS]
+    if unknown := [name for name in given if not (Path(name) / "model.json").is_file()]:
+        raise InputError(
+            f"no model '{unknown[0]}', nor a bundle there; name some of {', '.join(MODELS)}, or folders of bundles"
+        )
+    called = [label(name) for name in models]
+    if twice := [name for name in called if called.count(name) > 1]:
+        raise InputError(f"{twice[0]}: two models of this name, which results go by; rename one", "models")
     names = [folder.resolve().name for folder in recordings]
     if twice := [name for name in names if names.count(name) > 1]:
         raise InputError(f"{twice[0]}: two folders of this name, which results go by; rename one")
@@ -72,7 +80,7 @@ def compare(recordings: Sequence[Path], out: Path, models: Sequence[str] = MODEL
     studies = [Study(folder, out / name, store, jobs) for folder, name in zip(recordings, names, strict=True)]
     for study in studies:
         # Both are read before any work, so that bad input is found at once.
-        _ = study.taught, study.scored
+        _ = study.scored, study.taught if fitted else None
     configuration = {"recordings": [str(folder) for folder in recordings], "models": list(models)}
     with tracked_study("compare", f"compare on {', '.join(names)}", configuration, out) as (run, part):
         found = {study.place.name: compare_on(study, models) for study in studies}
@@ -105,16 +113,17 @@ def compare_on(study: Study, models: Sequence[str]) -> Findings:
     """
     name, found, scored = study.place.name, Findings(study.scored.sensor.origin), {}
     for model in models:
-        print(f"{name}: {model}", file=sys.stderr)
+        called = label(model)
+        print(f"{name}: {called}", file=sys.stderr)
         try:
             readout = read_out(study, model)
         except InputError as error:
-            print(f"{name}: {model} is left out: {error}", file=sys.stderr)
-            found.left_out[model] = str(error)
+            print(f"{name}: {called} is left out: {error}", file=sys.stderr)
+            found.left_out[called] = str(error)
             continue
-        scored[model] = score(readout.table, study.scored.manifest, study.scored.sensor)
-        head = {"folder": name, "model": model}
-        found.errors += [head | row for row in error_rows(scored[model])]
+        scored[called] = score(readout.table, study.scored.manifest, study.scored.sensor)
+        head = {"folder": name, "model": called}
+        found.errors += [head | row for row in error_rows(scored[called])]
         window_ms, one_node_ms = readout.window_ms, readout.one_node_ms
         times = {"window_ms": window_ms, "one_node_ms": one_node_ms, "ratio": window_ms / one_node_ms}
         found.times.append(head | times)
@@ -126,7 +135,8 @@ def compare_on(study: Study, models: Sequence[str]) -> Findings:
     unseen = {model: table[~table["recording"].isin(taught)] for model, table in scored.items()}
     found.paired = paired(unseen, REFERENCE if REFERENCE in scored else next(iter(scored)))
     found.paired.insert(0, "folder", name)
-    if against := [model for model in efficiency.COMPARED if model in scored]:
+    # The bound is of the map that these calibration slides give, and of the models fitted to them.
+    if against := [model for model in efficiency.COMPARED if model in scored and model in models]:
         bounds = _bounds(study)
         for model in against:
             ratios = efficiency.ratios(scored[model], bounds)

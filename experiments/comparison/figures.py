@@ -1,5 +1,7 @@
 """The comparison's figures: errors over the stroke by model, and errors over the Cramer-Rao bound, as SVG texts."""
 
+from collections.abc import Sequence
+
 import matplotlib as mpl
 import numpy as np
 import pandas as pd
@@ -23,14 +25,15 @@ def errors(table: pd.DataFrame) -> str:
 
     table: one folder's rows of comparison.csv.
     """
-    splits, models = table["split"].unique(), table["model"].unique()
+    splits, models = table["split"].unique(), list(table["model"].unique())
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(2.2 + 2.6 * len(splits), 8.0), layout="constrained")
         axes = figure.subplots(len(QUANTITIES), len(splits), sharex=True, sharey="row", squeeze=False)
         for row, (column, title) in zip(axes, QUANTITIES.items(), strict=True):
             for ax, split in zip(row, splits, strict=True):
                 for model in models:
-                    _line(ax, table[(table["split"] == split) & (table["model"] == model)], column, model)
+                    part = table[(table["split"] == split) & (table["model"] == model)]
+                    _line(ax, part, column, _look(model, models))
             _logarithmic(row[0], table[column])
             row[0].set_ylabel(f"mean {title}")
         for ax, split in zip(axes[0], splits, strict=True):
@@ -38,7 +41,9 @@ def errors(table: pd.DataFrame) -> str:
         for ax in axes[-1]:
             ax.set_xlabel("share of the stroke seen")
             ax.set_xlim(0.05, 1.05)
-        handles = [mpl.lines.Line2D([], [], marker="o", markersize=4, label=m, **_look(m)) for m in models]
+        handles = [
+            mpl.lines.Line2D([], [], marker="o", markersize=4, label=m, **_look(m, models)) for m in models
+        ]
         hollow = mpl.lines.Line2D(
             [], [], marker="o", markersize=4, color="#8a939b", markerfacecolor="white", linestyle="none"
         )
@@ -87,25 +92,28 @@ def efficiency(table: pd.DataFrame) -> str:
         return svg(figure)
 
 
-def _look(model: str) -> dict:
-    """The default model in bold black; each other model in a colour of its own, in every figure."""
+def _look(model: str, models: Sequence[str]) -> dict:
+    """The default model in bold black; each other model in a colour of its own, in every figure; bundles dashed, in the
+    order of the figure's models."""
     others = ("interpolation", "trees", "mlp", "gp", "minirocket", "inversion")
     if model in others:
         return {"color": COLOURS[others.index(model)], "linewidth": 1.4}
-    return {"color": "#1c2328", "linewidth": 2.4}
+    if model == "cnn":
+        return {"color": "#1c2328", "linewidth": 2.4}
+    return {"color": COLOURS[models.index(model) % len(COLOURS)], "linewidth": 1.8, "linestyle": "--"}
 
 
-def _line(ax: Axes, part: pd.DataFrame, column: str, model: str) -> None:
+def _line(ax: Axes, part: pd.DataFrame, column: str, look: dict) -> None:
     # An error of exactly zero, as of one of four directions, cannot be shown on a logarithmic scale.
     part = part[part[column] > 0]
-    ax.plot(part["stroke_fraction"], part[column], **_look(model))
-    face = np.where(part["valid_share"] < FEW, "white", _look(model)["color"])
+    ax.plot(part["stroke_fraction"], part[column], **look)
+    face = np.where(part["valid_share"] < FEW, "white", look["color"])
     ax.scatter(
         part["stroke_fraction"],
         part[column],
         s=16,
         c=face,
-        edgecolors=_look(model)["color"],
+        edgecolors=look["color"],
         linewidths=1,
         zorder=3,
     )

@@ -15,7 +15,7 @@ from experiments.comparison import minirocket
 from experiments.evaluation.archive import Archive
 from experiments.evaluation.readout import predictions
 from experiments.evaluation.window_readout import window_card, window_predictions
-from experiments.provenance import data_hashes
+from experiments.provenance import bundle_hash, data_hashes
 from experiments.train import design_of, train
 from features.card import HALF_WIDTH_SD, Interval, Validity, read_card
 from features.errors import InputError
@@ -104,15 +104,22 @@ class Readout:
     one_node_ms: float
 
 
+def label(model: str) -> str:
+    """What one of MODELS, or a bundle by its folder, is called in tables."""
+    return model if model in MODELS else Path(model).resolve().name
+
+
 def read_out(study: Study, model: str) -> Readout:
-    """One of MODELS at every stroke fraction of every scored slide; fitted first, where it is not yet.
+    """One of MODELS at every stroke fraction of every scored slide, fitted first where it is not yet; or a bundle.
 
     Raises:
-        InputError: the model cannot be fitted to this sensor or these recordings.
+        InputError: the model cannot be fitted to this sensor or these recordings, or the bundle is another sensor's.
     """
     of: dict[str, Any]
     make: Callable[[Study], Readout]
     match model:
+        case _ if model not in MODELS:
+            of, make = {"bundle": bundle_hash(Path(model))}, lambda study: _read_given(study, Path(model))
         case "inversion":
             of, make = {"map": map_settings(), "starts": asdict(STARTS)}, _read_inversion
         case "minirocket":
@@ -120,13 +127,15 @@ def read_out(study: Study, model: str) -> Readout:
         case _:
             bundle = _trained(study, model)
             graph = read_card(bundle / "model.json").graph_sha256
-            of, make = {"graph": graph}, lambda study: _read_bundle(study, bundle)
+            of, make = {"graph": graph}, lambda study: _read_bundle(study, bundle, study.windows)
 
     def made() -> tuple[pd.DataFrame, dict[str, float]]:
         readout = make(study)
         return readout.table, {"window_ms": readout.window_ms, "one_node_ms": readout.one_node_ms}
 
-    table, times = kept(study.place / model / "readout", {**of, **study.hashes}, made)
+    # A bundle has learnt nothing from this folder's calibration slides, which it need not have.
+    of |= study.hashes if model in MODELS else {"scored": data_hashes(study.scored)}
+    table, times = kept(study.place / label(model) / "readout", of, made)
     return Readout(table, **times)
 
 
@@ -162,14 +171,20 @@ def _trained(study: Study, model: str) -> Path:
     return train(study.recordings, bundle, model, store=study.store).bundle
 
 
-def _read_bundle(study: Study, bundle: Path) -> Readout:
+def _read_given(study: Study, bundle: Path) -> Readout:
+    """A bundle that was trained elsewhere: of the folder it needs no calibration slides."""
+    windows = labelled_windows(study.scored, read_card(bundle / "model.json").conditioning)
+    return _read_bundle(study, bundle, windows)
+
+
+def _read_bundle(study: Study, bundle: Path, windows: LabelledWindows) -> Readout:
     localizer = Localizer.load(bundle)
 
     def one(volts: np.ndarray, elapsed_s: np.ndarray) -> None:
         localizer.infer(localizer.inputs(Window(volts[0], float(elapsed_s[0]))))
 
     table = pd.concat(predictions(bundle, study.scored, Archive(study.jobs)), ignore_index=True)
-    return Readout(table, *_times_ms(one, study.windows, TIMED))
+    return Readout(table, *_times_ms(one, windows, TIMED))
 
 
 def _read_inversion(study: Study) -> Readout:

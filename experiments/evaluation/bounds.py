@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 
 from experiments.evaluation.scoring import ESTIMATES, QUANTITIES, near_deg
+from experiments.pages.page import number
 from pipeline.toml_tables import from_table, read_toml
 
 BOUNDS = Path(__file__).parent / "bounds.toml"
@@ -66,7 +67,7 @@ class Verdict:
             return f"{head} not tested, {self.why_untested}"
         verdict = "met" if self.met else "MISSED"
         gaps = f", {self.missing} without a valid estimate" if self.missing else ""
-        largest = "" if self.max is None else f", {self.max:.3g} at most"
+        largest = "" if self.max is None else f", {number(self.max)} at most"
         return f"{head} {verdict}{largest} in {self.recordings} recordings{gaps}; worst {self.worst}"
 
     @property
