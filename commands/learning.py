@@ -114,6 +114,9 @@ def sweep(parser: Parser) -> Run:
     keys, each { low, high, log } or a list of choices. Prints the best
     settings as TOML for 'train --config'. Trials are kept beside FILE, as
     .journal, and in MLflow; the same command continues an interrupted search.
+    Trials of cnn among the worst quarter at a third or two of their training
+    are given up, unless budget says prune = false. Pictures of the errors and
+    of each setting's importance go beside FILE, as .html.
 
         softslide sweep --config sweep.toml > best.toml
         softslide train --recordings my-recordings --config best.toml --out my-model

@@ -49,7 +49,7 @@ class Model:
 
     config: its default configuration, a frozen dataclass with a field `conditioning`, the signal path's constants.
     fit: (folder, configuration) -> FittedModel; with from_design (folder, configuration, atlas, calibrate), with alone
-    (folder, configuration, atlas, init, progress, calibrate), as `models.registry.fit_model` describes them.
+    (folder, configuration, atlas, init, progress, calibrate, judge), as `models.registry.fit_model` describes them.
     from_design: whether it can use an atlas of the sensor's design. alone: whether that suffices, so that an atlas is
     solved where none is at hand; such a model can also start from an earlier bundle.
     """

@@ -68,12 +68,15 @@ def fit_model(
     init: "onnx.ModelProto | None" = None,
     progress: Callable[[int, float], None] = lambda step, loss: None,
     calibrate: "Callable[..., CalibratedMap] | None" = None,
+    judge: Callable[[int, dict[str, float]], None] | None = None,
 ) -> "FittedModel":
     """Fits the model to the folder's labelled recordings.
 
     atlas: the sensor's design (`uses_design`). init: the graph of a bundle of the same model to start from
     (`learns_from_design_alone`). progress: called with the step and the loss, now and then. calibrate: for models that
-    use the design, in place of `calibrated_map` (models/response_map/select.py).
+    use the design, in place of `calibrated_map` (models/response_map/select.py). judge: for models that can start from
+    a bundle, sees their errors on held-out lines after each third of the training but the last, and ends the fit by
+    what it raises.
 
     Raises:
         InputError: no such model, nothing to fit it to, or `init` is of another kind.
@@ -87,7 +90,7 @@ def fit_model(
     if init is not None and not model.alone:
         raise InputError(f"{name} starts from no bundle; leave it out, or use {DEFAULT}")
     if model.alone:
-        fitted = model.fit(folder, config, atlas, init, progress, calibrate)
+        fitted = model.fit(folder, config, atlas, init, progress, calibrate, judge)
     elif model.from_design:
         fitted = model.fit(folder, config, atlas, calibrate)
     else:

@@ -9,7 +9,9 @@ import sys
 import time
 import tomllib
 from collections.abc import Iterator
+from concurrent.futures import Future
 from contextlib import redirect_stderr, redirect_stdout, suppress
+from dataclasses import replace
 from io import StringIO
 from pathlib import Path
 
@@ -21,9 +23,13 @@ from optuna.storages.journal import JournalFileBackend
 from optuna.trial import TrialState
 
 import softslide
+from experiments.sweep.pictures import pictures
+from experiments.sweep.search import _tell
 from experiments.sweep.space import read_sweep
-from experiments.sweep.trial import overall
+from experiments.sweep.trial import LEAST_ENDED, QUANTITIES, overall, run_trial
 from features.errors import InputError
+from models.registry import default_config
+from pipeline.recordings.derived_labels import recordings_to_learn_from
 from pipeline.recordings.folder import SAMPLE, read_folder
 from pipeline.recordings.manifest import write_manifest
 from serve.localizer import Localizer
@@ -151,6 +157,12 @@ def test_every_trial_is_a_run_below_the_sweeps(
     assert ended.data.metrics["heldout_overall"] == min(
         t.value for t in trials(stopped[0], TrialState.COMPLETE) if t.value is not None
     )
+    page = stopped[0].with_suffix(".html").read_text()
+    assert page.count("<svg") == 2
+    assert "4 trials ended" in page
+    assert "report.html" in {item.path for item in client.list_artifacts(ended.info.run_id)}
+    (killed,) = [run for run in sweeps.values() if run.info.run_id != ended.info.run_id]
+    assert killed.info.status == "KILLED"
     files = {item.path for item in client.list_artifacts(ended.info.run_id, "figures")}
     assert files == {"figures/history.svg", "figures/importance.svg"}
 
@@ -230,6 +242,36 @@ def test_nested_settings_and_lists_reach_the_configuration(tmp_path: Path) -> No
     assert (chosen.conditioning.trigger_v, chosen.conditioning.release_v) == (0.006, 0.003)
     with pytest.raises(InputError):
         plan.configuration({"hidden": '"wide"'})
+
+
+def a_trial(value: float) -> optuna.trial.FrozenTrial:
+    """One that ended, with this error from the first third of its training on."""
+    return optuna.create_trial(value=value, intermediate_values={1: value, 2: value})
+
+
+@pytest.mark.parametrize(("value", "thirds"), [(1e-6, [1]), (1e6, [1, 2])])
+def test_a_hopeless_trial_is_given_up(value: float, thirds: list[int]) -> None:
+    """A network that has learnt nothing, beside trials that were right at once, and beside others that were worse."""
+    folder = recordings_to_learn_from(read_folder(SAMPLE))
+    fastest = folder.manifest["speed_mm_s"].nlargest(26).index
+    folder = replace(folder, manifest=folder.manifest.loc[fastest])
+    default = default_config("cnn")
+    settings = replace(
+        default,
+        conditioning=replace(default.conditioning, delayed=0.1),
+        calibration=replace(default.calibration, iterations=1),
+        training=replace(default.training, steps=6, batch=8),
+    )
+    outcome = run_trial("cnn", folder, settings, None, [a_trial(value)] * LEAST_ENDED)
+    assert list(outcome.so_far) == thirds
+    assert set(outcome.errors) == (set() if len(thirds) == 1 else set(QUANTITIES))
+    study = optuna.create_study()
+    future: Future = Future()
+    future.set_result(outcome)
+    told = _tell(study, study.ask(), future)
+    assert told.state is (TrialState.PRUNED if len(thirds) == 1 else TrialState.COMPLETE)
+    assert told.intermediate_values == outcome.so_far
+    assert "<svg" in pictures(study)["history"] if outcome.errors else told.value == outcome.so_far[1]
 
 
 def test_a_share_off_any_error_counts_alike() -> None:

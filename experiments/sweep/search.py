@@ -1,7 +1,7 @@
 """A hyperparameter search: workers fit, this process alone keeps the journal and MLflow's runs.
 
-The journal lies beside the sweep's file. Whatever stops the search, the next call of the same sweep goes on: finished
-trials count, and those that were under way begin again.
+The journal lies beside the sweep's file, and so does its report. Whatever stops the search, the next call of the same
+sweep goes on: finished trials count, and those that were under way begin again. Hopeless ones are given up midway.
 """
 
 import fcntl
@@ -24,9 +24,9 @@ from optuna.storages.journal import JournalFileBackend
 from optuna.trial import FrozenTrial, Trial, TrialState
 
 from experiments.provenance import data_hashes
-from experiments.sweep.pictures import pictures
+from experiments.sweep.pictures import pictures, report
 from experiments.sweep.space import Sweep, read_sweep
-from experiments.sweep.trial import held_out_errors, overall
+from experiments.sweep.trial import overall, run_trial
 from experiments.tracking.run import tracked
 from experiments.train import design_of
 from features.errors import InputError
@@ -38,6 +38,7 @@ from pipeline.workers import cluster, end_with
 
 # A user attribute of a trial: its errors by quantity; or why it has none.
 ERRORS, FAULT = "errors", "fault"
+ENDED = (TrialState.COMPLETE, TrialState.PRUNED)
 # A user attribute of the study, once the trial of this number has its run.
 LOGGED = "logged {}"
 
@@ -72,9 +73,13 @@ def sweep(config: Path, scheduler: str = "", store: str | None = None) -> str:
             run.metrics(_figures(best))
             for name, picture in pictures(study).items():
                 run.text(picture, f"figures/{name}.svg")
+            page = report(study, best, text)
+            run.text(page, "report.html")
+            _write(config.with_suffix(".html"), page)
     found = ", ".join(f"{name} {error:.3g}" for name, error in best.user_attrs[ERRORS].items())
-    count = len(study.get_trials(states=[TrialState.COMPLETE]))
+    count = len(study.get_trials(states=ENDED))
     print(f"softslide sweep: best of {count} is trial {best.number}: {found}", file=sys.stderr)
+    print(f"softslide sweep: wrote {config.with_suffix('.html')}", file=sys.stderr)
     return text
 
 
@@ -88,6 +93,20 @@ def _best(config: Path, study: optuna.Study) -> FrozenTrial:
         faults = [t.user_attrs[FAULT] for t in study.trials if FAULT in t.user_attrs]
         raise InputError(f"{config}: no trial succeeded ({faults[0] if faults else 'none began'})")
     return study.best_trial
+
+
+def _write(path: Path, text: str) -> None:
+    """Writes the file whole or not at all.
+
+    Raises:
+        InputError: it cannot be written.
+    """
+    scratch = path.with_name(f".{path.name}.partial")
+    try:
+        scratch.write_text(text, encoding="utf-8")
+        scratch.replace(path)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror}); move the sweep's file") from None
 
 
 @contextmanager
@@ -139,7 +158,7 @@ def _trials(
     First those that ended in an earlier call which was stopped before they were logged.
     """
     until = time.monotonic() + plan.budget.seconds
-    earlier = [t for t in study.trials if t.state is TrialState.COMPLETE or FAULT in t.user_attrs]
+    earlier = [t for t in study.trials if t.state in ENDED or FAULT in t.user_attrs]
     ended = len(earlier)
     if ended:
         print(f"softslide sweep: {ended} trials of an earlier call", file=sys.stderr)
@@ -161,7 +180,8 @@ def _trials(
                     ended += 1
                     bar.update()
                     continue
-                running[pool.submit(held_out_errors, plan.model, folder, settings, design)] = trial
+                against = study.get_trials(states=[TrialState.COMPLETE]) if plan.budget.prune else []
+                running[pool.submit(run_trial, plan.model, folder, settings, design, against)] = trial
             if not running:
                 return
             for future in wait(running, return_when=FIRST_COMPLETED).done:
@@ -191,11 +211,15 @@ def _pool(workers: int, scheduler: str) -> Iterator[Executor]:
 
 def _tell(study: optuna.Study, trial: Trial, future: Future) -> FrozenTrial:
     try:
-        errors = future.result()
+        outcome = future.result()
     except (InputError, ValueError, FloatingPointError) as error:
         return _fail(study, trial, error)
-    trial.set_user_attr(ERRORS, errors)
-    return study.tell(trial, overall(errors))
+    for thirds, so_far in outcome.so_far.items():
+        trial.report(so_far, thirds)
+    if not outcome.errors:
+        return study.tell(trial, state=TrialState.PRUNED)
+    trial.set_user_attr(ERRORS, outcome.errors)
+    return study.tell(trial, overall(outcome.errors))
 
 
 def _fail(study: optuna.Study, trial: Trial, error: Exception) -> FrozenTrial:
@@ -212,9 +236,12 @@ def _track(plan: Sweep, trial: FrozenTrial, tags: Mapping[str, str], config: Pat
     configuration = {**plan.as_table(), "settings": settings}
     if FAULT in trial.user_attrs:
         tags = {**tags, FAULT: trial.user_attrs[FAULT]}
+    if trial.state is TrialState.PRUNED:
+        tags = {**tags, "given_up": f"after {max(trial.intermediate_values)} of 3 parts of the training"}
     parent = {"sweep": tags["sweep"], "command": "sweep"}
     name = f"{tags['sweep']} trial {trial.number}"
     with tracked("trial", name, configuration, config, tags=tags, parent=parent, store=store) as run:
+        run.by_step("heldout_overall_so_far", trial.intermediate_values)
         if ERRORS in trial.user_attrs:
             run.metrics(_figures(trial))
 

@@ -36,11 +36,13 @@ NEEDED = ("model", "recordings", "space")
 @dataclass(frozen=True)
 class Budget:
     """trials: in all, those of an earlier call included. seconds: of one call, after which no trial begins.
-    workers: processes."""
+    workers: processes. prune: whether trials of cnn that are hopeless at a third or two of their training are given up
+    (experiments/sweep/trial.py)."""
 
     trials: int = 40
     seconds: float = 3600.0
     workers: int = 2
+    prune: bool = True
 
     def __post_init__(self) -> None:
         if self.trials < 1 or self.workers < 1 or not self.seconds > 0:

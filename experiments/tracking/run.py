@@ -39,7 +39,11 @@ class Run:
 
     def losses(self, by_step: Mapping[int, float]) -> None:
         """Logs the loss at each step of a training."""
-        self._metrics([("loss", step, loss) for step, loss in by_step.items()])
+        self.by_step("loss", by_step)
+
+    def by_step(self, name: str, values: Mapping[int, float]) -> None:
+        """Logs a number at each step of something."""
+        self._metrics([(name, step, value) for step, value in values.items()])
 
     def tags(self, values: Mapping[str, str]) -> None:
         """Logs labels that runs are searched by."""

@@ -70,12 +70,14 @@ def fit_cnn(
     init: onnx.ModelProto | None = None,
     progress: Callable[[int, float], None] = lambda step, loss: None,
     calibrate: Callable[..., CalibratedMap] | None = None,
+    judge: Callable[[int, dict[str, float]], None] | None = None,
 ) -> FittedModel:
     """Calibrates the map on the folder's labelled slides and trains the network on it.
 
     folder: its calibration splits. atlas: of the sensor's design; None: from recordings alone.
     init: an exported graph to start from (a warm start). progress: called with the step and the loss, every 50 steps.
-    calibrate: in place of `calibrated_map`.
+    calibrate: in place of `calibrated_map`. judge: called with 1 and 2 after as many thirds of the training and the
+    errors on held-out lines as they stand, `heldout_direction_deg` and so on; what it raises ends the fit.
 
     Raises:
         InputError: neither enough slides nor an atlas, or `init` holds another network.
@@ -91,14 +93,20 @@ def fit_cnn(
         config = _with_more_steps(config, UNCALIBRATED_STEPS)
     source = WindowSource(found.response, config.conditioning.block_s, config.synthesis)
     start = None if init is None else initial_proposal(init, found.response, config.network)
-    proposal = train_proposal(source, config.network, config.training, start, progress)
+
+    def judged(thirds: int, proposal: Proposal) -> None:
+        assert judge is not None
+        judge(thirds, _held_out_summary(_held_out(found.folder, found, proposal.eval(), config)))
+
+    halting = judged if judge is not None and found.held_out else None
+    proposal = train_proposal(source, config.network, config.training, start, progress, halting)
     network = _network(proposal, found.response, config)
     intervals, validity, summary = UNCALIBRATED, UNCALIBRATED_VALIDITY, found.summary
     if found.held_out:
         held = _held_out(found.folder, found, proposal, config)
         beside = None if found.response.depth_sd_mm else _other_depths(found.response, network, config, held)
         intervals, validity = _judge(*held, network.outputs, beside)
-        summary = summary | {f"heldout_{k}": v for k, v in _errors(*held).items()}
+        summary = summary | _held_out_summary(held)
     return FittedModel(
         name="cnn",
         input="window",
@@ -117,6 +125,10 @@ def fit_cnn(
         untimed=found.untimed,
         left_out=found.left_out,
     )
+
+
+def _held_out_summary(held: Held) -> dict[str, float]:
+    return {f"heldout_{name}": error for name, error in _errors(*held).items()}
 
 
 def _with_more_steps(config: CnnConfig, further: int) -> CnnConfig:

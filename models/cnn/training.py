@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from copy import deepcopy
 from dataclasses import dataclass
 
 import torch
@@ -31,12 +32,14 @@ def train_proposal(
     config: TrainingConfig,
     start: Proposal | None = None,
     progress: Callable[[int, float], None] = lambda step, loss: None,
+    judge: Callable[[int, Proposal], None] | None = None,
 ) -> Proposal:
     """The trained network, its weights rounded to half precision.
 
     Seeded: the same configuration gives the same weights on the same machine.
 
     start: a network to start from. progress: called with the step and the loss, now and then.
+    judge: called after each third of the steps but the last, with the number of thirds and the network as it stands.
     """
     torch.manual_seed(config.seed)
     generator = torch.Generator().manual_seed(config.seed)
@@ -62,12 +65,18 @@ def train_proposal(
         averaged.update_parameters(proposal)
         if step % 50 == 0:
             progress(step, loss.item())
-    kept = averaged.module
-    assert isinstance(kept, Proposal)
+        if judge is not None and step + 1 in (config.steps // 3, 2 * config.steps // 3):
+            judge(1 if step + 1 == config.steps // 3 else 2, deepcopy(_kept(averaged)))
+    kept = _kept(averaged)
     with torch.no_grad():
         for values in kept.parameters():
             values.copy_(rounded(values))
     return kept.eval()
+
+
+def _kept(averaged: torch.optim.swa_utils.AveragedModel) -> Proposal:
+    assert isinstance(averaged.module, Proposal)
+    return averaged.module
 
 
 def likelihood_loss(proposal: Tensor, log_sd: Tensor, targets: Tensor) -> Tensor:
