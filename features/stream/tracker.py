@@ -67,6 +67,7 @@ class SlideTracker:
         # Where a contact has stopped, the output there takes the static output's place until the next trigger.
         self._stop_v: np.ndarray | None = None
         self._stopped_blocks = 0
+        self._from_stop = False
 
     def reset(self) -> None:
         """Back to an unknown static output."""
@@ -183,6 +184,7 @@ class SlideTracker:
         """A slide begins with the blocks that triggered it. usable: (A,)."""
         self._slide = SlideHistory(self.conditioning, self.static, usable)
         self._touch_v, self._moved = None, False
+        self._from_stop = self._stop_v is not None
         self._stop_v = None
         for block in self._recent if self.conditioning.onset == ONSETS[0] else self._after_jump():
             self._slide.push(block)
@@ -238,7 +240,7 @@ class SlideTracker:
         self._slide = None
         if self._moved:
             self._last = EndedSlide(slide.window(max(blocks, self.conditioning.least_blocks)), slide.usable)
-        elif level is not None and self._jumped(slide, level):
+        elif level is not None and not self._from_stop and self._jumped(slide, level):
             self._learn_static()
             return
         self._stop_v = None if level is None else level + self.static
