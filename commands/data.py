@@ -266,6 +266,7 @@ def synthesize(parser: Parser) -> Run:
         softslide synthesize --slides 100 --seed 5 --out synthetic
         softslide synthesize --slides 100 --config deeper.toml --out deeper
         softslide synthesize --paths 40 --out paths
+        softslide synthesize --paths 40 --solved --out solved
         softslide synthesize --protocol article --out protocol
     """
     arguments.atlas(parser, "from 'simulate' (default: the article's sensor's)")
@@ -287,6 +288,12 @@ def synthesize(parser: Parser) -> Run:
         metavar="N",
         help="how many contacts along any path, with their truth: lines, curves, changing speed, stops, turns back, "
         "touch-downs, lifts, changing depth, presses; splits track-KIND (default: none)",
+    )
+    parser.add_argument(
+        "--solved",
+        action="store_true",
+        help="solve each path on the skin, step by step, instead of reading it from the atlas: truer friction and "
+        "touch-downs, at some seconds a path",
     )
     parser.add_argument(
         "--protocol",
@@ -323,6 +330,7 @@ def synthesize(parser: Parser) -> Run:
             distribution,
             paths=given.paths,
             protocol=given.protocol is not None,
+            solved=given.solved,
         )
         counts = folder.manifest["split"].value_counts(sort=False)
         print(f"{folder.root}: {', '.join(f'{count} {split}' for split, count in counts.items())}")

@@ -23,6 +23,7 @@ from pipeline.synthesis.paths.distribution import PathDistribution
 from pipeline.synthesis.paths.draw import KINDS, draw_path
 from pipeline.synthesis.paths.partial_contact import partial_friction_parts, touch_depth_mm
 from pipeline.synthesis.paths.response import path_response, path_truth
+from pipeline.synthesis.paths.solved import solved_response
 from pipeline.synthesis.slide_plan import Slide
 from pipeline.synthesis.specimen import ideal_specimen
 from pipeline.synthesis.synthesize import record, sensor_of, synthesize
@@ -220,6 +221,19 @@ def test_partial_contact_is_near_the_skins_own_solver() -> None:
         assert np.abs(law - solved / np.linalg.norm(solved[-1])).max() < 0.08
 
 
+@pytest.mark.parametrize(("kind", "rms", "largest"), [("line", 0.005, 0.03), ("touchdown", 0.03, 0.12)])
+def test_a_path_read_from_the_atlas_is_near_the_solved_one(kind: str, rms: float, largest: float) -> None:
+    """Apart by some thousandths of the largest tilt; touch-downs, whose atlas is a law, by a few times that."""
+    path = draw_path(0, ATLAS, SENSOR, Distribution(), np.random.default_rng(1), kind=kind)
+    time_s = np.arange(0, path.duration_s, 0.02)
+    solved, speed = solved_response(SENSOR, path, ATLAS, time_s)
+    read, same = path_response(path, ATLAS, time_s)
+    assert np.array_equal(speed, same)
+    gap = (solved - read)[:, :2] / np.abs(read[:, :2]).max()
+    assert 1e-4 < np.sqrt((gap**2).mean()) < rms
+    assert np.abs(gap).max() < largest
+
+
 def test_a_folder_of_slides_and_paths(tmp_path: Path) -> None:
     """Splits, labels and truth are the contract's; the slides' bytes are those of a folder without paths."""
     for name, options in (("both", ["--slides", "2", "--paths", "10"]), ("lines", ["--slides", "2"])):
@@ -248,7 +262,7 @@ def test_a_folder_of_slides_and_paths(tmp_path: Path) -> None:
         assert np.diff(truth["time_s"]) == pytest.approx(0.01)
         assert truth["time_s"].iloc[-1] == pytest.approx(recording.time_s[-1], abs=0.011)
     assert folder.load("s00000").truth is None
-    for bad in (["--slides", "0"], ["--slides", "3", "--paths", "-1"]):
+    for bad in (["--slides", "0"], ["--slides", "3", "--paths", "-1"], ["--slides", "3", "--solved"]):
         assert softslide.main(["synthesize", *bad, "--out", str(tmp_path / "none")]) == 2
     assert not (tmp_path / "none").exists()
 

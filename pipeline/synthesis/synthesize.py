@@ -5,8 +5,9 @@ hundredth of a second or less, and cubic convolution leads to the sample rate, w
 """
 
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +29,7 @@ from pipeline.synthesis.paths.contact_path import ContactPath
 from pipeline.synthesis.paths.distribution import PathDistribution
 from pipeline.synthesis.paths.draw import draw_path
 from pipeline.synthesis.paths.response import path_response, path_truth
+from pipeline.synthesis.paths.solved import solved_response
 from pipeline.synthesis.protocol import article_slides
 from pipeline.synthesis.slide_plan import Slide
 from pipeline.synthesis.specimen import Specimen, draw_specimen
@@ -42,6 +44,8 @@ SLOW_MM = 0.2
 _RINGING = 3.0
 # The vibration amplitude in `Distribution` is for this speed and this normal force.
 _VIBRATION_MM_S, _VIBRATION_N = 10.0, 0.3
+# The atlas's channels and the speed along a path at times (n,) s.
+PathResponse = Callable[[ContactPath, Atlas, np.ndarray], tuple[np.ndarray, np.ndarray]]
 # Streams of random numbers of one seed; 0 is the specimen's.
 _PLAN, _NOISE, _PATH_PLAN, _PATH_NOISE, _PROTOCOL_NOISE = 1, 2, 3, 4, 5
 
@@ -106,9 +110,13 @@ def noise_of(number: int, seed: int, stream: int = _NOISE) -> np.random.Generato
 
 
 def record(
-    plan: Slide | ContactPath, specimen: Specimen, atlas: Atlas, random: np.random.Generator
+    plan: Slide | ContactPath,
+    specimen: Specimen,
+    atlas: Atlas,
+    random: np.random.Generator,
+    respond: PathResponse = path_response,
 ) -> Recording:
-    """What the specimen records of a slide or of a contact along a path.
+    """What the specimen records of a slide or of a contact along a path. respond: what the skin does along a path.
 
     Raises:
         InputError: the plan leaves the atlas's depths or heights.
@@ -117,7 +125,7 @@ def record(
     count = int(plan.duration_s * rate) + 1
     factor = max(1, int(rate * min(SLOW_S, SLOW_MM / plan.quickest_mm_s)))
     slow_s = (np.arange(-1, -(-count // factor) + 2)) * factor / rate
-    tilt, yaw, rubbing = _skin(plan, specimen, atlas, slow_s, random)
+    tilt, yaw, rubbing = _skin(plan, specimen, atlas, slow_s, random, respond)
     gravity = in_tilted_sensor(tilt, yaw, upright(plan.posture_deg))
     boards = len(gravity)
     gravity += _drift(slow_s, specimen.drift_g, boards, random)
@@ -138,6 +146,7 @@ def _skin(
     atlas: Atlas,
     time_s: np.ndarray,
     random: np.random.Generator,
+    respond: PathResponse,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """What the skin does to its boards at (n,) s.
 
@@ -146,7 +155,7 @@ def _skin(
     """
     boards, level = atlas.boards, atlas.pressure_at(plan.height_mm)
     if isinstance(plan, ContactPath):
-        values, speed = path_response(plan, atlas, time_s)
+        values, speed = respond(plan, atlas, time_s)
     else:
         values, speed = _line_response(plan, specimen, atlas, time_s)
     posture = plan.gain * values[:, : PER_BOARD * boards].reshape(-1, boards, PER_BOARD)
@@ -248,11 +257,12 @@ def synthesize(
     distribution: Distribution | None = None,
     paths: int = 0,
     protocol: bool = False,
+    solved: bool = False,
 ) -> Folder:
     """`softslide synthesize`: writes a folder of recordings, whole or not at all.
 
     count: of slides along straight lines; paths: of contacts along any path; protocol: the article's slides as well,
-    all on the same specimen.
+    all on the same specimen. solved: paths are solved step by step instead of read from the atlas.
 
     Raises:
         InputError: no recordings, a negative seed, an atlas that is none or of another design, an `out` not to be
@@ -264,6 +274,8 @@ def synthesize(
         raise InputError(f"{paths}: it must not be negative", "paths")
     if not count + paths + protocol:
         raise InputError(f"{count}: at least one is needed, or a path", "slides")
+    if solved and not paths:
+        raise InputError("only paths are solved; say how many with --paths", "solved")
     if seed < 0:
         raise InputError(f"{seed}: it must not be negative", "seed")
     atlas = read_atlas(atlas_path) if atlas_path else read_atlas()
@@ -283,7 +295,8 @@ def synthesize(
             (path_plan(number, seed, atlas, sensor, distribution), noise_of(number, seed, _PATH_NOISE))
         )
     manifest = pd.DataFrame([each.labels() for each, _ in plans])
-    recordings = (record(each, specimen, atlas, noise) for each, noise in plans)
+    respond = partial(solved_response, sensor_of(atlas)) if solved else path_response
+    recordings = (record(each, specimen, atlas, noise, respond) for each, noise in plans)
     origin = {
         "what": "synthetic slides, made by softslide synthesize; never measured on hardware",
         "seed": seed,
@@ -294,7 +307,7 @@ def synthesize(
     if protocol:
         origin["protocol"] = "the article's 512 slides"
     if paths:
-        origin["paths"] = asdict(PathDistribution())
+        origin["paths"] = asdict(PathDistribution()) | {"solved": solved}
     notes = {"synthesis.json": json.dumps(origin, indent=1) + "\n"}
     watched = progress_bar("synthesizing", "slide", recordings, len(plans))
     return write_folder(out, sensor, manifest, watched, notes)
