@@ -36,7 +36,7 @@ class TrackLimits:
     speed_mm_s: float = 0.02
     heading_deg: float = 0.3
     place_sd_mm: float = 1.6
-    heading_sd_deg: float = 20.0
+    heading_sd_deg: float = 15.0
     certain: float = 0.97
     misfit: float = 2.2
     partial: float = 0.3

@@ -9,15 +9,21 @@ from bump_map import bump_map
 
 from features.contact.calibration import ContactCalibration
 from features.contact.hypotheses import (
+    FRICTION_X,
+    FRICTION_Y,
+    GAIN,
     HEADING,
     RESIDUAL,
     SPEED,
     Hypotheses,
     MotionNoise,
+    X,
+    Y,
     expected,
     predict,
     started,
 )
+from features.contact.manoeuvres import HALF, Manoeuvres, branched
 from features.contact.smooth_signal import SmoothSignal
 from features.contact.tracker import ContactTracker, Track, TrackingConfig
 from features.stream.tracker import SlideState
@@ -91,10 +97,9 @@ def bank_of(response: ResponseMap, count: int = 6, seed: int = 0) -> Hypotheses:
     state[:, :2] = generator.uniform(-18, 18, (count, 2))
     state[:, HEADING], state[:, SPEED] = generator.uniform(-3, 3, count), generator.uniform(1, 5, count)
     state[:, 4], state[:, 5], state[:, 6] = 0.3, 0.02, generator.uniform(0.9, 1.1, count)
-    heading = state[:, HEADING]
-    friction = np.stack([np.cos(heading), np.sin(heading)], axis=1)
+    state[:, FRICTION_X], state[:, FRICTION_Y] = np.cos(state[:, HEADING]), np.sin(state[:, HEADING])
     sd = np.full((count, size), 1e-6)
-    return started(state, sd, friction, np.zeros(count), partial=False)
+    return started(state, sd, np.zeros(count), partial=False)
 
 
 def test_the_surface_on_the_device_is_the_map() -> None:
@@ -110,7 +115,7 @@ def test_the_surface_on_the_device_is_the_map() -> None:
 
 
 def test_slopes_are_those_of_the_expected_output() -> None:
-    """Central differences of the expected output by each number of the state, the friction following the heading."""
+    """Central differences of the expected output by each number of the state."""
     response = noisy_map()
     surface = contact_calibration(response).surface()
     bank = bank_of(response)
@@ -120,10 +125,44 @@ def test_slopes_are_those_of_the_expected_output() -> None:
         for sign in (1, -1):
             moved = bank.take(slice(None))
             moved.state[:, n] += sign * step
-            if n == HEADING:
-                moved.friction = np.stack([np.cos(moved.state[:, n]), np.sin(moved.state[:, n])], axis=1)
             sides.append(expected(moved, surface)[0])
         assert slopes[:, :, n] == pytest.approx((sides[0] - sides[1]) / (2 * step), abs=1e-6)
+
+
+def test_the_covariance_grows_by_the_slopes_of_the_motion() -> None:
+    """Without noise, a small change of the state moves on as the prediction moves its covariance."""
+    still = MotionNoise(**dict.fromkeys(MotionNoise.__dataclass_fields__, 0.0))
+    bank = bank_of(noisy_map())
+    bank.state[:, FRICTION_X : FRICTION_Y + 1] *= 0.5
+    step = 1e-4
+    for n in (X, Y, HEADING, GAIN, FRICTION_X, FRICTION_Y):
+        moved = bank.take(slice(None))
+        moved.state[:, n] += step
+        moved.covariance[:] = 0.0
+        moved.covariance[:, n, n] = step**2
+        ahead = bank.take(slice(None))
+        for each in (moved, ahead):
+            predict(each, 0.04, 0.0, 0.0, still)
+        gap = moved.state - ahead.state
+        outer = gap[:, :, None] * gap[:, None]
+        assert moved.covariance == pytest.approx(outer, abs=1e-3 * step**2), n
+
+
+def test_a_place_known_badly_is_split_along_its_longest_axis() -> None:
+    """The two halves have the mean and the covariance of the whole."""
+    whole = bank_of(noisy_map(), count=1)
+    whole.covariance[0, :2, :2] = [[0.9, 0.6], [0.6, 0.9]]
+    whole.covariance[0, X, SPEED] = whole.covariance[0, SPEED, X] = 0.1
+    whole.covariance[0, SPEED, SPEED] = 0.2
+    bank = branched(whole, 3, 5.0, 0.02, Manoeuvres())
+    halves = bank.take(np.flatnonzero(np.isclose(bank.log_weight, np.log(HALF)))[-2:])
+    apart = halves.state[1] - halves.state[0]
+    assert apart[:2] == pytest.approx(1.6 * np.sqrt(1.5) * np.array([0.5, 0.5]) ** 0.5 * np.sign(apart[0]))
+    assert halves.state.mean(0) == pytest.approx(whole.state[0])
+    joint = halves.covariance[0] + np.outer(apart, apart) / 4
+    assert joint == pytest.approx(whole.covariance[0], abs=1e-9)
+    sharp = bank_of(noisy_map(), count=1)
+    assert len(branched(sharp, 3, 5.0, 0.02, Manoeuvres())) == len(bank) - 2
 
 
 def test_prediction_moves_along_an_arc() -> None:
@@ -161,6 +200,20 @@ def test_a_contact_that_turns_back_is_followed() -> None:
     assert back is not None
     assert back.mean[2] == pytest.approx(-3.0, abs=0.5)
     assert back.mean[:2] == pytest.approx([x[len(out) + 120], 7.0], abs=0.6)
+
+
+def test_a_contact_that_is_lifted_from_rest_stays_in_its_place() -> None:
+    """Its output falls along one direction, as that of a slide over the skin's fold can."""
+    out = np.arange(-29.0, 6.0, 0.08)
+    x = np.concatenate([out, np.full(110, out[-1])])
+    path = np.stack([x, np.full_like(x, 6.0)], axis=1)
+    volts = volts_along(noisy_map(), path)
+    volts[-60:] *= np.linspace(1.0, 0.05, 60)[:, None]
+    tracks = [t for t in tracks_of(noisy_map(), volts)[-40:-15] if t is not None]
+    assert len(tracks) == 25
+    places = np.array([t.mean[:2] for t in tracks if t.partial > 0.5])
+    assert len(places) > 12
+    assert np.hypot(*(places - path[-1]).T).max() < 1.0
 
 
 def test_a_contact_that_stops_is_at_rest() -> None:

@@ -105,6 +105,21 @@ def test_what_changes_in_strength_alone_is_no_slide(amplitude_v: float, seed: in
     assert tracker.final is None
 
 
+def test_what_slides_on_from_where_it_was_pressed_leaves_the_zero_as_it_is() -> None:
+    """It is near its level from its first block on, as the blocks after a jump of the zero are."""
+    tracker = SlideTracker(CONDITIONING, 3)
+    run(tracker, blocks(still(1.0)))
+    static = tracker.static.copy()
+    share = np.concatenate(
+        [np.linspace(0, 1, 600), np.ones(1200), 1 + np.linspace(0, 0.12, 1500), np.full(1500, 1.12)]
+    )
+    pressed = share[:, None] * np.array([0.03, 0.08, 0.0])
+    states = run(tracker, blocks(still(1.0), pressed)[len(blocks(still(1.0))) :])
+    assert states.count(SlideState.SLIDE) > 50
+    assert tracker.known.all()
+    assert tracker.static == pytest.approx(static, abs=1e-3)
+
+
 def test_a_slide_without_an_end_is_given_up() -> None:
     """A weak output that never returns is a shifted zero, not a slide."""
     short = Conditioning(longest_blocks=400)

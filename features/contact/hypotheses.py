@@ -1,9 +1,10 @@
 """A bank of hypotheses about one contact: a Gaussian sum (Alspach and Sorenson 1972) of extended Kalman filters.
 
-Each holds a state and its covariance. The state of a sensor with C tilt channels, n = 9 + C numbers:
+Each holds a state and its covariance. The state of a sensor with C tilt channels, n = 11 + C numbers:
 x, y (mm), heading (rad), speed along it (mm/s, negative: backwards), acceleration (mm/s2), curvature (1/mm), gain
 (1: the calibration's), depth (mm off the map's), rise (1/s: of the gain, while the contact is pressed on or lifted),
-and the map's residual in each channel (V).
+the friction on the skin along x and y (1: as large as where the contact slides), and the map's residual in each channel
+(V).
 """
 
 from dataclasses import dataclass, fields
@@ -13,8 +14,9 @@ import numpy as np
 
 from features.contact.response_surface import ResponseSurface
 
-X, Y, HEADING, SPEED, ACCELERATION, CURVATURE, GAIN, DEPTH, RISE = range(9)
-RESIDUAL = 9
+X, Y, HEADING, SPEED, ACCELERATION, CURVATURE, GAIN, DEPTH, RISE, FRICTION_X, FRICTION_Y = range(11)
+FRICTION = slice(FRICTION_X, FRICTION_Y + 1)
+RESIDUAL = 11
 
 FRICTION_MM = (
     0.35  # of way, over which the friction's direction follows the motion's (measured on the emulator)
@@ -37,7 +39,7 @@ class MotionNoise:
     """Standard deviations that a hypothesis grows by over 1 mm of way between manoeuvres.
 
     place: mm. heading: rad. speed, acceleration: shares (of the speed; of its square). curvature: 1/mm. gain: 1.
-    depth: mm. rise: 1/s, over 1 s, while the contact is pressed on or lifted.
+    depth: mm. friction: 1. rise: 1/s, over 1 s, while the contact is pressed on or lifted.
     """
 
     place: float = 0.01
@@ -47,14 +49,15 @@ class MotionNoise:
     curvature: float = 0.003
     gain: float = 0.003
     depth: float = 0.005
-    rise: float = 0.1
+    friction: float = 0.05
+    rise: float = 0.2
 
 
 @dataclass
 class Hypotheses:
     """N hypotheses.
 
-    state: (N, n). covariance: (N, n, n). friction: (N, 2), direction of the friction on the skin, at most 1 long.
+    state: (N, n). covariance: (N, n, n).
     log_weight: (N,), the largest is 0. partial: (N,) bool, whether the contact is being pressed on or lifted.
     misfit: (N,), the innovation's chi-square over C, a running mean. way_mm: (N,) since the last branching; age_mm:
     (N,) in all, forgotten over MANOEUVRE_MM, and so is manoeuvres: (N,).
@@ -62,7 +65,6 @@ class Hypotheses:
 
     state: np.ndarray
     covariance: np.ndarray
-    friction: np.ndarray
     log_weight: np.ndarray
     partial: np.ndarray
     misfit: np.ndarray
@@ -89,9 +91,7 @@ def joined(parts: list[Hypotheses]) -> Hypotheses:
     return Hypotheses(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Hypotheses)))
 
 
-def started(
-    state: np.ndarray, sd: np.ndarray, friction: np.ndarray, log_weight: np.ndarray, partial: bool
-) -> Hypotheses:
+def started(state: np.ndarray, sd: np.ndarray, log_weight: np.ndarray, partial: bool) -> Hypotheses:
     """New hypotheses from states (N, n), their standard deviations (N, n) and log weights (N,)."""
     count, size = state.shape
     covariance = np.zeros((count, size, size))
@@ -100,7 +100,6 @@ def started(
     return Hypotheses(
         state,
         covariance,
-        friction,
         log_weight,
         np.full(count, partial),
         np.ones(count),
@@ -129,7 +128,14 @@ def predict(bank: Hypotheses, elapsed_s: float, floor_v: float, partial_v: float
     slope[:, SPEED, ACCELERATION] = slope[:, GAIN, RISE] = elapsed_s
     kept = np.exp(-way[:, None] / np.array([ACCELERATION_MM, RESIDUAL_MM, FRICTION_MM, MANOEUVRE_MM]))
     diagonal[:, ACCELERATION] = kept[:, 0]
+    diagonal[:, FRICTION] = kept[:, 2:3]
     diagonal[:, RESIDUAL:] = kept[:, 1:2]
+    motion, turning = _motion(state), 1.0 - kept[:, 2]
+    slope[:, FRICTION_X, HEADING], slope[:, FRICTION_Y, HEADING] = (
+        -turning * motion[:, 1],
+        turning * motion[:, 0],
+    )
+    state[:, FRICTION] += turning[:, None] * (motion - state[:, FRICTION])
     state[:, X] += step * cos
     state[:, Y] += step * sin
     state[:, HEADING] += curvature * step
@@ -147,11 +153,10 @@ def predict(bank: Hypotheses, elapsed_s: float, floor_v: float, partial_v: float
     grown[:, GAIN] += noise.gain**2 * way
     grown[:, RISE] += np.where(bank.partial, noise.rise**2 * elapsed_s, 0.0)
     grown[:, DEPTH] += noise.depth**2 * way
+    grown[:, FRICTION] += (noise.friction**2 * way)[:, None]
     grown[:, RESIDUAL:] += (floor_v**2 * (1.0 - kept[:, 1] ** 2))[:, None]
     grown[:, RESIDUAL:] += np.where(bank.partial, partial_v**2 * elapsed_s, 0.0)[:, None]
     bank.covariance = covariance
-    turning = 1.0 - kept[:, 2:3]
-    bank.friction += turning * (_motion(state) - bank.friction)
     bank.way_mm += way
     bank.age_mm = kept[:, 3] * (bank.age_mm + way)
     bank.manoeuvres *= kept[:, 3]
@@ -196,22 +201,19 @@ def expected(bank: Hypotheses, surface: ResponseSurface) -> tuple[np.ndarray, np
     """The subtracted output that each hypothesis expects (N, C) V, and its derivatives by the state (N, C, n)."""
     state, channels = bank.state, surface.channels
     response = surface.at(state[:, X], state[:, Y])
-    friction, motion, gain = bank.friction, _motion(state), state[:, GAIN, None]
+    gain = state[:, GAIN, None]
     mixture = np.empty((len(bank), 1, 4, 1))
     mixture[:, 0, 0, 0] = 1.0
-    mixture[:, 0, 1:3, 0] = friction
+    mixture[:, 0, 1:3, 0] = state[:, FRICTION]
     mixture[:, 0, 3, 0] = state[:, DEPTH]
     raw = (response * mixture).sum(2)
     by_state = np.zeros((len(bank), channels, state.shape[1]))
     by_state[:, :, X] = gain * raw[:, 1]
     by_state[:, :, Y] = gain * raw[:, 2]
-    # The friction's direction turns with the heading as far as it has followed it.
-    followed = np.maximum((friction * motion).sum(1, keepdims=True), 0.0) * gain
-    by_state[:, :, HEADING] = followed * (
-        motion[:, :1] * response[:, 0, 2] - motion[:, 1:] * response[:, 0, 1]
-    )
     by_state[:, :, GAIN] = raw[:, 0]
     by_state[:, :, DEPTH] = gain * response[:, 0, 3]
+    by_state[:, :, FRICTION_X] = gain * response[:, 0, 1]
+    by_state[:, :, FRICTION_Y] = gain * response[:, 0, 2]
     by_state[:, range(channels), range(RESIDUAL, RESIDUAL + channels)] = 1.0
     return gain * raw[:, 0] + state[:, RESIDUAL:], by_state
 

@@ -1,5 +1,6 @@
 """What a contact may do next: each hypothesis gets children that change speed, bend, stop, turn back, turn a corner,
-start again, lift off or finish being pressed on. The likelihood of the next blocks decides between them.
+start again, lift off or finish being pressed on, and two for the halves of a place that is known badly. The likelihood
+of the next blocks decides between them.
 
 Manoeuvres are a renewal process along the way: a hypothesis that has made few expects few (the rate's posterior mean
 under a gamma prior), so that a straight slide grows sharp.
@@ -28,7 +29,8 @@ class Manoeuvres:
     prior_count, prior_mm: gamma prior of the manoeuvres' rate, 1/mm. steering: shares of a change of speed, a bend and
     both. speed: standard deviation of a change, a share of the speed; speed_mm_s: and at least this.
     acceleration: a share of the speed's square, 1/mm. curvature: 1/mm.
-    stop, back, corner, lift: rates, 1/mm. rise: of a lift's gain, 1/s. whole, restart: probabilities at each branching.
+    stop, back, corner, lift: rates, 1/mm. rise: of a lift's gain, 1/s. lift_at_rest, whole, restart: probabilities at
+    each branching.
     """
 
     prior_count: float = 0.5
@@ -43,6 +45,7 @@ class Manoeuvres:
     corner: float = 0.008
     lift: float = 0.02
     rise: float = 0.7
+    lift_at_rest: float = 0.02
     whole: float = 0.3
     restart: float = 0.004
 
@@ -52,6 +55,11 @@ SLOW_PARENTS = 6
 RESTART_HEADINGS = 6
 RESTART_SPEEDS = ((0.8, 0.4), (3.0, 1.3))  # mm/s: mean and standard deviation
 STOPPED_MM_S = 0.05
+# A place whose standard deviation along one direction is beyond WIDE_MM is split in two, SPLIT standard deviations to
+# either side, each of probability HALF; what is left of the variance is that of half a Gaussian (1 - 2 / pi).
+WIDE_MM = 0.4
+SPLIT = 0.8
+HALF = 0.3
 CORNER_RAD = (-1.2, 1.2)
 
 
@@ -70,7 +78,7 @@ def branched(
     speed = np.abs(parent.state[:, SPEED])
     change = (p.speed * speed) ** 2 + p.speed_mm_s**2
     acceleration = (p.acceleration * speed**2) ** 2 + 0.05**2
-    children = [bank]
+    children = [bank, *_halves(parent)]
     for share, speeds, bends in zip(p.steering, (True, False, True), (False, True, True), strict=True):
         child = _child(parent, share * chance)
         if speeds:
@@ -98,7 +106,9 @@ def branched(
         children += _restarts(bank.take(at), p.restart)
     whole = ~parent.partial
     if whole.any():
-        lift = _child(parent.take(whole), np.minimum(p.lift * way[whole], 0.1))
+        # One that stands still is lifted after a time, not after a way.
+        at_rest = np.where(speed[whole] < SLOW_MM_S, p.lift_at_rest, 0.0)
+        lift = _child(parent.take(whole), np.minimum(p.lift * way[whole] + at_rest, 0.1))
         lift.partial[:] = True
         lift.covariance[:, RISE, RISE] += p.rise**2
         children.append(lift)
@@ -147,6 +157,27 @@ def _child(parent: Hypotheses, chance: np.ndarray | float) -> Hypotheses:
     child.log_weight += np.log(chance)
     child.manoeuvres += 1.0
     return child
+
+
+def _halves(parent: Hypotheses) -> list[Hypotheses]:
+    """What is uncertain along one direction of the skin, as two halves of it.
+
+    A filter is linear in the place. Near a fold of the map one that covers both sides follows neither.
+    """
+    place = parent.covariance[:, :2, :2]
+    variance, axes = np.linalg.eigh(place)
+    wide = np.flatnonzero(variance[:, 1] > WIDE_MM**2)
+    children = []
+    for side in (-SPLIT, SPLIT):
+        child = parent.take(wide)
+        sd, axis = np.sqrt(variance[wide, 1]), axes[wide, :, 1]
+        # The state given the place along the axis: shifted, and with less left of it.
+        along = (child.covariance[:, :, :2] * axis[:, None]).sum(2) / sd[:, None]
+        child.state += side * along
+        child.covariance -= SPLIT**2 * along[:, :, None] * along[:, None]
+        child.log_weight += np.log(HALF)
+        children.append(child)
+    return children
 
 
 def _set(bank: Hypotheses, n: int, value: np.ndarray, sd: np.ndarray) -> None:

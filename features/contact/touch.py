@@ -10,6 +10,8 @@ import numpy as np
 
 from features.contact.hypotheses import (
     ACCELERATION,
+    FRICTION,
+    FRICTION_X,
     GAIN,
     HEADING,
     RESIDUAL,
@@ -30,6 +32,9 @@ RIM_MM = (5.0, 9.0)  # outside and inside the chamber's edge, where a contact ov
 GATE = 18.0  # chi-square of a place for two channels
 PLACE_SHARE = 0.1  # of the expected output, by which the nearest place of the grid may be off
 PRESSED_SHARE = 0.08  # of the present output, by which a partial contact's shape differs from the whole one's
+# Standard deviation of the friction along x and y where a contact was pressed on, 1: as large as where it slides
+# (root mean square of 23 presses of the solver; most of it points outwards).
+PRESSED_FRICTION = 0.2
 PRESSED = 0.3  # prior probability that a touch is pressed on inside the skin
 
 
@@ -69,7 +74,7 @@ def at_touch(
 
     half_mm: half the chamber's sizes along x and y. anywhere: at full depth not only near the rim.
     """
-    scale = np.array([GRID_MM / 2, GRID_MM / 2, 0.35, 0.0, 0.0, 0.01, gain_sd, depth_sd_mm, 0.0])
+    scale = np.array([GRID_MM / 2, GRID_MM / 2, 0.35, 0.0, 0.0, 0.01, gain_sd, depth_sd_mm, 0.0, 0.0, 0.0])
     parts = [
         _over_rim(seen, surface, half_mm, floor_v, scale, anywhere),
         _pressed_on(seen, surface, half_mm, floor_v, scale),
@@ -102,8 +107,9 @@ def at_rest(
     state = np.zeros((len(n), RESIDUAL + surface.channels))
     state[:, X], state[:, Y], state[:, SPEED], state[:, GAIN] = x[n], y[n], 0.01, 1.0
     sd = np.full(state.shape, floor_v)
-    sd[:, :RESIDUAL] = GRID_MM / 2, GRID_MM / 2, 3.0, 0.05, 0.01, 0.01, gain_sd, depth_sd_mm, 0.0
-    return started(state, sd, np.zeros((len(n), 2)), -0.5 * misfit[n] - np.log(len(n)), partial=False)
+    sd[:, :FRICTION_X] = GRID_MM / 2, GRID_MM / 2, 3.0, 0.05, 0.01, 0.01, gain_sd, depth_sd_mm, 0.0
+    sd[:, FRICTION] = PRESSED_FRICTION
+    return started(state, sd, -0.5 * misfit[n] - np.log(len(n)), partial=False)
 
 
 def _grid(half_mm: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
@@ -153,7 +159,13 @@ def _over_rim(
     sd = np.concatenate([np.tile(scale, (len(n), 1)), np.full((len(n), surface.channels), floor_v)], axis=1)
     sd[:, SPEED] = np.minimum(precision[n] ** -0.5, speed) + 0.3 * speed
     sd[:, ACCELERATION] = 0.005 * speed**2 + 0.01
-    return started(state, sd, motion[n], -0.5 * (misfit + off_slope)[n], partial=False)
+    state[:, FRICTION] = motion[n]
+    bank = started(state, sd, -0.5 * (misfit + off_slope)[n], partial=False)
+    # The friction has the direction of the motion.
+    turned = np.stack([-motion[n, 1], motion[n, 0]], axis=1) * (scale[HEADING] ** 2)
+    bank.covariance[:, FRICTION, HEADING] = bank.covariance[:, HEADING, FRICTION] = turned
+    bank.covariance[:, FRICTION, FRICTION] += turned[:, :, None] * turned[:, None] / scale[HEADING] ** 2
+    return bank
 
 
 def _pressed_on(
@@ -180,7 +192,8 @@ def _pressed_on(
     state[:, RISE] = rise[n]
     sd = np.concatenate([np.tile(scale, (len(n), 1)), np.full((len(n), surface.channels), floor_v)], axis=1)
     sd[:, HEADING], sd[:, SPEED], sd[:, ACCELERATION] = 3.0, 1.0, 0.01
+    sd[:, FRICTION] = PRESSED_FRICTION
     sd[:, GAIN], sd[:, RISE] = 0.3 * gain[n] + 0.05, np.hypot(0.3 * rise[n], rise_sd[n])
     # The prior is shared among the places that fit.
     log_prior = np.log(PRESSED) - np.log(max(len(n), 1) / 30)
-    return started(state, sd, np.zeros((len(n), 2)), log_prior - 0.5 * misfit[n], partial=True)
+    return started(state, sd, log_prior - 0.5 * misfit[n], partial=True)

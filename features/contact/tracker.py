@@ -48,8 +48,8 @@ EVIDENCE_AGAINST_S = (
 )
 # A press rests sooner than this: an output that changes for longer along one direction is a slide's or a drift's, and
 # a slide's from this evidence on (synthetic slides and drifts).
-PRESS_S = 3.0
-SLIDE_EVIDENCE = 2.0
+PRESS_S = 2.0
+SLIDE_EVIDENCE = 1.0
 
 
 @dataclass(frozen=True)
