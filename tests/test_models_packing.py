@@ -1,12 +1,13 @@
-"""Half-precision storage: the same answers to the last bit from half the bytes, and nothing that it would round."""
+"""Storage in half precision and in bytes: the same answers to the last bit, and nothing that it would round."""
 
 import numpy as np
 import onnx
 import onnxruntime as ort
+import pytest
 import torch
 from onnx import TensorProto, helper, numpy_helper
 
-from models.graph.packing import LEAST, pack, rounded, unpack
+from models.graph.packing import LEAST, pack, rounded, rounded_weights, unpack
 
 
 def dense(weights: np.ndarray) -> onnx.ModelProto:
@@ -45,6 +46,28 @@ def test_packing_halves_the_bytes_and_changes_no_bit():
     np.testing.assert_array_equal(answer(model), plain)
 
 
+@pytest.mark.parametrize("silent", [[], [3]])
+def test_weights_of_eight_bits_take_a_quarter_and_change_no_bit(silent):
+    rounded_to = rounded_weights(torch.tensor(weights(32, 64))).numpy()
+    rounded_to[silent] = 0.0
+    model = dense(rounded_to)
+    plain, size = answer(model), len(model.SerializeToString())
+    pack(model)
+    assert len(model.SerializeToString()) < 0.32 * size
+    np.testing.assert_array_equal(answer(model), plain)
+    unpack(model)
+    assert len(model.SerializeToString()) == size
+    np.testing.assert_array_equal(answer(model), plain)
+
+
+@pytest.mark.parametrize("shape", [(32, 64), (24, 8, 5)])
+def test_eight_bits_are_off_by_half_a_step_of_the_row_at_most(shape):
+    value = weights(*shape)
+    value[5] *= 1000.0
+    off = np.abs(rounded_weights(torch.tensor(value)).numpy() - value).reshape(shape[0], -1)
+    assert (off.max(axis=1) <= 0.51 * np.abs(value).reshape(shape[0], -1).max(axis=1) / 127).all()
+
+
 def test_doubles_are_stored_in_the_least_precision_that_holds_them():
     """1, 1 + 2^-20 and 1/3 need 2, 4 and 8 bytes each."""
     for value, size in ((1.0, 2), (1.0 + 2.0**-20, 4), (1 / 3, 8)):
@@ -62,10 +85,10 @@ def test_doubles_are_stored_in_the_least_precision_that_holds_them():
         assert model.SerializeToString() == before
 
 
-def test_what_half_precision_would_round_or_is_small_stays():
+def test_what_would_be_rounded_or_is_small_stays():
     for values in (
         weights(32, 64),
-        np.full((32, 64), 1e6, np.float32),
+        1e6 * rounded(torch.tensor(weights(32, 64))).numpy(),
         np.ones((32, LEAST // 32 - 1), np.float32),
     ):
         model = dense(values)

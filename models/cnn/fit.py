@@ -16,6 +16,7 @@ from models.cnn.training import TrainingConfig, train_proposal
 from models.cnn.training_windows import SynthesisConfig, WindowSource
 from models.fitted_model import FittedModel, Model
 from models.graph.from_torch import export_graph
+from models.graph.packing import unpack
 from models.held_out import WHOLE, offset_reach_mm, signed_errors
 from models.intervals import conformal_interval
 from models.misfit_limit import misfit_limit
@@ -144,7 +145,10 @@ def initial_proposal(graph: onnx.ModelProto, response: ResponseMap, config: Netw
     Raises:
         InputError: the graph holds another network, or one for another number of channels.
     """
-    found = {i.name: onnx.numpy_helper.to_array(i) for i in graph.graph.initializer}
+    whole = onnx.ModelProto()
+    whole.CopyFrom(graph)
+    unpack(whole)
+    found = {i.name: onnx.numpy_helper.to_array(i) for i in whole.graph.initializer}
     proposal = Proposal(response.channels, response.boards, config)
     state = proposal.state_dict()
     for name, value in state.items():

@@ -11,7 +11,7 @@ from torch.nn.utils import clip_grad_norm_
 
 from models.cnn.network import LENGTH_MM, NetworkConfig, Proposal
 from models.cnn.training_windows import WindowSource
-from models.graph.packing import rounded
+from models.graph.packing import rounded, rounded_weights
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ def train_proposal(
     progress: Callable[[int, float], None] = lambda step, loss: None,
     judge: Callable[[int, Proposal], None] | None = None,
 ) -> Proposal:
-    """The trained network, its weights rounded to half precision.
+    """The trained network, its weights rounded to 8 bits, its other constants to half precision.
 
     Seeded: the same configuration gives the same weights on the same machine.
 
@@ -70,7 +70,7 @@ def train_proposal(
     kept = _kept(averaged)
     with torch.no_grad():
         for values in kept.parameters():
-            values.copy_(rounded(values))
+            values.copy_(rounded(values) if values.dim() == 1 else rounded_weights(values))
     return kept.eval()
 
 
