@@ -149,11 +149,11 @@ def values(journal: Path) -> list[float]:
     copy = journal.with_suffix(".copy")
     copy.write_bytes(text[: text.rfind(b"\n") + 1])
     storage = JournalStorage(JournalFileBackend(str(copy)))
-    studies = [optuna.load_study(study_name=n, storage=storage) for n in optuna.get_all_study_names(storage)]
+    names = optuna.get_all_study_names(storage)
+    studies = [optuna.load_study(study_name=name, storage=storage) for name in names]
+    found = [t.value for s in studies for t in s.get_trials(states=(TrialState.COMPLETE,))]
     copy.unlink()
-    return [
-        t.value for s in studies for t in s.get_trials(states=(TrialState.COMPLETE,)) if t.value is not None
-    ]
+    return [value for value in found if value is not None]
 
 
 @pytest.mark.long

@@ -268,6 +268,7 @@ def expect_drawing(page: Page, canvas: str) -> None:
     page.wait_for_function(
         """selector => {
             const canvas = document.querySelector(selector);
+            if (!canvas.width || !canvas.height) return false;
             const drawn = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
             return new Set(new Uint32Array(drawn.data.buffer)).size > 10;
         }""",
@@ -286,10 +287,12 @@ def test_the_page_shows_a_slide(bundle: Path, browser: Browser) -> None:
         running.feed(REST)
         state = page.locator("#state")
         expect(state).to_have_text("rest no estimate")
+        expect(page.locator("#zones")).to_have_text("")
         expect(cell(page, "speed")).to_have_text("–")
         assert page.title() == "softslide"
         (told,) = running.feed(SLIDE)[-1:]
         expect(state).to_have_text("slide valid")
+        expect(page.locator("#zones")).to_have_text("zone: a0 4, a1 4")
         expect(cell(page, "offset")).to_have_text(f"{told['offset_mm']:.2f} mm")
         expect(cell(page, "direction")).to_have_text("30.0 deg")
         expect(cell(page, "speed")).to_have_text("2.00 mm/s")
@@ -316,9 +319,63 @@ def test_the_page_shows_another_kinds_outputs_in_their_unit(browser: Browser, tm
         running.feed(np.array([40.0, -20.0, 7000.0]) + VOLTS[:1400, :3])
         expect(page.locator("#phase")).to_have_text("slide")
         expect(page.locator("#element")).to_have_text("magnetometer")
+        expect(page.locator("#zones")).to_have_text("")
         expect(cell(page, "magnetometers in use")).to_have_text("1")
         expect(cell(page, "zero shift")).to_have_text(re.compile(r"^.?\d+\.\d uT$"))
         expect(page.locator("#traces figcaption")).to_have_text(re.compile(r"x −?\d+\.\d uT"))
+        expect_drawing(page, "#traces canvas")
+        assert complaints == []
+
+
+ZONES = """async (tilts) => {
+  const { Zones } = await import("./zones.js");
+  const zones = new Zones([{ name: "a0", x_mm: 0, y_mm: 0 }]);
+  return tilts.map(([state, x, y]) => { zones.push({ state, subtracted_v: [x, y, 0] }); return zones.text(); });
+}"""
+
+
+def test_zones_are_the_article_s(bundle: Path, browser: Browser) -> None:
+    """Quadrants by the signs; a sign holds while its output is within a tenth of the largest; at rest there is none."""
+    tilts = [
+        *[("rest", -0.1, -0.1), ("slide", -0.1, -0.1), ("slide", 0.005, -0.1), ("slide", 0.05, -0.1)],
+        *[("slide", -0.05, 0.1), ("slide", 0.05, 0.1), ("rest", 0.05, 0.1), ("slide", 0.001, 0.001)],
+    ]
+    with serving(bundle) as running, opened(browser, running.address) as (page, complaints):
+        told = page.evaluate(ZONES, tilts)
+        assert complaints == []
+    assert told == ["", *(f"zone: a0 {zone}" for zone in (1, 1, 2, 3, 4)), "", ""]
+
+
+EXTREMES = """async (rows) => {
+  const { extremes } = await import("./traces.js");
+  const shown = rows.map(([state, x, y], n) => ({ time_s: n, state, shown: [x, y, 0] }));
+  return extremes(shown, 0, 100).map(({ row, axis, sign }) => [row.time_s, axis, sign]);
+}"""
+
+
+def test_extremes_of_each_slide_are_marked_once_they_are_passed(bundle: Path, browser: Browser) -> None:
+    first = [("slide", x, y) for x, y in ((0, 0), (-60, 1), (0, 2), (70, 1), (0, 0))]
+    second = [("slide", x, 0) for x in (0, -50, -40, 20, 90)]  # still rising
+    rows = [("rest", 99, 99), *first, ("rest", 0, 0), *second]
+    with serving(bundle) as running, opened(browser, running.address) as (page, complaints):
+        assert page.evaluate(EXTREMES, rows) == [[4, 0, 1], [2, 0, -1], [8, 0, -1]]
+        assert complaints == []
+
+
+def test_a_page_that_starts_without_width_draws_once_it_has_some(bundle: Path, browser: Browser) -> None:
+    with serving(bundle) as running, opened(browser, "about:blank") as (page, complaints):
+        page.add_init_script(
+            "addEventListener('DOMContentLoaded', () => { document.querySelector('main').style.width = '0'; })"
+        )
+        page.goto(running.address)
+        running.feed(REST)
+        running.feed(SLIDE)
+        expect(page.locator("#phase")).to_have_text("slide")
+        page.evaluate("for (const c of document.querySelectorAll('canvas')) c.style.width = '0'")
+        page.wait_for_function("[...document.querySelectorAll('canvas')].every(c => c.clientWidth === 0)")
+        page.evaluate("for (const c of document.querySelectorAll('canvas')) c.style.width = ''")
+        page.evaluate("document.querySelector('main').style.width = ''")
+        expect_drawing(page, "#skin")
         expect_drawing(page, "#traces canvas")
         assert complaints == []
 
@@ -336,7 +393,7 @@ def test_the_page_reconnects_by_itself(bundle: Path, browser: Browser) -> None:
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-@pytest.mark.parametrize("width", [340, 700, 1600])
+@pytest.mark.parametrize("width", [340, 400, 700, 1200, 1600])
 def test_the_page_fits_and_is_legible(bundle: Path, browser: Browser, scheme: str, width: int) -> None:
     """No scrolling sideways, nothing wider than its box, and WCAG's contrast of text, 4.5 to 1."""
     size = {"width": width, "height": 600}

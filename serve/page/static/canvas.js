@@ -14,7 +14,7 @@ export function prepared(canvas) {
 
 export function colours() {
   const style = getComputedStyle(document.documentElement);
-  const names = ["panel", "ink", "soft", "line", "chamber", "mark", "x", "y", "z"];
+  const names = ["panel", "ink", "soft", "line", "chamber", "mark", "zone", "x", "y", "z"];
   return Object.fromEntries(names.map((name) => [name, style.getPropertyValue(`--${name}`).trim()]));
 }
 

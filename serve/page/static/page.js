@@ -3,6 +3,7 @@ import { number } from "./canvas.js";
 import { drawSkin } from "./skin.js";
 import { follow, kept } from "./stream.js";
 import { Traces } from "./traces.js";
+import { Zones } from "./zones.js";
 
 const byId = (id) => document.getElementById(id);
 // Title, unit, digits, and the names of value, lower and upper bound.
@@ -40,6 +41,7 @@ let sensor = null;
 let latest = null;
 let traces = null;
 let trace = [];
+let zones = null;
 let waiting = false;
 
 const cells = [...rows(byId("estimates"), ESTIMATES, true), ...rows(byId("device"), DEVICE, false)];
@@ -71,6 +73,7 @@ function show() {
   // Written on a change only, because screen readers read these lines aloud.
   say(byId("phase"), latest.state);
   say(byId("trust"), trust, estimated ? trust : "");
+  say(byId("zones"), zones.text());
   say(byId("reason"), latest.valid ? "" : REASONS[latest.reason] ?? latest.reason);
 }
 
@@ -88,7 +91,7 @@ function say(element, text, kind = element.className) {
 function draw() {
   waiting = false;
   if (!sensor) return;
-  drawSkin(byId("skin"), sensor, latest, trace);
+  drawSkin(byId("skin"), sensor, latest, trace, zones);
   if (latest) show();
   traces.draw();
 }
@@ -103,6 +106,7 @@ function clear() {
   trace = [];
   byId("traces").replaceChildren();
   traces = new Traces(byId("traces"), sensor.sensor);
+  zones = new Zones(sensor.sensor.accelerometers);
 }
 
 // Takes a frame in: the numbers, the path and the traces.
@@ -118,6 +122,7 @@ function take(record) {
   }
   latest = record;
   traces.push(record);
+  zones.push(record);
   drawSoon();
 }
 

@@ -8,7 +8,7 @@ const AXIS_PX = 42;
 const ARROW_MM = 9;
 const WEDGE_MM = 14;
 
-export function drawSkin(canvas, { sensor, reference_mm }, estimate, trace) {
+export function drawSkin(canvas, { sensor, reference_mm }, estimate, trace, zones) {
   const { context, width, height } = prepared(canvas);
   const ink = colours();
   const half = sensor.chamber_mm.map((side) => side / 2 + MARGIN_MM);
@@ -21,6 +21,7 @@ export function drawSkin(canvas, { sensor, reference_mm }, estimate, trace) {
   chamber(context, at, sensor.chamber_mm, half, ink);
   context.save();
   clip(context, at, half);
+  quadrants(context, at, sensor.chamber_mm, zones.lit(), ink);
   path(context, at, scale, trace, ink);
   if (estimate?.valid) motion(context, at, scale, sensor, reference_mm, estimate, ink);
   boards(context, at, sensor.accelerometers, reference_mm, ink);
@@ -49,6 +50,18 @@ function chamber(context, at, [wide, high], half, ink) {
   write(context, "y, mm", 0, 0, ink.soft);
   context.restore();
   stroke(context, corners(wide / 2, high / 2), ink.soft, 1.5);
+}
+
+// The lit quadrants of the chamber around each sensing element; where several overlap they are stronger.
+function quadrants(context, at, [wide, high], lit, ink) {
+  context.globalAlpha = 0.2 / Math.max(1, lit.length);
+  context.fillStyle = ink.zone;
+  for (const { board, x, y } of lit) {
+    const [across, down] = at(board.x_mm, board.y_mm);
+    const [edge, end] = at(x * wide / 2, y * high / 2);
+    context.fillRect(across, down, edge - across, end - down);
+  }
+  context.globalAlpha = 1;
 }
 
 function clip(context, at, [wide, high]) {

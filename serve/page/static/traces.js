@@ -3,7 +3,8 @@ import { colours, number, prepared, stroke, write } from "./canvas.js";
 
 const WINDOW_S = 30;
 const LEFT_PX = 44;
-const TOP_PX = 8;
+// Room for the mark of an extreme.
+const TOP_PX = 14;
 const BOTTOM_PX = 22;
 const TICK_PX = 60;
 const STEP_PX = 20;
@@ -11,6 +12,8 @@ const STEP_PX = 20;
 const LEAST_MV = 20;
 const LEAST_STEPS = 10;
 const AXES = ["x", "y", "z"];
+// Share of the axis that an extreme is marked from on: below it lies the noise.
+const OUTSTANDING = 0.15;
 
 // Keeps the frames of the last WINDOW_S; a clock that runs back starts over.
 export class Traces {
@@ -24,6 +27,9 @@ export class Traces {
     this.least = volts ? LEAST_MV : LEAST_STEPS * step;
     this.digits = volts ? 0 : digitsOf(step);
     this.panels = accelerometers.map((board) => panel(section, board));
+    const legend = document.createElement("span");
+    legend.textContent = "▾ ▴ extremes of a slide";
+    section.querySelector("figcaption").append(legend);
   }
 
   push({ time_s, state, subtracted_v }) {
@@ -90,6 +96,43 @@ function drawPanel(canvas, rows, first, most) {
   for (const axis of [2, 1, 0]) {
     stroke(context, rows.map((row) => [x(row.time_s), y(row.shown[first + axis])]), ink[AXES[axis]], 1.5);
   }
+  for (const { row, axis, sign } of extremes(rows, first, most)) {
+    triangle(context, x(row.time_s), y(row.shown[first + axis]), sign, ink[AXES[axis]], ink.panel);
+  }
+}
+
+// Of each slide the largest and the smallest V_x and V_y, which the article's method reads: once they are passed, and where
+// they stand out from what else is shown.
+export function extremes(rows, first, most) {
+  const found = [];
+  for (let begin = 0, end; begin < rows.length; begin = end + 1) {
+    for (end = begin; end < rows.length && rows[end].state === "slide"; end += 1);
+    for (const axis of [0, 1]) {
+      for (const sign of [1, -1]) {
+        const value = (n) => sign * rows[n].shown[first + axis];
+        let best = begin;
+        for (let n = begin; n < end; n += 1) if (value(n) > value(best)) best = n;
+        const passed = begin < best && best < end - 1;
+        if (passed && value(best) > OUTSTANDING * most) found.push({ row: rows[best], axis, sign });
+      }
+    }
+  }
+  return found;
+}
+
+// Outside of the line, with its tip at the extreme; outlined, so that it is told from other lines.
+function triangle(context, x, y, sign, colour, outline) {
+  const away = -sign;
+  context.beginPath();
+  context.moveTo(x, y + away * 2);
+  context.lineTo(x - 4, y + away * 9);
+  context.lineTo(x + 4, y + away * 9);
+  context.closePath();
+  context.fillStyle = colour;
+  context.fill();
+  context.strokeStyle = outline;
+  context.lineWidth = 1;
+  context.stroke();
 }
 
 // Shades the time of the slide.
