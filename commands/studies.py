@@ -181,15 +181,23 @@ def bench(parser: Parser) -> Run:
 
     Without a bundle, the skin: the solver against FElupe, a slide, two
     workers, the synthetic signal (positions a core-second, times real time;
-    minutes). With one, the device's runtime: one decision (20 ms of samples
-    in, an estimate out) in us, at rest (of one and of four accelerometers)
-    and in a slide, each beside a call of a one-node graph; import and first
-    estimate in s; memory above numpy with ONNX Runtime in MB, all and without
-    pages of code; the bundle's size in kB. One thread. The last line is one
-    JSON object.
+    minutes), and the features of a window beside those of other packages
+    (core-ms; their environment is built in the user's cache folder). With a
+    bundle, the device's runtime: one decision (20 ms of samples in, an
+    estimate out) in us, at rest (of one and of four accelerometers) and in a
+    slide, each beside a call of a one-node graph; import and first estimate in
+    s; memory above numpy with ONNX Runtime in MB, all and without pages of
+    code; the bundle's size in kB. One thread. The last line is one JSON
+    object.
+
+    With --results that is every figure that the documents' tables claim: what
+    is measured, or was found by evaluations (--evaluated), is put into the
+    file beside the others. With --rewrite the tables are written from it.
 
         OMP_NUM_THREADS=1 softslide bench
         softslide bench --model my-model
+        softslide bench --results docs/results.json --evaluated bench-a=results-a
+        softslide bench --results docs/results.json --rewrite README.md docs/results.md
     """
     arguments.model(parser, required=False, help="a bundle from 'train' (default: measure the skin)")
     parser.add_argument(

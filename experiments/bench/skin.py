@@ -124,7 +124,9 @@ def features_of_a_window() -> dict[str, float]:
     """Core-milliseconds a window of 3 x 2048 samples: averaged over the runtime's bins, then the feature vector.
 
     In batches; and, for what a batch and the bins save, the features of all samples, and of one window at a time.
+    Beside them those of other packages, of all samples.
     """
+    from experiments.bench.feature_peers import peers_ms
     from features.vector.feature_vector import feature_matrix
     from features.window import WINDOW_BINS
 
@@ -145,6 +147,7 @@ def features_of_a_window() -> dict[str, float]:
         "features_ms": _core_ms_a_window(lambda: feature_matrix(binned(samples), elapsed_s)),
         "features_of_all_samples_ms": _core_ms_a_window(lambda: feature_matrix(samples, elapsed_s)),
         "features_one_window_at_a_time_ms": _core_ms_a_window(one_by_one),
+        **{f"features_{name}_ms": value for name, value in peers_ms(samples).items()},
     }
 
 

@@ -5,16 +5,14 @@ aeon holds numba, numpy and pandas below what this project uses. Nothing of eith
 
 import os
 import subprocess
-import sys
 import tempfile
 from pathlib import Path
 
 import numpy as np
 
-from features.errors import InputError
+from experiments.own_environment import ONE_THREAD, environment
 from features.vector.energy import energy_clock, tilt_outputs
 from models.classical import regression
-from pipeline.atlas.library import cache_folder
 from pipeline.recordings.windows import LabelledWindows
 
 PACKAGES = (
@@ -28,7 +26,6 @@ PACKAGES = (
 # The line and the speed: without the place along it.
 OUTPUTS = regression.OUTPUTS[:4]
 SCRIPT = Path(__file__).with_name("minirocket_regressor.py")
-ONE_THREAD = {f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "NUMBA")}
 
 
 def fit_and_predict(taught: LabelledWindows, volts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -39,7 +36,7 @@ def fit_and_predict(taught: LabelledWindows, volts: np.ndarray) -> tuple[np.ndar
     Raises:
         InputError: the environment cannot be built.
     """
-    python = environment()
+    python = environment("minirocket", PACKAGES)
     with tempfile.TemporaryDirectory() as folder:
         given, found = Path(folder) / "given.npz", Path(folder) / "found.npz"
         waves, scales = shape_and_scale(taught.volts)
@@ -70,30 +67,3 @@ def shape_and_scale(volts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     peak = np.abs(tilt).max(axis=(1, 2)) + 1e-9
     _, width = energy_clock(tilt)
     return (tilt / peak[:, None, None]).astype(np.float32), np.log(np.stack([peak, width], axis=1))
-
-
-def environment() -> Path:
-    """The Python of an environment with PACKAGES, built once and kept in the user's cache folder.
-
-    Raises:
-        InputError: it cannot be built.
-    """
-    folder = cache_folder() / "minirocket"
-    python, built = folder / "bin" / "python", folder / "built"
-    wanted = "\n".join(PACKAGES)
-    if built.exists() and built.read_text(encoding="utf-8") == wanted:
-        return python
-    print(f"minirocket: building its environment in {folder}", file=sys.stderr)
-    commands: list[list[str | Path]] = [
-        [sys.executable, "-m", "venv", "--clear", folder],
-        [python, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", *PACKAGES],
-    ]
-    for command in commands:
-        try:
-            subprocess.run(command, check=True, capture_output=True, text=True)
-        except (OSError, subprocess.CalledProcessError) as error:
-            said = (getattr(error, "stderr", None) or str(error)).strip().splitlines()[-1]
-            raise InputError(f"{folder}: no environment for MiniRocket ({said}); leave it out") from None
-    # Written last: an incomplete environment lacks it and is built again.
-    built.write_text(wanted, encoding="utf-8")
-    return python

@@ -1,0 +1,48 @@
+"""Features of other packages beside this project's: catch22 (Lubba et al. 2019) as in aeon, tsfresh, tsfel.
+
+Their cost alone is measured, in an environment of their own: what models make of them is another question.
+"""
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+from experiments.own_environment import ONE_THREAD, environment
+from features.errors import InputError
+
+PACKAGES = (
+    "aeon==1.6.0",
+    "numba==0.63.1",
+    "numpy==2.3.5",
+    "pandas==3.0.6",
+    "scikit-learn==1.9.1",
+    "scipy==1.17.1",
+    "tsfel==0.2.0",
+    "tsfresh==0.21.2",
+)
+SCRIPT = Path(__file__).with_name("feature_peers_script.py")
+
+
+def peers_ms(samples: np.ndarray) -> dict[str, float]:
+    """Core-ms a window of each package's features, of samples (n, 3, N) V; none where they cannot be had."""
+    try:
+        python = environment("feature-peers", PACKAGES)
+    except InputError as error:
+        print(f"{error}: features are not compared", file=sys.stderr)
+        return {}
+    with tempfile.TemporaryDirectory() as folder:
+        given = Path(folder) / "given.npy"
+        np.save(given, samples)
+        done = subprocess.run(
+            [python, SCRIPT, given],
+            env={**os.environ, **ONE_THREAD, "PYTHONPATH": ""},
+            check=True,
+            capture_output=True,
+            text=True,
+        )
+    return json.loads(done.stdout.splitlines()[-1])
