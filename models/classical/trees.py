@@ -33,12 +33,12 @@ FORESTS = (((0, 1), (0, 1)), ((2,), (2,)), ((0, 1, 3), (3,)), ((0, 1, 4), (4,)))
 
 @dataclass(frozen=True)
 class TreesConfig:
-    """trees: in each of the forests. least_leaf: windows that a leaf averages at least; fewer make the graph
-    larger (200 trees with leaves of 6: 26 MB)."""
+    """trees: in each of the forests. least_leaf: windows that a leaf averages at least. More trees make the graph
+    larger (50 on 4200 windows: 19 MB) and hardly better (experiments/LOG.md)."""
 
     conditioning: Conditioning = field(default_factory=Conditioning)
     training: SharesConfig = field(default_factory=SharesConfig)
-    trees: int = 150
+    trees: int = 60
     least_leaf: int = 6
     seed: int = 0
 
