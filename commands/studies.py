@@ -54,7 +54,7 @@ def compare(parser: Parser) -> Run:
     reuses them.
 
         softslide compare --recordings bench-a bench-d --out comparison
-        softslide compare --recordings my-recordings --models my-model other-model --out which
+        softslide compare --recordings lab --models my-model other-model --out which
     """
     arguments.recordings(parser, "folders, one sensor each", nargs="+")
     arguments.out(parser, "where everything goes")
@@ -218,14 +218,14 @@ def bench(parser: Parser) -> Run:
         "--results",
         type=Path,
         metavar="results.json",
-        help="the figures that documents claim; tables.toml beside it says which table shows which",
+        help="the figures that documents claim; tables.toml beside it says which table shows which (default: none)",
     )
     parser.add_argument(
         "--evaluated",
         nargs="+",
         default=[],
         metavar="NAME=DIR",
-        help="measure nothing: take the figures of these evaluations, by the name of their source in it",
+        help="take the figures of these evaluations, by the name of their source in it (default: measure)",
     )
     parser.add_argument(
         "--rewrite",
@@ -233,7 +233,7 @@ def bench(parser: Parser) -> Run:
         type=Path,
         default=[],
         metavar="FILE",
-        help="measure nothing: write the tables of these documents from it",
+        help="write the tables of these documents from it (default: measure)",
     )
 
     def run(given: argparse.Namespace) -> None:

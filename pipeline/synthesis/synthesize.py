@@ -275,7 +275,7 @@ def synthesize(
     if not count + paths + protocol:
         raise InputError(f"{count}: at least one is needed, or a path", "slides")
     if solved and not paths:
-        raise InputError("only paths are solved; say how many with --paths", "solved")
+        raise InputError("only paths are solved; ask for some", "solved")
     if seed < 0:
         raise InputError(f"{seed}: it must not be negative", "seed")
     atlas = read_atlas(atlas_path) if atlas_path else read_atlas()
