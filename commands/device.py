@@ -62,13 +62,14 @@ def serve(parser: Parser) -> Run:
         "--source",
         required=True,
         help="FILE.csv or FILE.parquet (needs the io extra) plays a recording; '-' reads standard input; "
-        "udp://HOST:PORT; serial:///dev/PORT?BAUD (needs the live extra); ros2://TOPIC (needs rclpy)",
+        "udp://HOST:PORT; serial:///dev/PORT?BAUD (needs the live extra); ros2://TOPIC, std_msgs/Float64MultiArray "
+        "of volts (V), or ros2+imu://TOPIC, sensor_msgs/Imu (m/s2), both need rclpy",
     )
     parser.add_argument(
         "--sink",
         action="append",
         help="'-' writes JSON lines on standard output (default); udp://HOST:PORT one JSON object a datagram; "
-        "ros2://TOPIC positions in m and estimates; may be given again",
+        "ros2://TOPIC positions in m, velocities in m/s with their covariance, and estimates; may be given again",
     )
     parser.add_argument(
         "--format",

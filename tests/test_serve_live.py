@@ -215,7 +215,8 @@ def test_ros_without_rclpy(
     bundle: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
 ) -> None:
     monkeypatch.setitem(sys.modules, "rclpy", None)
-    for options in (["--source", "ros2://x"], ["--source", "-", "--sink", "ros2://x"]):
+    sources = (["--source", "ros2://x"], ["--source", "ros2+imu://x"])
+    for options in (*sources, ["--source", "-", "--sink", "ros2://x"]):
         assert softslide.main(["serve", "--model", str(bundle), *options]) == 2
         assert "rclpy is not here" in capsys.readouterr().err
 

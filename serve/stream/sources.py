@@ -24,7 +24,7 @@ from serve.stream.framing import Chunk, Framing, framing_of
 Source = Iterator[Chunk | tuple[()]]
 KINDS = (
     "FILE.csv or FILE.parquet plays a recording; '-' reads standard input; udp://HOST:PORT; "
-    "serial:///dev/PORT?BAUD; ros2://TOPIC"
+    "serial:///dev/PORT?BAUD; ros2://TOPIC; in 'serve' ros2+imu://TOPIC"
 )
 WAIT_S = 0.2
 _READ_BYTES = 1 << 16
@@ -38,6 +38,10 @@ def open_source(name: str, card: Card, form: str, fast: bool) -> Source:
     Raises:
         InputError: no such source, or a package that it needs is missing.
     """
+    if name.startswith("ros2+imu://"):
+        from serve.stream.ros import accelerations
+
+        return accelerations(name.removeprefix("ros2+imu://"), card)
     if name == "-" or "://" in name:
         return open_live(name, len(card.channels), form)
     volts = read_recording(Path(name), card.channels, card.sample_rate_hz)
