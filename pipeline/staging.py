@@ -31,7 +31,7 @@ def staged(out: Path) -> Iterator[Path]:
     check_replaceable(out)
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
-        with _locked(out.parent):
+        with locked(out.parent):
             _clear_leftovers(out)
             room = Path(tempfile.mkdtemp(prefix=f".{out.name}{UNFINISHED}", dir=out.parent))
             lock = _lock(room)
@@ -42,7 +42,7 @@ def staged(out: Path) -> Iterator[Path]:
     try:
         yield new
         # Another process may replace the same output at the same time.
-        with _locked(out.parent):
+        with locked(out.parent):
             if out.exists():
                 check_replaceable(out, {path.name for path in new.iterdir()})
                 os.replace(out, room / "old")
@@ -90,7 +90,7 @@ def _remove(room: Path, out: Path) -> None:
 
 
 @contextmanager
-def _locked(folder: Path) -> Iterator[None]:
+def locked(folder: Path) -> Iterator[None]:
     """Keeps other processes from the block, where there are locks."""
     lock = _lock(folder)
     try:

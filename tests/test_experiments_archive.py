@@ -111,12 +111,17 @@ def scheduler(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
                 process.wait(PATIENCE_S)
 
 
-def test_a_cluster_gives_the_same_bytes(scheduler: str, bundle: Path, tmp_path: Path) -> None:
+def test_a_cluster_gives_the_same_bytes(
+    scheduler: str, bundle: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Named as seen from here, while the workers are elsewhere."""
     import distributed
 
+    monkeypatch.chdir(tmp_path)
     lab = a_folder(tmp_path / "lab", **{f"r{n}": {} for n in range(RECORDINGS)}).root
     evaluate(bundle, lab, tmp_path / "here")
-    assert evaluate(bundle, lab, tmp_path / "there", "--scheduler", scheduler) == 1
+    own = Path(os.path.relpath(bundle, tmp_path))
+    assert evaluate(own, Path("lab"), tmp_path / "there", "--scheduler", scheduler) == 1
     for name in ("predictions.csv", "metrics.json"):
         assert (tmp_path / "here" / name).read_bytes() == (tmp_path / "there" / name).read_bytes()
     with distributed.Client(scheduler, timeout=PATIENCE_S, set_as_default=False) as client:

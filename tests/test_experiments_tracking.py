@@ -244,6 +244,22 @@ def test_what_a_store_does_not_take_is_kept_and_sent_later(
     assert mlflow.MlflowClient(later, later).get_model_version("small", "1").tags == {"bundle": "its hash"}
 
 
+def test_runs_are_logged_where_files_have_no_locks(tmp_path: Path) -> None:
+    """As on Windows, which has no fcntl."""
+    program = (
+        "import sys; sys.modules['fcntl'] = None; from pathlib import Path; import experiments.sweep.search, "
+        "experiments.train; from experiments.tracking.run import tracked\n"
+        "with tracked('train', 'x', {}, Path('out'), store='sqlite:///mlflow.db') as run: run.metrics({'a': 1.0})"
+    )
+    environment = {**os.environ, "PYTHONPATH": str(HERE)}
+    command = [sys.executable, "-c", program]
+    subprocess.run(command, cwd=tmp_path, env=environment, check=True, timeout=300)
+    store = f"sqlite:///{tmp_path / 'mlflow.db'}"
+    run = find_run(mlflow.MlflowClient(store, store), {"command": "train"}, "FINISHED")
+    assert run is not None
+    assert run.data.metrics == {"a": 1.0}
+
+
 def test_nothing_is_sent() -> None:
     assert os.environ["MLFLOW_DISABLE_TELEMETRY"] == "true"
 

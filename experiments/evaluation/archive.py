@@ -40,6 +40,9 @@ class Archive:
         Raises:
             InputError: as `make`, and where nothing can be kept.
         """
+        if self.scheduler:
+            # Workers were started in folders of their own.
+            bundle, folder = bundle.resolve(), folder.at_its_place()
         chunks = [_only(folder, list(names[n : n + CHUNK])) for n in range(0, len(names), CHUNK)]
         of_all = [what, bundle_hash(bundle), code_revision()]
         places = [self._place(of_all, chunk) for chunk in chunks]

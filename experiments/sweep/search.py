@@ -4,7 +4,6 @@ The journal lies beside the sweep's file, and so does its report. Whatever stops
 sweep goes on: finished trials count, and those that were under way begin again. Hopeless ones are given up midway.
 """
 
-import fcntl
 import hashlib
 import json
 import os
@@ -12,7 +11,7 @@ import sys
 import time
 from collections.abc import Iterator, Mapping
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import asdict
 from pathlib import Path
 
@@ -54,6 +53,8 @@ def sweep(config: Path, scheduler: str = "", store: str | None = None) -> str:
     """
     plan = read_sweep(config)
     folder = recordings_to_learn_from(read_folder(plan.recordings))
+    if scheduler:
+        folder = folder.at_its_place()
     if not len(folder):
         raise InputError(f"{plan.recordings}: no labelled calibration slides to hold lines out of")
     design = design_of(folder, plan.atlas) if plan.model == "cnn" or plan.atlas else None
@@ -122,7 +123,11 @@ def _journal(path: Path) -> Iterator[Path]:
         raise InputError(f"{path}: cannot be written ({error.strerror}); move the sweep's file") from None
     with file:
         try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            # Where there are such locks: Windows has none.
+            with suppress(ImportError):
+                import fcntl
+
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             raise InputError(f"{path}: another sweep is at work on it; wait for it") from None
         file.seek(0)

@@ -3,7 +3,6 @@
 The store is `sqlite:///mlflow.db` in the current folder, or what MLFLOW_TRACKING_URI names.
 """
 
-import fcntl
 import logging
 import os
 from collections.abc import Iterator, Mapping
@@ -30,6 +29,7 @@ from experiments.provenance import machine
 from experiments.tracking.process import HOST, is_gone, process_tags
 from experiments.tracking.recording_model import log_recording_model
 from features.errors import InputError
+from pipeline.staging import locked
 
 DEFAULT_STORE = "sqlite:///mlflow.db"
 EXPERIMENT = "softslide"
@@ -254,9 +254,5 @@ def _alone(address: str) -> Iterator[None]:
         return
     folder = Path(address.removeprefix(LOCAL)).resolve().parent
     folder.mkdir(parents=True, exist_ok=True)
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX)
+    with locked(folder):
         yield
-    finally:
-        os.close(handle)
