@@ -21,7 +21,7 @@ from features.contact.hypotheses import (
     predict,
     update,
 )
-from features.contact.manoeuvres import SLOW_MM_S, Manoeuvres, branched, merged
+from features.contact.manoeuvres import Manoeuvres, branched, merged
 from features.contact.response_surface import ResponseSurface
 from features.contact.smooth_signal import SmoothSignal
 from features.contact.touch import at_rest, at_touch, onset
@@ -54,8 +54,8 @@ SLIDE_EVIDENCE = 1.0
 
 @dataclass(frozen=True)
 class TrackingConfig:
-    """most, most_partial: hypotheses kept after a branching, of a whole contact and of one pressed on or lifted; more
-    for first_s after the touch and while a likely one rests (first_most, first_partial), and at a touch (touch_most).
+    """most, most_partial: hypotheses kept after a branching, of a whole contact and of one pressed on or lifted;
+    touch_most: at a touch.
     young_s: after the touch, in which an output that comes to rest may have been pressed on there, with log odds `rest`
     to the other hypotheses. parents: hypotheses that get children, within parent_odds of the best. log_odds: of a
     hypothesis to the best, beyond which it is dropped. depth_sd_mm: contact depth about the calibration's. lost: misfit
@@ -64,11 +64,8 @@ class TrackingConfig:
     noise: MotionNoise = field(default_factory=MotionNoise)
     manoeuvres: Manoeuvres = field(default_factory=Manoeuvres)
     most: int = 14
-    most_partial: int = 6
-    first_most: int = 50
-    first_partial: int = 50
-    touch_most: int = 200
-    first_s: float = 1.0
+    most_partial: int = 12
+    touch_most: int = 100
     young_s: float = 4.0
     rest: float = -2.0
     parents: int = 3
@@ -156,6 +153,9 @@ class ContactTracker:
         self._blocks += 1
         if self._blocks % STEP_BLOCKS:
             self._track = None if self._track is None else _moved_on(self._track, self._block_s)
+            # Between two measurements, so that no block takes much longer than the others.
+            if self._steps and self._steps % BRANCH_STEPS == 0:
+                self._branch()
         else:
             self._step(usable)
         return self._track
@@ -221,13 +221,6 @@ class ContactTracker:
         self._steps += 1
         if whole and not self._rested and self._steps * elapsed_s < config.young_s:
             self._rest()
-        if self._steps % BRANCH_STEPS == 0:
-            slow = np.abs(self._bank.state[:, SPEED]) < SLOW_MM_S
-            likely = self._bank.log_weight > -config.parent_odds
-            first = (slow & likely).any() or self._steps * elapsed_s < config.first_s
-            most = (config.first_most, config.first_partial) if first else (config.most, config.most_partial)
-            bank = merged(self._bank, *most, config.log_odds)
-            self._bank = branched(bank, config.parents, config.parent_odds, self._gain_sd, config.manoeuvres)
         self._track = read(self._bank)._replace(
             evidence=self._evidence,
             one_press=self._smooth.one_way
@@ -236,6 +229,13 @@ class ContactTracker:
         self._lost = self._lost + 1 if self._track.misfit > config.lost else 0
         if self._lost * elapsed_s > LOST_S:
             self._start(anywhere=True, usable=usable)
+
+    def _branch(self) -> None:
+        """Drops what is unlikely and gives the best hypotheses their children."""
+        assert self._bank is not None
+        config = self._config
+        bank = merged(self._bank, config.most, config.most_partial, config.log_odds)
+        self._bank = branched(bank, config.parents, config.parent_odds, self._gain_sd, config.manoeuvres)
 
     def _rest(self) -> None:
         """When the output first settles after the touch: the contact may have been pressed on where it rests."""
@@ -249,6 +249,7 @@ class ContactTracker:
         resting = at_rest(seen, self._surface, self._half, self._floor_v, self._gain_sd, config.depth_sd_mm)
         if resting is not None:
             resting.log_weight += config.rest - np.logaddexp.reduce(resting.log_weight)
+            resting = resting.take(np.argsort(-resting.log_weight, kind="stable")[: config.touch_most])
             self._bank = joined([self._bank, resting])
 
     def _leave_skin(self) -> None:
