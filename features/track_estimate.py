@@ -136,13 +136,13 @@ def _reason(
     return Reason.NONE
 
 
-def agrees(straight: Estimate, track: Track, limits: TrackLimits) -> bool:
-    """Whether the straight slide explains the output, and goes where the track does."""
+def agrees(straight: Estimate, track: Track, limits: TrackLimits, since_s: float = 0.0) -> bool:
+    """Whether the straight slide explains the output, and goes where the track does, or did `since_s` ago."""
     if straight.misfit > limits.straight_misfit or track.way_mm < limits.straight_way_mm:
         return False
-    apart = (
-        np.array([straight.x_mm, straight.y_mm, straight.vx_mm_s, straight.vy_mm_s], dtype=float) - track.mean
-    )
+    velocity = np.array([straight.vx_mm_s, straight.vy_mm_s])
+    place = np.array([straight.x_mm, straight.y_mm]) - since_s * velocity
+    apart = np.concatenate([place, velocity]) - track.mean
     # The floors of the intervals, as standard deviations: both read the same blocks.
     floor = np.array([limits.place_mm, limits.place_mm, limits.speed_mm_s, limits.speed_mm_s])
     spread = track.covariance + np.diag(floor**2)

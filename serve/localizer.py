@@ -188,7 +188,9 @@ class Localizer:
                 self.card.contact.depth_mm,
                 self._limits,
             )
-            if straight is not None and straight.valid and agrees(straight, track, self._limits):
+            clear, at = self._clear or (track, self._count)
+            since_s = (self._count - at) * self.card.conditioning.block_s
+            if straight is not None and straight.valid and agrees(straight, clear, self._limits, since_s):
                 estimate = with_track(straight, estimate, self._limits.shared)
             elif straight is not None and straight.reason in _OF_THE_SIGNAL:
                 estimate = estimate._replace(valid=False, reason=straight.reason)
@@ -213,6 +215,9 @@ class Localizer:
     def _forget_contact(self) -> None:
         self._lag.reset()
         self._track: Track | None = None
+        # The track when the output was last above the trigger, and after how many blocks that was: below it, at the
+        # skin's rim, a track wanders, and does not tell whether a slide was straight.
+        self._clear: tuple[Track, int] | None = None
         if self._contact is not None:
             self._contact.reset()
 
@@ -227,6 +232,10 @@ class Localizer:
         volts = self._lag.push(tracker.subtracted[tracker.touch])
         usable = np.repeat(tracker.usable & self._healthy, len(self.card.conditioning.touch_axes))
         self._track = self._contact.push(volts, tracker.state is SlideState.SLIDE, usable)
+        if self._track is None:
+            self._clear = None
+        elif np.abs(tracker.level[tracker.touch]).max() > self.card.conditioning.trigger_v:
+            self._clear = self._track, self._count
 
     def _whole_blocks(
         self, volts: np.ndarray, time_s: np.ndarray | None
