@@ -6,9 +6,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from features.angles import wrapped_deg
+from features.contact.tracker import Track
 from features.estimate import Estimate, Reason
 from features.stream.tracker import SlideState
-from features.track_estimate import with_track
+from features.track_estimate import TrackLimits, agrees, with_track
 
 QUANTITIES = (("speed", "mm_s"), ("offset", "mm"), ("x", "mm"), ("y", "mm"), ("vx", "mm_s"), ("vy", "mm_s"))
 
@@ -62,3 +63,20 @@ def test_a_sharp_track_that_agrees_leaves_the_straight_slides_intervals() -> Non
     both = with_track(straight, estimate(30.0, 3.0, 1.0, 0.05), 0.5)
     for name, unit in (("direction", "deg"), ("speed", "mm_s"), ("offset", "mm")):
         assert interval(both, name, unit) == pytest.approx(interval(straight, name, unit))
+
+
+@given(since_s=st.floats(0.0, 2.0), off_mm=st.floats(0.0, 3.0))
+def test_a_straight_slide_is_compared_where_it_was_when_the_track_was_clear(
+    since_s: float, off_mm: float
+) -> None:
+    """A track of `since_s` ago agrees with the slide that was there then, as far as its own 0.3 mm allow."""
+    straight = estimate(20.0, 3.0, 4.0, 0.5)._replace(misfit=1.0)
+    velocity = np.array([straight.vx_mm_s, straight.vy_mm_s])
+    then = np.array([straight.x_mm, straight.y_mm]) - since_s * velocity
+    across = np.array([-velocity[1], velocity[0]]) / 3.0
+    mean = np.concatenate([then + off_mm * across, velocity])
+    track = Track(mean, np.diag([0.09, 0.09, 0.01, 0.01]), 1.0, 1.0, 0.0, 1.0, 0.0, 0.02, 20, 20.0)
+    limits = TrackLimits()
+    farthest_mm = np.sqrt(limits.agreement * (0.09 + limits.place_mm**2))
+    if abs(off_mm - farthest_mm) > 1e-6:
+        assert agrees(straight, track, limits, since_s) == (off_mm < farthest_mm)
