@@ -43,7 +43,7 @@ class TrackLimits:
     evidence: float = -1.0
     way_mm: float = 1.5
     stopped_mm_s: float = 0.15
-    agreement: float = 10.0
+    agreement: float = 25.0
     straight_misfit: float = 2.0
     straight_way_mm: float = 8.0
     shared: float = 0.5
