@@ -94,6 +94,12 @@ def test_an_evaluation_gives_the_figures_that_tables_show(
     [
         (lambda place: (place / "page.md").write_text("<!-- table: errors -->\nno end\n"), "not closed"),
         (
+            lambda place: (place / "page.md").write_text(
+                "<!-- table: errors -->\nnew\n" + (place / "page.md").read_text()
+            ),
+            "not closed",
+        ),
+        (
             lambda place: (place / "page.md").write_text("<!-- table: x -->\n<!-- end of table -->\n"),
             "no table 'x'",
         ),

@@ -74,9 +74,10 @@ def rewrite(document: Path, results: Mapping[str, Any], tables: Mapping[str, str
             raise InputError(f"{document}: no table '{found[2]}'; known are {', '.join(tables)}")
         return found[1] + filled(tables[found[2]], results) + found[4]
 
-    after = BLOCK.sub(block, before)
-    if after.count("<!-- table: ") != len(BLOCK.findall(after)):
+    # Before anything is written: a table that is not closed would take the text down to the next one's end with it.
+    if before.count("<!-- table: ") != len(BLOCK.findall(before)):
         raise InputError(f"{document}: a table is not closed; write '<!-- end of table -->' below it")
+    after = BLOCK.sub(block, before)
     if after != before:
         document.write_text(after, encoding="utf-8")
     return after != before
