@@ -95,7 +95,7 @@ def train(
     settings = configured(change(default_config(model)), config, model)
     start = None if init is None else _graph_of(init)
     check_replaceable(out, BUNDLE_FILES)
-    design = _design(model, folder, atlas)
+    design = design_for(model, folder, atlas)
     configuration = {
         "model": model,
         "recordings": str(roots[0]) if len(roots) == 1 else [str(root) for root in roots],
@@ -228,8 +228,12 @@ def _graph_of(bundle: Path) -> onnx.ModelProto:
     return read_graph(bundle)
 
 
-def _design(model: str, folder: Folder, atlas: Path | None) -> Atlas | None:
-    """The atlas that the model is to use: solved now only for one that learns from the design alone."""
+def design_for(model: str, folder: Folder, atlas: Path | None) -> Atlas | None:
+    """The atlas that the model is to use: solved now only for one that learns from the design alone.
+
+    Raises:
+        InputError: no such model, or the atlas named is none or of another design.
+    """
     if learns_from_design_alone(model):
         return design_of(folder, atlas)
     return atlas_at_hand(folder.sensor, atlas) if uses_design(model) or atlas is not None else None

@@ -27,7 +27,7 @@ from experiments.sweep.pictures import pictures, report
 from experiments.sweep.space import Sweep, read_sweep
 from experiments.sweep.trial import overall, run_trial
 from experiments.tracking.run import tracked
-from experiments.train import design_of
+from experiments.train import design_for
 from features.errors import InputError
 from pipeline.atlas.atlas import Atlas, atlas_hash
 from pipeline.progress import progress_bar
@@ -57,7 +57,7 @@ def sweep(config: Path, scheduler: str = "", store: str | None = None) -> str:
         folder = folder.at_its_place()
     if not len(folder):
         raise InputError(f"{plan.recordings}: no labelled calibration slides to hold lines out of")
-    design = design_of(folder, plan.atlas) if plan.model == "cnn" or plan.atlas else None
+    design = design_for(plan.model, folder, plan.atlas)
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     hashes = {f"data.{name}": digest for name, digest in data_hashes(folder).items()}
     hashes |= {} if design is None else {"atlas": atlas_hash(design)}
