@@ -38,6 +38,13 @@ def test_as_many_are_drawn_as_the_shares_say_over_all_directions(taught):
     assert taught.whole.speed_mm_s[drawn].max() > 2 * max(SPEEDS)
 
 
+def test_a_share_that_leaves_no_room_for_drawn_windows_is_recordings_alone(folder):
+    almost = taught_windows(
+        folder.select("calibration"), Conditioning(), SharesConfig(recorded_share=0.9999), None
+    )
+    np.testing.assert_array_equal(almost.whole.volts, almost.recorded.volts)
+
+
 def test_a_fold_sees_neither_its_lines_nor_a_map_of_them(taught):
     left_out = np.sum([mask for _, mask in taught.folds], axis=0)
     np.testing.assert_array_equal(left_out, 1)

@@ -77,6 +77,8 @@ def taught_windows(
 
     def beside(rows: LabelledWindows, response: ResponseMap) -> LabelledWindows:
         count = round(len(late_windows(rows)) * (1.0 / shares.recorded_share - 1.0))
+        if not count:
+            return rows
         return joined([rows, drawn_windows(response, found.conditioning.block_s, count)])
 
     unseen = [np.isin(recorded.recording, names) for _, names in found.held_out]
