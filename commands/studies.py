@@ -213,7 +213,6 @@ def bench(parser: Parser) -> Run:
         help="what the live page costs instead (needs the live extra): share of a core, ms that estimates and frames "
         "are late, for the stream alone and with 0, 1 and 4 viewers, each over N estimates",
     )
-
     parser.add_argument(
         "--results",
         type=Path,
@@ -241,6 +240,8 @@ def bench(parser: Parser) -> Run:
             raise InputError("measures a bundle; name one with --model", "page")
         if given.decisions < 1:
             raise InputError(f"{given.decisions}: measure at least one", "decisions")
+        if given.page and given.results is not None:
+            raise InputError("no document shows its figures; leave --results out", "page")
         if given.results is None:
             for name in ("evaluated", "rewrite"):
                 if getattr(given, name):

@@ -167,7 +167,9 @@ def read_card(path: Path) -> Card:
         return _card(table)
     except (TypeError, ValueError, AttributeError, KeyError) as error:
         reason = " ".join(str(error).split())[:160]
-        raise InputError(f"{path}: a value does not fit ({reason}); export the bundle again") from None
+        raise InputError(
+            f"{path}: a value does not fit ({reason}); train or export the bundle again"
+        ) from None
 
 
 def _table(path: Path) -> dict[str, Any]:
@@ -217,6 +219,8 @@ def _card(table: dict[str, Any]) -> Card:
 
 
 def _force(table: dict[str, Any]) -> ForceMap:
+    if "steps_mn" not in table:
+        raise ValueError("force has no steps_mn, as in bundles of an older development version")
     return ForceMap(**{**table, "steps_mn": tuple(table["steps_mn"])})
 
 
