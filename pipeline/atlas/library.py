@@ -75,7 +75,7 @@ def _cached(sensor: Sensor) -> Path:
 
 
 def cache_folder() -> Path:
-    """The folder of cached atlases."""
+    """The user's cache folder: of atlases, calibrated maps and environments."""
     if named := os.environ.get("SOFTSLIDE_CACHE"):
         return Path(named)
     return Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "softslide"

@@ -19,12 +19,10 @@ export class Zones {
   clear() {
     this.signs = this.boards.map(() => [0, 0]);
     this.peaks = this.boards.map(() => 0);
-    this.sliding = false;
   }
 
   push({ state, subtracted_v }) {
     if (state !== "slide" || !this.known) return this.clear();
-    this.sliding = true;
     this.boards.forEach((_, n) => {
       const tilt = [subtracted_v[3 * n], subtracted_v[3 * n + 1]];
       this.peaks[n] = Math.max(this.peaks[n], ...tilt.filter(Number.isFinite).map(Math.abs));
