@@ -51,7 +51,8 @@ def compare(parser: Parser) -> Run:
     intervals over lines. Writes comparison.html, comparison.md,
     comparison.csv, paired.csv, times.csv, efficiency.csv and figures. Bundles
     and readouts are kept below DIR; a later run of the same settings and data
-    reuses them.
+    reuses them. Logged in MLflow, as all studies are: a run of the whole, one
+    below it for each model.
 
         softslide compare --recordings bench-a bench-d --out comparison
         softslide compare --recordings lab --models my-model other-model --out which
@@ -84,7 +85,7 @@ def few(parser: Parser) -> Run:
     Calibrates the response map with so many of the calibration slides, drawn
     at random, and inverts it by least squares on every test slide; no network
     is trained. Prints one JSON object a draw: mean and largest errors at the
-    end of the stroke in degrees (deg), percent (%) and mm.
+    end of the stroke in degrees (deg), percent (%) and mm. Logged in MLflow.
 
         softslide few --recordings my-recordings --slides 4 12
         softslide few --recordings my-recordings --plan plan.csv
@@ -127,7 +128,7 @@ def drift(parser: Parser) -> Run:
     Reads the test splits as they are and with a drift added by calculation:
     zero shifted by 50 mV, gain up by 5 %, gravity tilted by 5 deg, 5 % of the
     samples lost. Prints one JSON object: for each its mean errors at the end
-    of the recording in degrees (deg), percent (%) and mm.
+    of the recording in degrees (deg), percent (%) and mm. Logged in MLflow.
 
         softslide drift --model my-model --recordings my-recordings
     """
@@ -153,6 +154,7 @@ def sensitivity(parser: Parser) -> Run:
     10 mm beside the first accelerometer, and prints one JSON object each:
     distance of V_x's extremes, width and hysteresis in mm, static tilt in deg,
     largest V_x in mg, largest normal force in mN. Minutes on one core.
+    Logged in MLflow.
 
         softslide sensitivity --picture sensitivity.svg
     """
