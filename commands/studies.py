@@ -226,7 +226,7 @@ def bench(parser: Parser) -> Run:
         nargs="+",
         default=[],
         metavar="NAME=DIR",
-        help="take the figures of these evaluations, by the name of their source in it (default: measure)",
+        help="take the figures of these evaluations, by the name of their source in it (default: none; measure)",
     )
     parser.add_argument(
         "--rewrite",
@@ -234,7 +234,7 @@ def bench(parser: Parser) -> Run:
         type=Path,
         default=[],
         metavar="FILE",
-        help="write the tables of these documents from it (default: measure)",
+        help="write the tables of these documents from it, after what is measured or taken (default: none; measure)",
     )
 
     def run(given: argparse.Namespace) -> None:
@@ -254,17 +254,17 @@ def bench(parser: Parser) -> Run:
 
         results = documents.read_results(given.results)
         tables = documents.read_tables(given.results.with_name("tables.toml"))
-        if given.rewrite:
-            for document in given.rewrite:
-                changed = documents.rewrite(document, results, tables)
-                print(f"{document}: {'rewritten' if changed else 'as it was'}")
-            return
         for word in given.evaluated:
             source, _, folder = word.partition("=")
             documents.take_evaluation(results, source, Path(folder), tables)
-        if not given.evaluated:
+        measures = given.model is not None or not (given.evaluated or given.rewrite)
+        if measures:
             documents.take(results, "bench" if given.model is None else "device", _measured(given))
-        documents.write_results(given.results, results)
+        if measures or given.evaluated:
+            documents.write_results(given.results, results)
+        for document in given.rewrite:
+            changed = documents.rewrite(document, results, tables)
+            print(f"{document}: {'rewritten' if changed else 'as it was'}")
         print(json.dumps(results))
 
     return run
