@@ -53,6 +53,14 @@ def test_an_imu_is_one_accelerometer(tmp_path: Path) -> None:
         imu_reader("imu", card)
 
 
+def test_an_imu_that_measures_no_acceleration_is_refused(tmp_path: Path) -> None:
+    read = imu_reader("imu", Localizer.load(write_small_bundle(tmp_path / "one", a_sensor())).card)
+    (_, message), *_ = _vectors(STORE, np.zeros((1, 3)), np.zeros(1), IMU, ros1=False)
+    message.linear_acceleration_covariance[0] = -1.0
+    with pytest.raises(InputError, match="no acceleration"):
+        read(travelled(message, IMU))
+
+
 def empty_twist() -> Any:
     types = STORE.types
 

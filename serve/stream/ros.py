@@ -70,6 +70,11 @@ def imu_reader(topic: str, card: Card) -> Read:
     zero_v, v_per_g = float(element["zero_g_v"]), float(element["sensitivity_v_per_g"])
 
     def read(message: Any) -> Chunk:
+        # How an Imu says that it measures none (sensor_msgs/Imu).
+        if message.linear_acceleration_covariance[0] == -1.0:
+            raise InputError(
+                f"topic {topic}: its messages hold no acceleration; name another topic", "source"
+            )
         a, stamp = message.linear_acceleration, message.header.stamp
         volts = zero_v + v_per_g / _STANDARD_GRAVITY * np.array([[a.x, a.y, a.z]])
         return volts, np.array([stamp.sec + 1e-9 * stamp.nanosec])
