@@ -143,6 +143,11 @@ def test_other_data_are_learnt_anew(tmp_path: Path) -> None:
         assert compared(root, tmp_path / "out", "interpolation") == 0
         graphs.append(bundle.read_bytes())
     assert graphs[0] != graphs[1]
+    # So is a bundle that this release cannot read.
+    (bundle.parent / "model.json").write_text("{}")
+    assert compared(root, tmp_path / "out", "interpolation") == 0
+    assert bundle.read_bytes() == graphs[1]
+    assert (bundle.parent / "model.json").read_text() != "{}"
 
 
 def test_kept_is_made_again_only_for_something_else(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 import json
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
@@ -164,7 +165,8 @@ def _trained(study: Study, model: str) -> Path:
     """The model's bundle; a cached one if it was made from the same configuration and data."""
     bundle = study.place / model / "bundle"
     settings = json.loads(json.dumps(asdict(default_config(model))))
-    if (bundle / "model.json").exists():
+    # A bundle that cannot be read, as one of another release, is made anew.
+    with suppress(InputError):
         made = read_card(bundle / "model.json").provenance
         if made["data"] == study.hashes["taught"] and made["configuration"]["settings"] == settings:
             return bundle
