@@ -1,5 +1,7 @@
 """Laws of the refinement: derivatives, fixed points, convergence, scale of time, and what its weights stand for."""
 
+from dataclasses import fields, replace
+
 import numpy as np
 import pytest
 import torch
@@ -8,7 +10,7 @@ from bump_map import REFERENCE_MM, bump_map
 from features.window import WINDOW_BINS
 from models.cnn.forward_model import BINS
 from models.cnn.gauss_newton import FLOOR_SHARE, PEAK_SHARE, Refinement, RefinementConfig, bin_means
-from models.cnn.training_windows import SynthesisConfig, WindowSource
+from models.cnn.training_windows import SynthesisConfig, WindowBatch, WindowSource
 
 BLOCK_S = 0.02
 WHOLE = SynthesisConfig(complete=1.0, paused=0.0, midway=0.0, depth_mm=0.0)
@@ -17,6 +19,10 @@ WHOLE = SynthesisConfig(complete=1.0, paused=0.0, midway=0.0, depth_mm=0.0)
 @pytest.fixture(scope="module")
 def windows():
     return WindowSource(bump_map(), BLOCK_S, WHOLE).draw(400, torch.Generator().manual_seed(3))
+
+
+def chosen(batch: WindowBatch, which) -> WindowBatch:
+    return WindowBatch(*(getattr(batch, field.name)[which] for field in fields(batch)))
 
 
 def refine(response, batch, start, steps=8, sd=0.5, vertical=None, askew=0.01):
@@ -99,7 +105,7 @@ def test_ripple_of_v_z_in_v_x_and_v_y_costs_little(windows):
     """A device turned by 5 degrees sees 0.09 of what V_z shows; pressure makes that ripple."""
     time = torch.linspace(0, 1, WINDOW_BINS)[None, None]
     ripple = 0.02 * torch.sin(2 * np.pi * 1.5 * time + 1.0).expand(len(windows.volts), 1, -1)
-    turned = type(windows)(windows.volts + 0.06 * ripple, windows.elapsed_s, windows.weight, windows.targets)
+    turned = replace(windows, volts=windows.volts + 0.06 * ripple)
     truth = windows.targets[:, :5]
 
     def turn_deg(batch, vertical) -> float:
@@ -142,7 +148,7 @@ def test_a_depth_that_calibration_says_may_be_any_is_estimated_without_bias():
         truth = batch.targets[:, :5]
         near = truth[:, 3].abs() < 15
         start = truth[near]
-        drawn = type(batch)(batch.volts[near], batch.elapsed_s[near], batch.weight[near], batch.targets[near])
+        drawn = chosen(batch, near)
         depths = [np.mean(refine(response, drawn, start)[1][:, 5].numpy()) for response in (one, several)]
         assert depths[1] == pytest.approx(off, abs=0.04)
         assert abs(depths[0]) < abs(depths[1])
@@ -152,7 +158,7 @@ def test_refinement_sees_time_only_as_a_scale():
     quiet = bump_map(noise_v=np.full(2, 1e-9))
     batch = WindowSource(quiet, BLOCK_S, WHOLE).draw(64, torch.Generator().manual_seed(4))
     start = batch.targets[:, :5] + torch.tensor([0.0, 0.0, 0.05, 0.5, 0.5])
-    slower = type(batch)(batch.volts, 4 * batch.elapsed_s, batch.weight, batch.targets)
+    slower = replace(batch, elapsed_s=4 * batch.elapsed_s)
     later = start - torch.tensor([0.0, 0.0, float(np.log(4)), 0.0, 0.0])
     heading, state, _, _ = refine(quiet, batch, start)
     heading4, state4, _, _ = refine(quiet, slower, later)
@@ -163,7 +169,7 @@ def test_refinement_sees_time_only_as_a_scale():
 def test_a_signal_of_something_else_leaves_a_large_misfit(windows):
     generator = torch.Generator().manual_seed(5)
     steps = 0.1 * torch.randn(50, 2, 8, generator=generator).repeat_interleave(8, 2)
-    other = type(windows)(steps, windows.elapsed_s[:50], windows.weight[:50], windows.targets[:50])
+    other = replace(chosen(windows, slice(50)), volts=steps)
     _, _, _, misfit = refine(bump_map(), other, windows.targets[:50, :5])
     assert np.quantile(misfit.numpy(), 0.05) > 50
 
@@ -174,7 +180,7 @@ def half():
     cut = SynthesisConfig(complete=0.0, paused=0.0, midway=0.0, depth_mm=0.0)
     batch = WindowSource(bump_map(), BLOCK_S, cut).draw(6000, torch.Generator().manual_seed(5))
     past = (batch.targets[:, 4] > 2) & (batch.targets[:, 4] < 8)
-    return type(batch)(batch.volts[past], batch.elapsed_s[past], batch.weight[past], batch.targets[past])
+    return chosen(batch, past)
 
 
 def lean(batch, volts_at_end=5e-3):
@@ -203,7 +209,7 @@ def turn_error_deg(response, batch, config) -> float:
 
 def test_a_device_that_turns_slowly_is_borne_if_it_is_expected(windows):
     still, moving = (RefinementConfig(steps=8, trust=1.0, lean_v=lean_v) for lean_v in (0.0, 5e-3))
-    leaning = type(windows)(windows.volts + lean(windows), windows.elapsed_s, windows.weight, windows.targets)
+    leaning = replace(windows, volts=windows.volts + lean(windows))
     clean = turn_error_deg(bump_map(), windows, still)
     unexpected, expected = (turn_error_deg(bump_map(), leaning, config) for config in (still, moving))
     assert unexpected > 2 * clean
@@ -219,10 +225,8 @@ def test_an_accelerometer_off_the_skin_tells_the_device_s_turn(half):
         noise_v=np.full(4, 1.4e-3),
         drift_v=np.full(4, 5e-4),
     )
-    leaning = type(half)(half.volts + lean(half), half.elapsed_s, half.weight, half.targets)
-    beside = type(half)(
-        torch.cat([leaning.volts, lean(half)], 1), half.elapsed_s, half.weight.repeat(1, 2), half.targets
-    )
+    leaning = replace(half, volts=half.volts + lean(half))
+    beside = replace(half, volts=torch.cat([leaning.volts, lean(half)], 1), weight=half.weight.repeat(1, 2))
     moving = RefinementConfig(steps=8, trust=1.0, lean_v=5e-3)
     clean = turn_error_deg(one, half, RefinementConfig(steps=8, trust=1.0))
     alone, told = turn_error_deg(one, leaning, moving), turn_error_deg(both, beside, moving)
