@@ -41,7 +41,7 @@ def demo(out: Path) -> str:
 
 def _shortened(settings: Any) -> Any:
     """The demo's budget: fewer and smaller steps where a model trains in steps."""
-    if not hasattr(settings, "training"):
+    if not hasattr(getattr(settings, "training", None), "steps"):
         return settings
     return replace(settings, training=replace(settings.training, **DEMO_BUDGET))
 
