@@ -77,6 +77,7 @@ class Page:
         self._waiting: deque[tuple[Estimate, np.ndarray] | None] = deque(maxlen=MOST_WAITING)
         self._some = threading.Event()
         self._zero = False
+        self._told_gone = False
         self._sender = threading.Thread(target=self._send, name="page", daemon=True)
         self._sender.start()
         self._listener = threading.Thread(target=self._listen, name="page's requests", daemon=True)
@@ -101,6 +102,14 @@ class Page:
         if self._process.is_alive():
             self._process.kill()
             self._process.join()
+        elif self._process.exitcode:
+            # What was sent to it while it died had still room in the pipe.
+            self._tell_gone()
+
+    def _tell_gone(self) -> None:
+        if not self._told_gone:
+            print("softslide serve: the page has ended; the stream goes on", file=sys.stderr)
+        self._told_gone = True
 
     def _send(self) -> None:
         """Sends what waits until the end, or until the page is gone."""
@@ -111,7 +120,7 @@ class Page:
                 try:
                     self._pipe.send_bytes(b"" if shown is None else frame(*shown))
                 except OSError:
-                    print("softslide serve: the page has ended; the stream goes on", file=sys.stderr)
+                    self._tell_gone()
                     return
                 if shown is None:
                     return
