@@ -1,5 +1,6 @@
 """Environments of their own for packages that do not go with this project's: arrays go over in files."""
 
+import os
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -8,7 +9,21 @@ from pathlib import Path
 from features.errors import InputError
 from pipeline.atlas.library import cache_folder
 
-ONE_THREAD = {f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "NUMBA")}
+# aeon, and what it needs in releases that go together.
+AEON = (
+    "aeon==1.6.0",
+    "numba==0.63.1",
+    "numpy==2.3.5",
+    "pandas==3.0.6",
+    "scikit-learn==1.9.1",
+    "scipy==1.17.1",
+)
+
+
+def variables() -> dict[str, str]:
+    """The environment variables of a script there: one thread, and none of this project's packages."""
+    one_thread = {f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "NUMBA")}
+    return {**os.environ, **one_thread, "PYTHONPATH": ""}
 
 
 def environment(name: str, packages: Sequence[str]) -> Path:

@@ -234,7 +234,10 @@ class Localizer:
         self._track = self._contact.push(volts, tracker.state is SlideState.SLIDE, usable)
         if self._track is None:
             self._clear = None
-        elif np.abs(tracker.level[tracker.touch][usable]).max(initial=0.0) > self.card.conditioning.trigger_v:
+        elif (
+            np.abs(tracker.subtracted_level[tracker.touch][usable]).max(initial=0.0)
+            > self.card.conditioning.trigger_v
+        ):
             self._clear = self._track, self._count
 
     def _whole_blocks(

@@ -4,7 +4,6 @@ Their cost alone is measured, in an environment of their own: what models make o
 """
 
 import json
-import os
 import subprocess
 import sys
 import tempfile
@@ -12,19 +11,10 @@ from pathlib import Path
 
 import numpy as np
 
-from experiments.own_environment import ONE_THREAD, environment
+from experiments.own_environment import AEON, environment, variables
 from features.errors import InputError
 
-PACKAGES = (
-    "aeon==1.6.0",
-    "numba==0.63.1",
-    "numpy==2.3.5",
-    "pandas==3.0.6",
-    "scikit-learn==1.9.1",
-    "scipy==1.17.1",
-    "tsfel==0.2.0",
-    "tsfresh==0.21.2",
-)
+PACKAGES = (*AEON, "tsfel==0.2.0", "tsfresh==0.21.2")
 SCRIPT = Path(__file__).with_name("feature_peers_script.py")
 
 
@@ -40,7 +30,7 @@ def peers_ms(samples: np.ndarray) -> dict[str, float]:
         np.save(given, samples)
         done = subprocess.run(
             [python, SCRIPT, given],
-            env={**os.environ, **ONE_THREAD, "PYTHONPATH": ""},
+            env=variables(),
             capture_output=True,
             text=True,
         )

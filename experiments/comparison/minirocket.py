@@ -3,26 +3,17 @@
 aeon holds numba, numpy and pandas below what this project uses. Nothing of either is mixed: arrays go over in files.
 """
 
-import os
 import subprocess
 import tempfile
 from pathlib import Path
 
 import numpy as np
 
-from experiments.own_environment import ONE_THREAD, environment
+from experiments.own_environment import AEON, environment, variables
 from features.vector.energy import energy_clock, tilt_outputs
 from models.classical import regression
 from pipeline.recordings.windows import LabelledWindows
 
-PACKAGES = (
-    "aeon==1.6.0",
-    "numba==0.63.1",
-    "numpy==2.3.5",
-    "pandas==3.0.6",
-    "scikit-learn==1.9.1",
-    "scipy==1.17.1",
-)
 # The line and the speed: without the place along it.
 OUTPUTS = regression.OUTPUTS[:4]
 SCRIPT = Path(__file__).with_name("minirocket_regressor.py")
@@ -36,7 +27,7 @@ def fit_and_predict(taught: LabelledWindows, volts: np.ndarray) -> tuple[np.ndar
     Raises:
         InputError: the environment cannot be built.
     """
-    python = environment("minirocket", PACKAGES)
+    python = environment("minirocket", AEON)
     with tempfile.TemporaryDirectory() as folder:
         given, found = Path(folder) / "given.npz", Path(folder) / "found.npz"
         waves, scales = shape_and_scale(taught.volts)
@@ -49,9 +40,7 @@ def fit_and_predict(taught: LabelledWindows, volts: np.ndarray) -> tuple[np.ndar
             asked_waves=asked_waves,
             asked_scales=asked_scales,
         )
-        subprocess.run(
-            [python, SCRIPT, given, found], env={**os.environ, **ONE_THREAD, "PYTHONPATH": ""}, check=True
-        )
+        subprocess.run([python, SCRIPT, given, found], env=variables(), check=True)
         with np.load(found) as file:
             rows, window_s = file["rows"], file["window_s"]
     assert rows.shape == (len(volts), len(OUTPUTS))

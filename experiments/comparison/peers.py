@@ -16,6 +16,7 @@ from experiments.comparison import minirocket
 from experiments.evaluation.archive import Archive
 from experiments.evaluation.readout import predictions
 from experiments.evaluation.window_readout import window_card, window_predictions
+from experiments.own_environment import AEON
 from experiments.provenance import bundle_hash, data_hashes
 from experiments.train import design_of, train
 from features.card import HALF_WIDTH_SD, Interval, Validity, read_card
@@ -124,7 +125,7 @@ def read_out(study: Study, model: str) -> Readout:
         case "inversion":
             of, make = {"map": map_settings(), "starts": asdict(STARTS)}, _read_inversion
         case "minirocket":
-            of, make = {"packages": minirocket.PACKAGES}, _read_minirocket
+            of, make = {"packages": AEON}, _read_minirocket
         case _:
             bundle = _trained(study, model)
             graph = read_card(bundle / "model.json").graph_sha256

@@ -79,6 +79,10 @@ class Hypotheses:
         """Some of them, as a copy."""
         return Hypotheses(*(getattr(self, f.name)[which].copy() for f in fields(self)))
 
+    def likeliest(self, most: int) -> "Hypotheses":
+        """The likeliest, at most `most`, in the order of their weights, as a copy."""
+        return self.take(np.argsort(-self.log_weight, kind="stable")[:most])
+
     @property
     def weight(self) -> np.ndarray:
         """(N,), the sum is 1."""
@@ -131,10 +135,8 @@ def predict(bank: Hypotheses, elapsed_s: float, floor_v: float, partial_v: float
     diagonal[:, FRICTION] = kept[:, 2:3]
     diagonal[:, RESIDUAL:] = kept[:, 1:2]
     motion, turning = _motion(state), 1.0 - kept[:, 2]
-    slope[:, FRICTION_X, HEADING], slope[:, FRICTION_Y, HEADING] = (
-        -turning * motion[:, 1],
-        turning * motion[:, 0],
-    )
+    slope[:, FRICTION_X, HEADING] = -turning * motion[:, 1]
+    slope[:, FRICTION_Y, HEADING] = turning * motion[:, 0]
     state[:, FRICTION] += turning[:, None] * (motion - state[:, FRICTION])
     state[:, X] += step * cos
     state[:, Y] += step * sin

@@ -164,15 +164,14 @@ def _halves(parent: Hypotheses) -> list[Hypotheses]:
 
     A filter is linear in the place. Near a fold of the map one that covers both sides follows neither.
     """
-    place = parent.covariance[:, :2, :2]
-    variance, axes = np.linalg.eigh(place)
+    variance, axes = np.linalg.eigh(parent.covariance[:, :2, :2])
     wide = np.flatnonzero(variance[:, 1] > WIDE_MM**2)
+    sd, axis = np.sqrt(variance[wide, 1]), axes[wide, :, 1]
+    along = (parent.covariance[wide, :, :2] * axis[:, None]).sum(2) / sd[:, None]
     children = []
     for side in (-SPLIT, SPLIT):
         child = parent.take(wide)
-        sd, axis = np.sqrt(variance[wide, 1]), axes[wide, :, 1]
         # The state given the place along the axis: shifted, and with less left of it.
-        along = (child.covariance[:, :, :2] * axis[:, None]).sum(2) / sd[:, None]
         child.state += side * along
         child.covariance -= SPLIT**2 * along[:, :, None] * along[:, None]
         child.log_weight += np.log(HALF)

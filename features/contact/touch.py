@@ -82,7 +82,7 @@ def at_touch(
     bank = joined(parts)
     if not len(bank):
         return None
-    best = bank.take(np.argsort(-bank.log_weight, kind="stable")[:most])
+    best = bank.likeliest(most)
     best.log_weight -= best.log_weight.max()
     return best
 

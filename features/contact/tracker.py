@@ -249,8 +249,7 @@ class ContactTracker:
         resting = at_rest(seen, self._surface, self._half, self._floor_v, self._gain_sd, config.depth_sd_mm)
         if resting is not None:
             resting.log_weight += config.rest - np.logaddexp.reduce(resting.log_weight)
-            resting = resting.take(np.argsort(-resting.log_weight, kind="stable")[: config.touch_most])
-            self._bank = joined([self._bank, resting])
+            self._bank = joined([self._bank, resting.likeliest(config.touch_most)])
 
     def _leave_skin(self) -> None:
         """A place far off the chamber, or a gain beyond reason, is unlikely."""

@@ -97,7 +97,7 @@ class SlideTracker:
         return self._recent[-1] - self.static
 
     @property
-    def level(self) -> np.ndarray:
+    def subtracted_level(self) -> np.ndarray:
         """(C,) V: mean of the last `trigger_blocks` blocks less the static output."""
         return self._level() - self.static
 
@@ -215,7 +215,7 @@ class SlideTracker:
         self._moved = bool(change > max(TOUCH_TRIGGER * c.trigger_v, TOUCH_CHANGE * slide.peak_v))
         strong = np.abs(self._touch_v).max() > STRONG_TRIGGERS * c.trigger_v
         if not self._moved and strong and slide.blocks >= STRONG_TOUCH * c.touch_blocks:
-            self._end(slide, slide.blocks, self.level)
+            self._end(slide, slide.blocks, self.subtracted_level)
 
     def _judge_end(self, slide: SlideHistory) -> None:
         """Ends the slide when the contact has left the skin, or has come to a stop on it."""
@@ -231,7 +231,7 @@ class SlideTracker:
         quarter = span // 4
         means = slide.last_quarters(quarter)
         # The output itself creeps after what its history shows; until it is back, it would begin a slide of its own.
-        level = self.level
+        level = self.subtracted_level
         if max(np.abs(means[:, 2:]).max(), np.abs(level[slide.watched]).max()) < c.release_v:
             self._end(slide, slide.blocks if c.onset == ONSETS[0] else slide.shown_blocks - 1, None)
         elif slide.peak_v > c.still_peak_v and np.ptp(means, axis=1).max() < c.still_change * slide.peak_v:

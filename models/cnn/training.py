@@ -41,6 +41,7 @@ def train_proposal(
     start: a network to start from. progress: called with the step and the loss, now and then.
     judge: called after each third of the steps but the last, with the number of thirds and the network as it stands.
     """
+    thirds = {config.steps // 3: 1, 2 * config.steps // 3: 2}
     torch.manual_seed(config.seed)
     generator = torch.Generator().manual_seed(config.seed)
     proposal = start or Proposal(source.response.channels, source.response.boards, network)
@@ -65,8 +66,8 @@ def train_proposal(
         averaged.update_parameters(proposal)
         if step % 50 == 0:
             progress(step, loss.item())
-        if judge is not None and step + 1 in (config.steps // 3, 2 * config.steps // 3):
-            judge(1 if step + 1 == config.steps // 3 else 2, deepcopy(_kept(averaged)))
+        if judge is not None and step + 1 in thirds:
+            judge(thirds[step + 1], deepcopy(_kept(averaged)))
     kept = _kept(averaged)
     with torch.no_grad():
         for values in kept.parameters():

@@ -12,10 +12,8 @@ from onnx import helper, numpy_helper
 # Numbers in a constant; below this a cast takes as many bytes as it saves.
 LEAST = 128
 _WHOLE = "_"  # ends the name of what a cast gives
-_BYTES, _STEPS = (
-    "_bytes",
-    "_steps",
-)  # end the names of a row's whole numbers as they are cast, and of their steps
+# End the names of a row's whole numbers as they are cast, and of their steps.
+_BYTES, _STEPS = "_bytes", "_steps"
 _MOST_STEPS = 127  # of a row's largest value: whole numbers of 8 bits
 
 
