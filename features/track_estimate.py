@@ -23,11 +23,12 @@ class TrackLimits:
     curvature and keep only the likeliest hypotheses. place_mm, speed_mm_s, heading_deg: and never less than these.
     place_sd_mm, heading_sd_deg: largest standard deviations of a valid estimate. certain: least weight of the
     hypotheses near the best one. misfit: largest chi-square over its degrees of freedom. partial: largest weight of
-    hypotheses that the contact is still being pressed on or lifted. evidence: least logarithm of the odds of a
-    contact against a smooth signal of no known origin. way_mm: least way. stopped_mm_s: a contact slower than this has
-    stopped. agreement: largest squared Mahalanobis distance of the straight slide from the track, four
-    degrees of freedom. straight_misfit: largest reduced chi-square of the straight slide; straight_way_mm: its least
-    way. shared: share of the track's half-widths about its own estimate that the straight slide's intervals hold too.
+    hypotheses that the contact is being pressed on or lifted, unless more channels than that has unknowns have followed
+    it for partial_way_mm. evidence: least logarithm of the odds of a contact against a smooth signal of no known
+    origin. way_mm: least way. stopped_mm_s: a contact slower than this has stopped. agreement: largest squared
+    Mahalanobis distance of the straight slide from the track, four degrees of freedom. straight_misfit: largest reduced
+    chi-square of the straight slide; straight_way_mm: its least way. shared: share of the track's half-widths about its
+    own estimate that the straight slide's intervals hold too.
     """
 
     half_width: float = 1.9
@@ -40,6 +41,7 @@ class TrackLimits:
     certain: float = 0.97
     misfit: float = 2.2
     partial: float = 0.3
+    partial_way_mm: float = 4.0
     evidence: float = -1.0
     way_mm: float = 1.5
     stopped_mm_s: float = 0.15
@@ -47,6 +49,9 @@ class TrackLimits:
     straight_misfit: float = 2.0
     straight_way_mm: float = 8.0
     shared: float = 0.5
+
+
+PARTIAL_UNKNOWNS = 3  # of a contact that is being pressed on or lifted: its place and its gain
 
 
 def judged(
@@ -77,13 +82,14 @@ def judged(
     heading_half = min(limits.heading_width * math.degrees(heading_sd) + limits.heading_deg, 180.0)
     offset, offset_half = float(across @ from_reference), limits.half_width * offset_sd + limits.place_mm
     contact = Contact.SLIDE
-    if track.partial > 0.5 or track.way_mm < limits.way_mm or track.one_press:
+    lifted = track.channels > PARTIAL_UNKNOWNS and track.way_mm > limits.partial_way_mm
+    if (track.partial > 0.5 and not lifted) or track.way_mm < limits.way_mm or track.one_press:
         contact = Contact.PRESS
     elif speed < limits.stopped_mm_s:
         contact = Contact.STOPPED
     degrees = math.degrees(heading) % 360.0
     depth, depth_half = map_depth_mm + track.depth_mm, limits.half_width * track.depth_sd_mm
-    reason = _reason(track, math.hypot(sd[0], sd[1]), math.degrees(heading_sd), contact, limits)
+    reason = _reason(track, math.hypot(sd[0], sd[1]), math.degrees(heading_sd), contact, lifted, limits)
     return Estimate(
         time_s=time_s,
         state=state,
@@ -118,7 +124,12 @@ def judged(
 
 
 def _reason(
-    track: Track, place_sd_mm: float, heading_sd_deg: float, contact: Contact, limits: TrackLimits
+    track: Track,
+    place_sd_mm: float,
+    heading_sd_deg: float,
+    contact: Contact,
+    lifted: bool,
+    limits: TrackLimits,
 ) -> Reason:
     if track.misfit > limits.misfit:
         return Reason.NOT_THIS_SENSOR
@@ -130,8 +141,8 @@ def _reason(
         heading_sd_deg > limits.heading_sd_deg and contact is not Contact.STOPPED
     )
     # What one press at a place nearby shows as well is ambiguous.
-    unclear = unclear or track.one_press
-    if unclear or track.certain < limits.certain or track.partial > limits.partial:
+    unclear = unclear or track.one_press or track.certain < limits.certain
+    if unclear or (track.partial > limits.partial and not lifted):
         return Reason.AMBIGUOUS
     return Reason.NONE
 

@@ -7,9 +7,9 @@ from hypothesis import strategies as st
 
 from features.angles import wrapped_deg
 from features.contact.tracker import Track
-from features.estimate import Estimate, Reason
+from features.estimate import Contact, Estimate, Reason
 from features.stream.tracker import SlideState
-from features.track_estimate import TrackLimits, agrees, with_track
+from features.track_estimate import TrackLimits, agrees, judged, with_track
 
 QUANTITIES = (("speed", "mm_s"), ("offset", "mm"), ("x", "mm"), ("y", "mm"), ("vx", "mm_s"), ("vy", "mm_s"))
 
@@ -80,3 +80,27 @@ def test_a_straight_slide_is_compared_where_it_was_when_the_track_was_clear(
     farthest_mm = np.sqrt(limits.agreement * (0.09 + limits.place_mm**2))
     if abs(off_mm - farthest_mm) > 1e-6:
         assert agrees(straight, track, limits, since_s) == (off_mm < farthest_mm)
+
+
+@pytest.mark.parametrize(("channels", "way_mm", "told"), [(4, 10.0, True), (2, 10.0, False), (4, 2.0, False)])
+def test_a_lift_is_told_where_two_accelerometers_have_followed_the_contact(
+    channels: int, way_mm: float, told: bool
+) -> None:
+    """Place and gain are three numbers, an accelerometer shows two."""
+    lifting = Track(
+        np.array([3.0, 4.0, 2.0, 0.0]),
+        np.diag([0.01, 0.01, 0.01, 0.01]),
+        1.0,
+        1.0,
+        1.0,
+        0.6,
+        0.0,
+        0.02,
+        20,
+        way_mm,
+        evidence=10.0,
+        channels=channels,
+    )
+    estimate = judged(lifting, 0.0, SlideState.SLIDE, (0.0, 0.0), 0.5, TrackLimits())
+    assert estimate.valid is told
+    assert estimate.contact is (Contact.SLIDE if told else Contact.PRESS)

@@ -81,7 +81,7 @@ class Track(NamedTuple):
     pressed on or lifted. gain, depth_mm (off the map's): means; depth_sd_mm. way_mm: since the touch, at most 25.
     evidence: logarithm of the odds of a contact against a signal that needs no map, forgotten over EVIDENCE_MM of way
     and EVIDENCE_S. one_press: whether a press at one place, or a drift, may have made all of the output
-    since the touch.
+    since the touch. channels: that it is read from.
     """
 
     mean: np.ndarray
@@ -96,6 +96,7 @@ class Track(NamedTuple):
     way_mm: float
     evidence: float = 0.0
     one_press: bool = False
+    channels: int = 0
 
 
 class ContactTracker:
@@ -223,6 +224,7 @@ class ContactTracker:
             self._rest()
         self._track = read(self._bank)._replace(
             evidence=self._evidence,
+            channels=len(volts) if usable is None else int(usable.sum()),
             one_press=self._smooth.one_way
             and (self._smooth.changing_s < PRESS_S or self._evidence < SLIDE_EVIDENCE),
         )
