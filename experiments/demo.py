@@ -10,8 +10,8 @@ from experiments.evaluate import Evaluation, evaluate
 from experiments.evaluation.scoring import QUANTITIES
 from experiments.pages.page import number
 from experiments.train import train
-from features.errors import InputError
 from pipeline.recordings.folder import SAMPLE
+from pipeline.staging import writing
 
 DEMO_MODELS = ("interpolation", "trees", "cnn")
 # Enough for proposals that the refinement converges from; a full training takes four times as many.
@@ -26,10 +26,8 @@ def demo(out: Path) -> str:
         InputError: `out` cannot be written.
     """
     store = f"sqlite:///{out / 'mlflow.db'}"
-    try:
+    with writing(out):
         out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"{out}: cannot be written ({error.strerror}); name another folder") from None
     evaluations = {}
     for model in DEMO_MODELS:
         print(f"softslide demo: training and evaluating {model}", file=sys.stderr)

@@ -3,6 +3,7 @@
 A process that is killed leaves its folder behind; the next one that writes the same output removes it.
 """
 
+import errno
 import os
 import shutil
 import stat
@@ -16,6 +17,23 @@ from features.errors import InputError
 
 # A folder beside `out` holds `new` while that is written, and `old` while `out` is replaced.
 UNFINISHED = ".unfinished-"
+FULL = (errno.ENOSPC, errno.EDQUOT)
+
+
+@contextmanager
+def writing(place: Path, instead: str = "name another folder") -> Iterator[None]:
+    """The block writes `place`. instead: what to do where it cannot be written.
+
+    Raises:
+        InputError: it cannot be written, whatever space there is.
+        OSError: its disk is full, which is no fault of the input.
+    """
+    try:
+        yield
+    except OSError as error:
+        if error.errno in FULL:
+            raise OSError(error.errno, os.strerror(error.errno), str(place)) from None
+        raise InputError(f"{place}: cannot be written ({error.strerror}); {instead}") from None
 
 
 @contextmanager
@@ -29,17 +47,16 @@ def staged(out: Path) -> Iterator[Path]:
         InputError: `out` is a file or holds other files, or its parent cannot be written.
     """
     check_replaceable(out)
-    try:
+    with writing(out):
         out.parent.mkdir(parents=True, exist_ok=True)
         with locked(out.parent):
             _clear_leftovers(out)
             room = Path(tempfile.mkdtemp(prefix=f".{out.name}{UNFINISHED}", dir=out.parent))
             lock = _lock(room)
-        new = room / "new"
-        new.mkdir()
-    except OSError as error:
-        raise InputError(f"{out}: cannot be written ({error.strerror}); name another folder") from None
+    new = room / "new"
     try:
+        with writing(out):
+            new.mkdir()
         yield new
         # Another process may replace the same output at the same time.
         with locked(out.parent):

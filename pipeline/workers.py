@@ -3,6 +3,7 @@
 import os
 import threading
 import time
+import warnings
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack
 from typing import Any
@@ -35,6 +36,8 @@ def results(
             jobs = -1
         # A cluster's workers are not this process's own.
         own = {} if scheduler else {"initializer": end_with, "initargs": (os.getpid(),)}
+        # One that fails ends the others, as it should.
+        warnings.filterwarnings("ignore", r"\d+ tasks which were still being processed", UserWarning)
         # Each call is long enough to travel alone.
         yield from Parallel(n_jobs=jobs, batch_size=1, return_as=kind, **own)(
             delayed(function)(*call) for call in calls

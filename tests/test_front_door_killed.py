@@ -10,7 +10,7 @@ from pathlib import Path
 import mlflow
 import optuna
 import pytest
-from killed import Commands, commands
+from forked import Commands, commands
 from lab_files import FORMATS, write_lab
 from optuna.storages import JournalStorage
 from optuna.storages.journal import JournalFileBackend

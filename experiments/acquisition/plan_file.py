@@ -7,6 +7,7 @@ import pandas as pd
 from features.errors import InputError
 from pipeline.recordings.manifest import LABELS, check_manifest, read_table
 from pipeline.sensor import Sensor
+from pipeline.staging import writing
 
 # What a stage is set to, and how long the motion takes.
 NEEDED = ("direction_deg", "speed_mm_s", "start_x_mm", "start_y_mm", "travel_mm")
@@ -40,7 +41,5 @@ def write_plan(path: Path, plan: pd.DataFrame) -> None:
     Raises:
         InputError: the file cannot be written.
     """
-    try:
+    with writing(path, "name another file"):
         plan.to_csv(path, index=False, lineterminator="\n")
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror}); name another file") from None

@@ -27,6 +27,7 @@ from experiments.tracking.study import tracked_study
 from features.errors import InputError
 from pipeline.recordings.folder import read_folder
 from pipeline.recordings.taught import taught_lines
+from pipeline.staging import writing
 
 # The model that the others are held against, where it is among them; else the first.
 REFERENCE = "cnn"
@@ -70,10 +71,8 @@ def compare(recordings: Sequence[Path], out: Path, models: Sequence[str] = MODEL
     names = [folder.resolve().name for folder in recordings]
     if twice := [name for name in names if names.count(name) > 1]:
         raise InputError(f"{twice[0]}: two folders of this name, which results go by; rename one")
-    try:
+    with writing(out):
         out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"{out}: cannot be written ({error.strerror}); name another folder") from None
     # At these sizes more threads are slower.
     torch.set_num_threads(1)
     store = f"sqlite:///{out / 'mlflow.db'}"

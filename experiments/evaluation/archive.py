@@ -14,9 +14,9 @@ from typing import Any
 import pandas as pd
 
 from experiments.provenance import bundle_hash, code_revision
-from features.errors import InputError
 from pipeline.recordings.folder import Folder
 from pipeline.recordings.truth import truth_path
+from pipeline.staging import writing
 from pipeline.workers import results
 
 # Recordings of a task: of some 0.2 s each, they take long beside the 11 ms that Dask asks for a task.
@@ -75,13 +75,11 @@ class Archive:
 
 def _write(table: pd.DataFrame, place: Path) -> None:
     """Writes a chunk's table, whole or not at all."""
-    try:
+    with writing(place, "name another place"):
         place.parent.mkdir(parents=True, exist_ok=True)
         scratch = place.with_suffix(".partial")
         table.to_parquet(scratch)
         scratch.replace(place)
-    except OSError as error:
-        raise InputError(f"{place}: cannot be written ({error.strerror}); name another place") from None
 
 
 def _only(folder: Folder, names: list[str]) -> Folder:

@@ -33,6 +33,7 @@ from pipeline.atlas.atlas import Atlas, atlas_hash
 from pipeline.progress import progress_bar
 from pipeline.recordings.derived_labels import recordings_to_learn_from
 from pipeline.recordings.folder import Folder, read_folder
+from pipeline.staging import writing
 from pipeline.workers import cluster, end_with
 
 # A user attribute of a trial: its errors by quantity; or why it has none.
@@ -104,10 +105,11 @@ def _write(path: Path, text: str) -> None:
     """
     scratch = path.with_name(f".{path.name}.partial")
     try:
-        scratch.write_text(text, encoding="utf-8")
-        scratch.replace(path)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror}); move the sweep's file") from None
+        with writing(path, "move the sweep's file"):
+            scratch.write_text(text, encoding="utf-8")
+            scratch.replace(path)
+    finally:
+        scratch.unlink(missing_ok=True)
 
 
 @contextmanager
@@ -117,10 +119,8 @@ def _journal(path: Path) -> Iterator[Path]:
     Raises:
         InputError: another process has it, or it cannot be written.
     """
-    try:
+    with writing(path, "move the sweep's file"):
         file = path.open("ab+")
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror}); move the sweep's file") from None
     with file:
         try:
             # Where there are such locks: Windows has none.

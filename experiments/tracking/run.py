@@ -101,7 +101,16 @@ class _Log:
             except STORE_ERRORS as error:
                 self._keep_from_here(first_line(error))
         if self.unsent is not None:
-            self.unsent.keep(record)
+            try:
+                self.unsent.keep(record)
+            except OSError as error:
+                self.lost = True
+                self.unsent.remove()
+                told = (
+                    f"run not logged: it cannot be kept in {self.unsent.folder} ({error.strerror or error})"
+                )
+                self.unsent = None
+                print(told, file=sys.stderr)
 
     def _keep_from_here(self, fault: str) -> None:
         told = f"run not logged: {self.sender.address} does not take it ({fault})"

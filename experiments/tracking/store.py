@@ -3,8 +3,10 @@
 The store is `sqlite:///mlflow.db` in the current folder, or what MLFLOW_TRACKING_URI names.
 """
 
+import errno
 import logging
 import os
+import shutil
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -36,6 +38,8 @@ EXPERIMENT = "softslide"
 LOCAL = "sqlite:///"
 # What a store raises that is gone, full, locked or refuses a record.
 STORE_ERRORS = (MlflowException, SQLAlchemyError, OSError)
+# What MLflow's tables take while they are made, with room to spare (3.17: 1.0 MB, and their journal).
+TABLES_BYTES = 3_000_000
 # Parameters and metrics that one request may carry (MLflow's REST API: 100 and 1000).
 BATCH = 100
 
@@ -240,10 +244,18 @@ def _make_whole(address: str) -> None:
     if not address.startswith(LOCAL) or "?" in address or place.exists():
         return
     scratch = place.with_name(f".{place.name}.unfinished")
-    for left in (scratch, scratch.with_name(f"{scratch.name}-journal")):
+    parts = (scratch, scratch.with_name(f"{scratch.name}-journal"))
+    for left in parts:
         left.unlink(missing_ok=True)
-    mlflow.MlflowClient(f"{LOCAL}{scratch}", f"{LOCAL}{scratch}")
-    scratch.replace(place)
+    # MLflow tries again on what a full disk has left of the first try, and tells of that.
+    if shutil.disk_usage(place.resolve().parent).free < TABLES_BYTES:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(place))
+    try:
+        mlflow.MlflowClient(f"{LOCAL}{scratch}", f"{LOCAL}{scratch}")
+        scratch.replace(place)
+    finally:
+        for left in parts:
+            left.unlink(missing_ok=True)
 
 
 @contextmanager

@@ -48,6 +48,10 @@ class Unsent:
         with (self.folder / "records.jsonl").open("a", encoding="utf-8") as file:
             file.write(json.dumps(record) + "\n")
 
+    def remove(self) -> None:
+        """Removes what was kept."""
+        shutil.rmtree(self.folder, ignore_errors=True)
+
 
 def sync(places: Iterable[Path]) -> list[str]:
     """Sends what is kept in and below these folders, and removes it where all was sent; a line for each run sent.

@@ -99,17 +99,13 @@ def _rows(graph: bytes, inputs: dict[str, np.ndarray]) -> np.ndarray:
 
 def _as_ort(card: Card, path: Path, out: Path) -> dict[str, Any]:
     """model.ort, and required_operators.config for ONNX Runtime's --include_ops_by_config."""
+    small = _optimized(path, "ORT")
+    operators = _operators(onnx.load_model_from_string(_optimized(path, "ONNX")))
     with staged(out) as folder:
-        # Basic optimizations only: what goes beyond is chosen for the processor at hand.
-        _optimized(path, folder / "model.ort", "ORT")
-        with tempfile.TemporaryDirectory() as scratch:
-            plain = Path(scratch) / "model.onnx"
-            _optimized(path, plain, "ONNX")
-            operators = _operators(onnx.load_model_from_string(plain.read_bytes()))
+        (folder / "model.ort").write_bytes(small)
         (folder / "required_operators.config").write_text("\n".join(operators) + "\n", encoding="utf-8")
-        _write_card(card, (folder / "model.ort").read_bytes(), folder, {})
-        size = (folder / "model.ort").stat().st_size
-    return {"shape": "ort", "model_kb": size / 1e3, "operators": operators}
+        _write_card(card, small, folder, {})
+    return {"shape": "ort", "model_kb": len(small) / 1e3, "operators": operators}
 
 
 def _as_int8(card: Card, path: Path, out: Path) -> dict[str, Any]:
@@ -164,13 +160,18 @@ class _Calibration(CalibrationDataReader):
         return next(self._rows, None)
 
 
-def _optimized(path: Path, target: Path, form: str) -> None:
+def _optimized(path: Path, form: str) -> bytes:
+    """The graph with basic optimizations only: what goes beyond is chosen for the processor at hand."""
     options = ort.SessionOptions()
     options.graph_optimization_level = ort.GraphOptimizationLevel.ORT_ENABLE_BASIC
-    options.optimized_model_filepath = str(target)
     options.add_session_config_entry("session.save_model_format", form)
     options.log_severity_level = 4
-    ort.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
+    # ONNX Runtime writes to files alone, and does not say why it cannot: not where the output goes.
+    with tempfile.TemporaryDirectory() as scratch:
+        target = Path(scratch) / "model"
+        options.optimized_model_filepath = str(target)
+        ort.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
+        return target.read_bytes()
 
 
 def _operators(graph: onnx.ModelProto) -> list[str]:

@@ -28,6 +28,7 @@ from features.regular_file import check_regular
 from pipeline.atlas.splines import along, check_inside, fit_axis
 from pipeline.sensor import Sensor, design_hash, design_of
 from pipeline.skin.lines import PER_BOARD
+from pipeline.staging import writing
 
 VERSION = 1
 DEFAULT_ATLAS = Path(__file__).parent / "default_atlas.npz"
@@ -277,11 +278,12 @@ def write_atlas(atlas: Atlas, path: Path) -> None:
     scratch = path.with_name(f".{path.name}.partial.npz")
     arrays = {name: getattr(atlas, name) for name in _ARRAYS}
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        np.savez_compressed(scratch, meta=np.array(json.dumps({"version": VERSION, **atlas.meta})), **arrays)
-        scratch.replace(path)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror}); name another file") from None
+        with writing(path, "name another file"):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            np.savez_compressed(
+                scratch, meta=np.array(json.dumps({"version": VERSION, **atlas.meta})), **arrays
+            )
+            scratch.replace(path)
     finally:
         scratch.unlink(missing_ok=True)
 

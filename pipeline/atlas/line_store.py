@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from features.errors import InputError
 from pipeline.skin.lines import Line
+from pipeline.staging import writing
 
 # Pressure level, depth level, line.
 Task = tuple[int, int, Line]
@@ -35,10 +35,8 @@ class LineStore:
         """
         text = json.dumps(key, sort_keys=True)
         self._folder = folder / hashlib.sha256(text.encode()).hexdigest()[:16]
-        try:
+        with writing(folder, "name another place"):
             self._folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise InputError(f"{folder}: cannot be written ({error.strerror}); name another place") from None
 
     def _path(self, task: Task) -> Path:
         level, depth, line = task

@@ -7,9 +7,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from features.errors import InputError
 from pipeline.importers.import_map import Map
 from pipeline.importers.streams import Source
+from pipeline.staging import writing
 
 
 class Journal:
@@ -26,13 +26,9 @@ class Journal:
             self.entries = {entry["recording"]: entry for entry in map(json.loads, whole)}
         else:
             shutil.rmtree(partial, ignore_errors=True)
-            try:
+            with writing(partial.parent):
                 (partial / "raw").mkdir(parents=True)
                 self.path.write_text(head + "\n")
-            except OSError as error:
-                raise InputError(
-                    f"{partial.parent}: cannot be written ({error.strerror}); name another folder"
-                ) from None
 
     def has(self, job: Source) -> bool:
         slide = self.path.parent / "raw" / f"{job.name}.parquet"

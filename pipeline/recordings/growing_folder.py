@@ -10,6 +10,7 @@ from pipeline.recordings.folder import Folder, Recording, read_folder
 from pipeline.recordings.manifest import LABELS, REQUIRED, check_manifest, write_manifest
 from pipeline.recordings.slide_file import write_slide
 from pipeline.sensor import Sensor, read_sensor, write_sensor
+from pipeline.staging import writing
 
 
 def open_growing(root: Path, sensor: Sensor | None) -> Folder:
@@ -36,10 +37,8 @@ def open_growing(root: Path, sensor: Sensor | None) -> Folder:
         sensor = read_sensor(kept)
     if sensor is None:
         raise InputError("give the sensor.toml of the new folder", "sensor")
-    try:
+    with writing(root):
         (root / "slides").mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"{root}: cannot be written ({error.strerror}); name another folder") from None
     write_sensor(kept, sensor)
     columns = [name for name in (*REQUIRED, *LABELS) if name != "recording"]
     return Folder(root, sensor, pd.DataFrame(columns=columns, index=pd.Index([], name="recording")))

@@ -1,7 +1,8 @@
-"""Commands in processes of their own that start at once, to be killed midway.
+"""Commands in processes of their own that start at once, to be killed midway or to find no space.
 
-Run as a script it loads what commands need, and forks a process for each line that it reads, a JSON object with `words`
-and `folder`. It answers with the process's identifier and, when that has ended, with its exit status.
+Run as a script it loads what commands need, says its own identifier, and forks a process for each line that it reads, a
+JSON object with `words` and `folder`. It answers with the process's identifier and, when that has ended, with its exit
+status.
 """
 
 import atexit
@@ -13,7 +14,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
@@ -27,11 +28,13 @@ LOADED = (
 
 
 class Commands:
-    """Starts `softslide` with the modules loaded. `status`: of the last one that ended; negative: the signal."""
+    """Starts `softslide` with the modules loaded. `status`: of the last one that ended; negative: the signal. root: the
+    file system as the commands see it."""
 
     def __init__(self, server: subprocess.Popen) -> None:
         self._server = server
         self.pid = self.status = 0
+        self.root = Path(f"/proc/{self._answer()}/root")
 
     def start(self, words: list[str], folder: Path) -> None:
         """In this folder; what is said goes to FOLDER.log, the run to FOLDER.store."""
@@ -73,11 +76,14 @@ class Commands:
 
 
 @contextmanager
-def commands() -> Iterator[Commands]:
+def commands(under: Sequence[str] = ()) -> Iterator[Commands]:
+    """under: a command, with its arguments, that what starts them is started by."""
     root = Path(__file__).parents[2]
     environment = {**os.environ, "PYTHONPATH": str(root)}
     pipe = subprocess.PIPE
-    server = subprocess.Popen([sys.executable, __file__], stdin=pipe, stdout=pipe, bufsize=0, env=environment)
+    server = subprocess.Popen(
+        [*under, sys.executable, __file__], stdin=pipe, stdout=pipe, bufsize=0, env=environment
+    )
     try:
         yield Commands(server)
     finally:
@@ -90,6 +96,7 @@ def _serve() -> None:
 
     for name in LOADED:
         import_module(name)
+    print(os.getpid(), flush=True)
     for line in sys.stdin:
         request = json.loads(line)
         pid = os.fork()
