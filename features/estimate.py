@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from features.card import Card, Interval
+from features.contact.places import Place
 from features.stream.tracker import SlideState
 from features.window import Window
 
@@ -54,6 +55,7 @@ class Estimate(NamedTuple):
     plane.
     accelerometers: number that the slide is read from, 0 without a slide. zero_shift_v, gain, turn_deg: the sensor's
     drift (features/stream/drift.py).
+    places: where the contact may be, the likeliest first, while several places explain the output.
     """
 
     time_s: float
@@ -96,6 +98,7 @@ class Estimate(NamedTuple):
     tangential_force_mn: float = math.nan
     tangential_force_lo_mn: float = math.nan
     tangential_force_hi_mn: float = math.nan
+    places: tuple[Place, ...] = ()
 
 
 _NO_INTERVAL = Interval(math.nan, math.nan)

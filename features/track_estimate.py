@@ -120,6 +120,7 @@ def judged(
         vy_hi_mm_s=vy + vy_half,
         depth_lo_mm=depth - depth_half,
         depth_hi_mm=depth + depth_half,
+        places=track.places,
     )
 
 

@@ -10,10 +10,16 @@ from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
-from playwright.sync_api import Browser, expect
+from playwright.sync_api import Browser, Page, expect
 from small_bundle import write_small_bundle
 from streams import a_sensor
 from test_serve_page import BOARDS, REST, SLIDE, Serving, browser, cell, opened, serving  # noqa: F401
+
+from features.contact.places import Place
+from features.estimate import Contact, Estimate, Reason
+from features.stream.tracker import SlideState
+from serve.localizer import Localizer
+from serve.page.process import Page as Served
 
 
 @pytest.fixture(scope="module")
@@ -157,3 +163,48 @@ def test_the_page_pauses_replays_and_survives_no_width(bundle: Path, browser: Br
         running.feed(np.concatenate([SLIDE[-200:]]))
         page.wait_for_timeout(300)
         assert complaints == []
+
+
+def test_the_page_shows_where_a_contact_may_be(bundle: Path, browser: Browser) -> None:  # noqa: F811
+    """While several places explain the output each is drawn, in place and to scale, and told with its share."""
+    card = Localizer.load(bundle).card
+    unclear = Estimate(
+        1.0,
+        SlideState.SLIDE,
+        contact=Contact.SLIDE,
+        reason=Reason.AMBIGUOUS,
+        places=(Place(-20, 10, 0.7), Place(15, -5, 0.25)),
+    )
+    shown = Served("0", card, "-")
+    try:
+        with opened(browser, shown.address) as (page, _):
+            shown.show(unclear._replace(time_s=0.5, places=()), np.zeros(len(card.channels)))
+            expect(page.locator("#reason")).to_have_text("several places or headings explain the output")
+            page.wait_for_timeout(200)
+            before = drawn(page)
+            shown.show(unclear, np.zeros(len(card.channels)))
+            expect(page.locator("#places")).to_have_text(
+                "70 % at x −20.0, y 10.0 mm; 25 % at x 15.0, y −5.0 mm"
+            )
+            page.wait_for_timeout(200)
+            rows, columns = np.nonzero((drawn(page) != before).any(axis=2))
+    finally:
+        shown.close()
+    # The two outlines bound what has changed: 6 mm wide, 35 and 15 mm apart.
+    assert np.ptp(columns) / np.ptp(rows) == pytest.approx((35 + 6) / (15 + 6), rel=0.05)
+    left = columns < columns.mean()
+    across, down = columns[left].mean() - columns[~left].mean(), rows[left].mean() - rows[~left].mean()
+    assert across / down == pytest.approx(35 / 15, rel=0.1)
+
+
+def drawn(page: Page) -> np.ndarray:
+    """(height, width, 4): the picture of the skin."""
+    pixels = page.evaluate(
+        """() => {
+            const canvas = document.querySelector("#skin");
+            const { data, width, height } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
+            return [width, height, Array.from(data)];
+        }"""
+    )
+    width, height, values = pixels
+    return np.array(values, np.uint8).reshape(height, width, 4)

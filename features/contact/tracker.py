@@ -22,6 +22,7 @@ from features.contact.hypotheses import (
     update,
 )
 from features.contact.manoeuvres import Manoeuvres, branched, merged
+from features.contact.places import Place, likeliest_places
 from features.contact.response_surface import ResponseSurface
 from features.contact.smooth_signal import SmoothSignal
 from features.contact.touch import at_rest, at_touch, onset
@@ -81,7 +82,7 @@ class Track(NamedTuple):
     pressed on or lifted. gain, depth_mm (off the map's): means; depth_sd_mm. way_mm: since the touch, at most 25.
     evidence: logarithm of the odds of a contact against a signal that needs no map, forgotten over EVIDENCE_MM of way
     and EVIDENCE_S. one_press: whether a press at one place, or a drift, may have made all of the output
-    since the touch. channels: that it is read from.
+    since the touch. channels: that it is read from. places: where the contact may be, while several places are left.
     """
 
     mean: np.ndarray
@@ -97,6 +98,7 @@ class Track(NamedTuple):
     evidence: float = 0.0
     one_press: bool = False
     channels: int = 0
+    places: tuple[Place, ...] = ()
 
 
 class ContactTracker:
@@ -296,6 +298,7 @@ def read(bank: Hypotheses) -> Track:
         math.sqrt(max(variance, 0.0)),
         len(bank),
         float(share @ bank.age_mm),
+        places=likeliest_places(mean[:, :2], weight, NEAR_MM),
     )
 
 

@@ -7,17 +7,20 @@ import asyncio
 import csv
 import io
 import json
+import math
 import struct
 import threading
 import time
 from collections import deque
 from collections.abc import Callable
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from features.card import Card
+from features.contact.places import MOST_PLACES, Place
 from features.estimate import Contact, Estimate, Reason
 from features.stream.tracker import SlideState
 from serve.page.guard import HEADERS, Guard
@@ -36,7 +39,8 @@ KEPT = 15_000
 STATES, CONTACTS, REASONS = tuple(SlideState), tuple(Contact), tuple(Reason)
 # What a frame holds besides time and state; of a word its index.
 WORDS: dict[str, tuple[str, ...]] = {"contact": CONTACTS, "reason": REASONS}
-NUMBERS = tuple(name for name in Estimate._fields if name not in ("time_s", "state"))
+PLACES = tuple(f"place_{n}_{name}" for n in range(1, MOST_PLACES + 1) for name in Place._fields)
+NUMBERS = (*(name for name in Estimate._fields if name not in ("time_s", "state", "places")), *PLACES)
 _FILES = Path(__file__).with_name("static")
 
 
@@ -160,11 +164,12 @@ def about(card: Card, source: str) -> dict[str, Any]:
 def frame(estimate: Estimate, subtracted_v: np.ndarray) -> bytes:
     """Little-endian: time_s as float64; as float32 the state's index, the NUMBERS and the channels (C,) in V.
 
-    Of a word its index in WORDS.
+    Of a word its index in WORDS; NaN for places that there are not.
     """
+    values = estimate._asdict() | dict(zip(PLACES, chain(*estimate.places), strict=False))
     numbers = [STATES.index(estimate.state)]
     for name in NUMBERS:
-        value = getattr(estimate, name)
+        value = values.get(name, math.nan)
         numbers.append(WORDS[name].index(value) if name in WORDS else value)
     return struct.pack("<d", estimate.time_s) + np.array([*numbers, *subtracted_v], "<f4").tobytes()
 

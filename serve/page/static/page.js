@@ -75,6 +75,8 @@ function show() {
   say(byId("trust"), trust, estimated ? trust : "");
   say(byId("zones"), zones.text());
   say(byId("reason"), latest.valid ? "" : REASONS[latest.reason] ?? latest.reason);
+  say(byId("places"), latest.places.map(([x, y, weight]) =>
+    `${number(100 * weight)} % at x ${number(x, 1)}, y ${number(y, 1)} mm`).join("; "));
 }
 
 // Thousandths of the outputs' unit: mV, or of another unit it itself.

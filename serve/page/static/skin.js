@@ -23,6 +23,7 @@ export function drawSkin(canvas, { sensor, reference_mm }, estimate, trace, zone
   clip(context, at, half);
   quadrants(context, at, sensor.chamber_mm, zones.lit(), ink);
   path(context, at, scale, trace, ink);
+  for (const place of estimate?.places ?? []) guess(context, at, scale, sensor, place, ink);
   if (estimate?.valid) motion(context, at, scale, sensor, reference_mm, estimate, ink);
   boards(context, at, sensor.accelerometers, reference_mm, ink);
   context.restore();
@@ -141,6 +142,24 @@ function contact(context, [x, y], radius, ink) {
   context.strokeStyle = ink.mark;
   context.lineWidth = 2;
   context.stroke();
+}
+
+// One of several places where the contact may be: the object's outline, dashed, the stronger the likelier.
+function guess(context, at, scale, { indenter_diameter_mm }, [x, y, weight], ink) {
+  const [across, down] = at(x, y);
+  const radius = indenter_diameter_mm / 2 * scale;
+  context.beginPath();
+  context.arc(across, down, radius, 0, 2 * Math.PI);
+  context.globalAlpha = 0.4 * weight;
+  context.fillStyle = ink.mark;
+  context.fill();
+  context.globalAlpha = 0.35 + 0.65 * weight;
+  context.setLineDash([4, 3]);
+  context.strokeStyle = ink.mark;
+  context.lineWidth = 2;
+  context.stroke();
+  context.setLineDash([]);
+  context.globalAlpha = 1;
 }
 
 function wedge(context, [x, y], radius, estimate, colour) {

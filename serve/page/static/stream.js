@@ -42,6 +42,9 @@ function decoded(buffer, { numbers, states, words }) {
   const values = new Float32Array(buffer, 8);
   const record = { time_s: new Float64Array(buffer, 0, 1)[0], state: states[values[0]] };
   numbers.forEach((name, n) => { record[name] = words[name] ? words[name][values[1 + n]] : values[1 + n]; });
+  record.places = numbers.filter((name) => /^place_\d+_x_mm$/.test(name))
+    .map((x) => [record[x], record[x.replace("x_mm", "y_mm")], record[x.replace("x_mm", "weight")]])
+    .filter((place) => place.every(Number.isFinite));
   record.zero_shift_mv = 1000 * record.zero_shift_v;
   record.subtracted_v = values.subarray(1 + numbers.length);
   return record;
