@@ -35,7 +35,7 @@ from features.errors import InputError
 from pipeline.progress import progress_bar
 from pipeline.recordings.folder import Folder, read_folder
 from pipeline.recordings.taught import taught_depths_mm, taught_lines
-from pipeline.staging import staged
+from pipeline.staging import alone, staged
 
 # A verdict as a run's tag.
 WORDS = {True: "met", False: "missed", None: "not tested"}
@@ -94,8 +94,9 @@ def evaluate(
         "splits": sorted(set(folder.manifest["split"])),
     }
     with _logged(bundle, folder, configuration, out, store) if track else nullcontext(UNTRACKED) as run:
-        archive = Archive(jobs, scheduler, work_of(out))
-        result = _evaluated(bundle, whole, folder, out, archive, report)
+        with alone(work_of(out), out):
+            archive = Archive(jobs, scheduler, work_of(out))
+            result = _evaluated(bundle, whole, folder, out, archive, report)
         run.files(out, "evaluation")
         run.files(bundle, "bundle")
         run.metrics(_figures(result.metrics))

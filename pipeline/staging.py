@@ -37,6 +37,17 @@ def writing(place: Path, instead: str = "name another folder") -> Iterator[None]
 
 
 @contextmanager
+def whole(path: Path) -> Iterator[Path]:
+    """A file beside `path` that becomes `path` when the block ends well, and vanishes when not."""
+    scratch = path.with_name(f".{path.name}.partial")
+    try:
+        yield scratch
+        scratch.replace(path)
+    finally:
+        scratch.unlink(missing_ok=True)
+
+
+@contextmanager
 def staged(out: Path) -> Iterator[Path]:
     """A temporary folder beside `out` that becomes `out` when the block ends well, and vanishes when not.
 
@@ -92,10 +103,11 @@ def check_replaceable(out: Path, names: Collection[str] | None = None) -> None:
 def _clear_leftovers(out: Path) -> None:
     """Removes what processes left that were killed."""
     for room in out.parent.glob(f".{escape(out.name)}{UNFINISHED}*"):
-        lock = _lock(room, wait=False)
-        if lock is not None:
-            _remove(room, out)
-            os.close(lock)
+        with suppress(BlockingIOError):
+            lock = _lock(room, wait=False)
+            if lock is not None:
+                _remove(room, out)
+                os.close(lock)
 
 
 def _remove(room: Path, out: Path) -> None:
@@ -117,9 +129,38 @@ def locked(folder: Path) -> Iterator[None]:
             os.close(lock)
 
 
+@contextmanager
+def alone(work: Path, out: Path) -> Iterator[None]:
+    """The folder `work`, of what is done for `out`, for this process alone, where there are locks. It is made first,
+    and removed where it is left empty.
+
+    Raises:
+        InputError: another process works on `out`, or the folder cannot be made.
+    """
+    with writing(out):
+        work.mkdir(parents=True, exist_ok=True)
+    try:
+        lock = _lock(work, wait=False)
+    except BlockingIOError:
+        raise InputError(
+            f"{out}: another call is at work on it; wait for it, or name another folder"
+        ) from None
+    try:
+        yield
+    finally:
+        with suppress(OSError):
+            work.rmdir()
+        if lock is not None:
+            os.close(lock)
+
+
 def _lock(folder: Path, wait: bool = True) -> int | None:
-    """An open descriptor that locks the folder until it is closed or the process ends, however it ends; None: another
-    process has it, or there are no such locks here (Windows, some network disks)."""
+    """An open descriptor that locks the folder until it is closed or the process ends, however it ends; None: there are
+    no such locks here (Windows, some network disks).
+
+    Raises:
+        BlockingIOError: another process has it, and this one does not wait.
+    """
     try:
         import fcntl
 
@@ -128,7 +169,9 @@ def _lock(folder: Path, wait: bool = True) -> int | None:
         return None
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
-    except OSError:
+    except OSError as error:
         os.close(descriptor)
+        if isinstance(error, BlockingIOError):
+            raise
         return None
     return descriptor

@@ -225,7 +225,7 @@ def test_an_interrupted_run_leaves_a_whole_folder(lab: Path) -> None:
         assert running.wait(120) == 130
         running.stderr.read()
     assert list(read_folder(lab / "out").manifest.index) == ["one"]
-    assert not list((lab / "out").rglob("*.part"))
+    assert not list((lab / "out").rglob("*.partial"))
 
 
 def test_lost_samples_are_told_by_the_rate(lab: Path) -> None:

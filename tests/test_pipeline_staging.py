@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from features.errors import InputError
-from pipeline.staging import staged
+from pipeline.staging import alone, staged, whole
 
 HERE = Path(__file__).parents[1]
 PATIENCE_S = 120
@@ -17,7 +17,7 @@ PATIENCE_S = 120
 WRITER = """
 import os, signal, sys
 from pathlib import Path
-from pipeline.staging import staged
+from pipeline.staging import alone, staged, whole
 out, text, times, number = Path(sys.argv[1]), sys.argv[2], int(sys.argv[3]), int(sys.argv[4])
 changes = 0
 def count(event, arguments):
@@ -105,3 +105,38 @@ def test_what_looks_like_a_leftover_of_another_output_stays(tmp_path: Path) -> N
     with staged(tmp_path / "out") as scratch:
         (scratch / "one").write_text("text")
     assert len(list(tmp_path.iterdir())) == 5
+
+
+def test_one_process_at_a_time_works_on_an_output(tmp_path: Path) -> None:
+    work, out = tmp_path / ".out.work", tmp_path / "out"
+    other = "from pathlib import Path; from pipeline.staging import alone\n"
+    other += f"with alone(Path({str(work)!r}), Path('out')): pass"
+    with alone(work, out):
+        (work / "done").write_text("")
+        refused = subprocess.run(
+            [sys.executable, "-c", other],
+            cwd=HERE,
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=PATIENCE_S,
+        )
+        assert "InputError: out: another call is at work on it" in refused.stderr
+    assert (work / "done").exists()
+    (work / "done").unlink()
+    subprocess.run([sys.executable, "-c", other], cwd=HERE, check=True, timeout=PATIENCE_S)
+    assert not work.exists()
+
+
+def test_a_file_appears_whole_or_not_at_all(tmp_path: Path) -> None:
+    def half() -> None:
+        with whole(tmp_path / "a.txt") as scratch:
+            scratch.write_text("half")
+            raise InputError("half")
+
+    with pytest.raises(InputError):
+        half()
+    assert list(tmp_path.iterdir()) == []
+    with whole(tmp_path / "a.txt") as scratch:
+        scratch.write_text("whole")
+    assert [(path.name, path.read_text()) for path in tmp_path.iterdir()] == [("a.txt", "whole")]

@@ -16,7 +16,7 @@ import pandas as pd
 from experiments.provenance import bundle_hash, code_revision
 from pipeline.recordings.folder import Folder
 from pipeline.recordings.truth import truth_path
-from pipeline.staging import writing
+from pipeline.staging import whole, writing
 from pipeline.workers import results
 
 # Recordings of a task: of some 0.2 s each, they take long beside the 11 ms that Dask asks for a task.
@@ -46,13 +46,12 @@ class Archive:
         chunks = [_only(folder, list(names[n : n + CHUNK])) for n in range(0, len(names), CHUNK)]
         of_all = [what, bundle_hash(bundle), code_revision()]
         places = [self._place(of_all, chunk) for chunk in chunks]
-        missing = [
-            chunk for chunk, place in zip(chunks, places, strict=True) if not (place and place.exists())
-        ]
+        done = {place for place in places if place and place.exists()}
+        missing = [chunk for chunk, place in zip(chunks, places, strict=True) if place not in done]
         calls = ((bundle, chunk, list(chunk.manifest.index)) for chunk in missing)
         made = results(make, calls, self.jobs, self.scheduler)
         for place in places:
-            if place and place.exists():
+            if place in done:
                 yield pd.read_parquet(place)
                 continue
             table = next(made)
@@ -77,9 +76,8 @@ def _write(table: pd.DataFrame, place: Path) -> None:
     """Writes a chunk's table, whole or not at all."""
     with writing(place, "name another place"):
         place.parent.mkdir(parents=True, exist_ok=True)
-        scratch = place.with_suffix(".partial")
-        table.to_parquet(scratch)
-        scratch.replace(place)
+        with whole(place) as scratch:
+            table.to_parquet(scratch)
 
 
 def _only(folder: Folder, names: list[str]) -> Folder:

@@ -33,7 +33,7 @@ from pipeline.atlas.atlas import Atlas, atlas_hash
 from pipeline.progress import progress_bar
 from pipeline.recordings.derived_labels import recordings_to_learn_from
 from pipeline.recordings.folder import Folder, read_folder
-from pipeline.staging import writing
+from pipeline.staging import whole, writing
 from pipeline.workers import cluster, end_with
 
 # A user attribute of a trial: its errors by quantity; or why it has none.
@@ -103,13 +103,8 @@ def _write(path: Path, text: str) -> None:
     Raises:
         InputError: it cannot be written.
     """
-    scratch = path.with_name(f".{path.name}.partial")
-    try:
-        with writing(path, "move the sweep's file"):
-            scratch.write_text(text, encoding="utf-8")
-            scratch.replace(path)
-    finally:
-        scratch.unlink(missing_ok=True)
+    with writing(path, "move the sweep's file"), whole(path) as scratch:
+        scratch.write_text(text, encoding="utf-8")
 
 
 @contextmanager

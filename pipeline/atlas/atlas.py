@@ -28,7 +28,7 @@ from features.regular_file import check_regular
 from pipeline.atlas.splines import along, check_inside, fit_axis
 from pipeline.sensor import Sensor, design_hash, design_of
 from pipeline.skin.lines import PER_BOARD
-from pipeline.staging import writing
+from pipeline.staging import whole, writing
 
 VERSION = 1
 DEFAULT_ATLAS = Path(__file__).parent / "default_atlas.npz"
@@ -275,17 +275,13 @@ def atlas_hash(atlas: Atlas) -> str:
 
 def write_atlas(atlas: Atlas, path: Path) -> None:
     """Writes one compressed .npz without pickles; whole or not at all."""
-    scratch = path.with_name(f".{path.name}.partial.npz")
     arrays = {name: getattr(atlas, name) for name in _ARRAYS}
-    try:
-        with writing(path, "name another file"):
-            path.parent.mkdir(parents=True, exist_ok=True)
-            np.savez_compressed(
-                scratch, meta=np.array(json.dumps({"version": VERSION, **atlas.meta})), **arrays
-            )
-            scratch.replace(path)
-    finally:
-        scratch.unlink(missing_ok=True)
+    meta = np.array(json.dumps({"version": VERSION, **atlas.meta}))
+    with writing(path, "name another file"):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        # An open file, so that NumPy adds no suffix.
+        with whole(path) as scratch, scratch.open("wb") as file:
+            np.savez_compressed(file, meta=meta, **arrays)
 
 
 def read_atlas(path: Path = DEFAULT_ATLAS) -> Atlas:

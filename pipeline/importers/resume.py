@@ -25,7 +25,7 @@ class Journal:
             whole = [line for line in lines[1:] if line.endswith("}")]
             self.entries = {entry["recording"]: entry for entry in map(json.loads, whole)}
         else:
-            shutil.rmtree(partial, ignore_errors=True)
+            shutil.rmtree(partial / "raw", ignore_errors=True)
             with writing(partial.parent):
                 (partial / "raw").mkdir(parents=True)
                 self.path.write_text(head + "\n")

@@ -36,7 +36,7 @@ from pipeline.recordings.folder import Recording
 from pipeline.recordings.manifest import check_manifest, write_manifest
 from pipeline.recordings.slide_file import read_slide, read_slide_in_blocks, write_slide_in_blocks
 from pipeline.sensor import Sensor, write_sensor
-from pipeline.staging import staged
+from pipeline.staging import alone, staged
 
 # Signs and onsets look at a slide as a whole; a longer one than this (half an hour at 1 kHz) is left out.
 WHOLE_SAMPLES = 2_000_000
@@ -63,6 +63,21 @@ def import_recordings(sources: Sequence[Path], mapping: Map, out: Path) -> Impor
     jobs = find_sources(sources, mapping)
     sheet, to_volts = read_sheet(mapping), converter(mapping)
     partial = out.parent / f".{out.name}.partial"
+    with alone(partial, out):
+        resumed, notes = _imported(jobs, mapping, sheet, to_volts, partial, out)
+    return Imported(out, len(jobs), resumed, tuple(notes))
+
+
+def _imported(
+    jobs: Sequence[Source],
+    mapping: Map,
+    sheet: dict[str, dict[Any, str]],
+    to_volts: Callable[[np.ndarray], np.ndarray],
+    partial: Path,
+    out: Path,
+) -> tuple[int, list[str]]:
+    """Writes `out`; how many recordings an earlier call had done, and messages. Nothing is left in `partial` but by a
+    process that is killed or a disk that is full."""
     resumed = done = 0
     total = sum(size_bytes(path) for job in jobs for path in job.files.values())
     try:
@@ -86,7 +101,7 @@ def import_recordings(sources: Sequence[Path], mapping: Map, out: Path) -> Impor
         shutil.rmtree(partial, ignore_errors=True)
         raise
     shutil.rmtree(partial)
-    return Imported(out, len(jobs), resumed, tuple(notes))
+    return resumed, notes
 
 
 def find_sources(sources: Sequence[Path], mapping: Map) -> list[Source]:

@@ -1,6 +1,5 @@
 """A folder of recordings that grows by one recording at a time and is whole after each."""
 
-import os
 from pathlib import Path
 
 import pandas as pd
@@ -10,7 +9,7 @@ from pipeline.recordings.folder import Folder, Recording, read_folder
 from pipeline.recordings.manifest import LABELS, REQUIRED, check_manifest, write_manifest
 from pipeline.recordings.slide_file import write_slide
 from pipeline.sensor import Sensor, read_sensor, write_sensor
-from pipeline.staging import writing
+from pipeline.staging import whole, writing
 
 
 def open_growing(root: Path, sensor: Sensor | None) -> Folder:
@@ -39,7 +38,8 @@ def open_growing(root: Path, sensor: Sensor | None) -> Folder:
         raise InputError("give the sensor.toml of the new folder", "sensor")
     with writing(root):
         (root / "slides").mkdir(parents=True, exist_ok=True)
-    write_sensor(kept, sensor)
+    with whole(kept) as scratch:
+        write_sensor(scratch, sensor)
     columns = [name for name in (*REQUIRED, *LABELS) if name != "recording"]
     return Folder(root, sensor, pd.DataFrame(columns=columns, index=pd.Index([], name="recording")))
 
@@ -59,10 +59,8 @@ def add_recording(folder: Folder, recording: Recording, labels: dict[str, object
     table = pd.concat([before, pd.DataFrame([row], dtype=object)], ignore_index=True)
     manifest = check_manifest(table, folder.sensor, path)
     slide = folder.root / str(row["file"])
-    beside = slide.with_suffix(".part")
-    write_slide(beside, recording.time_s, recording.volts, folder.sensor.channels)
-    os.replace(beside, slide)
-    beside = path.with_suffix(".part")
-    write_manifest(beside, manifest)
-    os.replace(beside, path)
+    with whole(slide) as scratch:
+        write_slide(scratch, recording.time_s, recording.volts, folder.sensor.channels)
+    with whole(path) as scratch:
+        write_manifest(scratch, manifest)
     return Folder(folder.root, folder.sensor, manifest)
