@@ -12,8 +12,8 @@ import pytest
 import softslide
 from experiments.article.article import Article, article
 from experiments.article.axis_slides import AxisSlides, edges_mm, seen_from_board
+from experiments.article.interpolation_figures import PUBLISHED_CHI, published_minimum
 from experiments.article.method import BEST, PUBLISHED, Variant, fit_method
-from experiments.article.method_figures import PUBLISHED_CHI, published_minimum
 from features.stream.conditioning import Conditioning
 from features.vector.feature_vector import feature_names
 from models.classical.interpolation import DIRECTIONS_DEG

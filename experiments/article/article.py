@@ -5,7 +5,13 @@ from pathlib import Path
 
 import pandas as pd
 
-from experiments.article import method_figures, skin_figures, slide_figures
+from experiments.article import (
+    estimate_figures,
+    interpolation_figures,
+    place_figures,
+    skin_figures,
+    slide_figures,
+)
 from experiments.article.axis_slides import AxisSlides, read_axis_slides
 from experiments.article.claims import claims_table, height_paragraph, polynomial_paragraph
 from experiments.article.method import BEST, PUBLISHED, VARIANTS
@@ -117,10 +123,10 @@ def _slide_sections(
     return [
         slide_figures.zones(whole),
         *(slide_figures.extremes(whole, axis) for axis in (0, 1)),
-        *(method_figures.interpolation(whole, published, best, kind) for kind in (0, 2, 1, 3)),
-        *(method_figures.estimates(shown, axis) for axis in (0, 1)),
-        method_figures.areas(best, chamber_mm, (board.x_mm, board.y_mm)),
-        *(method_figures.trajectories(whole, best, axis) for axis in (0, 1)),
+        *(interpolation_figures.interpolation(whole, published, best, kind) for kind in (0, 2, 1, 3)),
+        *(estimate_figures.estimates(shown, axis) for axis in (0, 1)),
+        place_figures.areas(best, chamber_mm, (board.x_mm, board.y_mm)),
+        *(place_figures.trajectories(whole, best, axis) for axis in (0, 1)),
     ]
 
 

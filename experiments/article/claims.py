@@ -6,7 +6,8 @@ from dataclasses import asdict, dataclass
 import numpy as np
 import pandas as pd
 
-from experiments.article.method_figures import delays_mm, published_minimum
+from experiments.article.interpolation_figures import published_minimum
+from experiments.article.place_figures import delays_mm
 from experiments.article.scoring import Scored
 from experiments.article.slide_figures import Whole, extreme_place, sign_share, speed_effect
 from experiments.evaluation.bounds import Bound, Verdict

@@ -63,6 +63,13 @@ def scored(method: Method, slides: AxisSlides) -> pd.DataFrame:
     )
 
 
+def at_end(scored: pd.DataFrame, axis: int) -> pd.DataFrame:
+    """The slides along one axis (0 x, 1 y) at the end of their stroke, up to 4 mm/s, with their `distance`, mm."""
+    end = scored[(scored["stroke_fraction"] == 1.0) & (scored["kind"] % 2 == axis)]
+    end = end[end["true_speed_mm_s"] <= 4.0 + 1e-9]
+    return end.assign(distance=end["offset_mm"].abs())
+
+
 def _lines(table: pd.DataFrame) -> np.ndarray:
     """(n,) number of each window's line among those of its kind, by its place."""
     place = np.where(table["kind"].isin((0, 3)), 1, -1) * table["offset_mm"]
