@@ -76,6 +76,16 @@ def is_registered(value: object) -> bool:
     return isinstance(value, Path) and str(value).startswith("models:/")
 
 
+def skin_height(parser: Parser) -> None:
+    """`--height`, of the inflated skin, for a bundle over heights."""
+    parser.add_argument(
+        "--height",
+        type=float,
+        metavar="MM",
+        help="of the inflated skin, mm, for a bundle trained at several (default: what the static output tells)",
+    )
+
+
 def existing(parser: Parser, name: str, metavar: str, help: str, **options: Any) -> None:
     """An argument for a path that has to exist."""
     parser.add_argument(name, type=Path, action=Existing, metavar=metavar, help=help, **options)

@@ -37,6 +37,8 @@ def check(parser: Parser) -> Run:
         from pipeline.checks.coverage import not_covered
         from pipeline.checks.findings import as_json, examine, not_checked, refused_folder
         from pipeline.recordings.folder import read_folder
+        from pipeline.recordings.heights import told_heights
+        from pipeline.recordings.taught import CALIBRATION
 
         if given.picture and given.picture.suffix not in (".svg", ".png", ".pdf"):
             raise InputError(f"{given.picture}: name a .svg, .png or .pdf", "picture")
@@ -59,6 +61,8 @@ def check(parser: Parser) -> Run:
                 print(finding.line())
             for line in not_checked(recordings.sensor):
                 print(f"not checked: {line}")
+            if line := told_heights(recordings.select(*CALIBRATION)):
+                print(f"heights: {line}")
             for line in not_covered(recordings.manifest, recordings.sensor):
                 print(f"not covered: {line}")
             warnings = len(findings) - len(errors)

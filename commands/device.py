@@ -24,6 +24,7 @@ def predict(parser: Parser) -> Run:
     parser.add_argument(
         "--track", action="store_true", help="every estimate of each recording, one a block (20 ms)"
     )
+    arguments.skin_height(parser)
     arguments.existing(
         parser,
         "files",
@@ -36,7 +37,7 @@ def predict(parser: Parser) -> Run:
         from serve.predict import predict
 
         bad: list[InputError] = []
-        for line in predict(given.model, given.files, given.track, bad.append):
+        for line in predict(given.model, given.files, given.track, bad.append, given.height):
             print(json.dumps(line, allow_nan=False), flush=True)
         for error in bad[:-1]:
             print(f"softslide predict: {error}", file=sys.stderr)
@@ -83,6 +84,7 @@ def serve(parser: Parser) -> Run:
         action="store_true",
         help="pass place, direction and speed through a Kalman filter: a fifth of the jitter, no further accuracy",
     )
+    arguments.skin_height(parser)
     parser.add_argument("--fast", action="store_true", help="play a recording as fast as it goes")
     parser.add_argument(
         "--page",
@@ -103,6 +105,7 @@ def serve(parser: Parser) -> Run:
             given.fast,
             given.page,
             given.smooth,
+            given.height,
         )
         print(f"softslide serve: {written} estimates", file=sys.stderr)
 

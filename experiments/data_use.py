@@ -1,9 +1,11 @@
 """What `train` is about to do with a folder's recordings, and what it did, said on standard error."""
 
+import math
 import sys
 
-import pandas as pd
+import numpy as np
 
+from features.height import HeightCalibration
 from models.fitted_model import FittedModel
 from pipeline.recordings.derived_labels import why_not_labelled, with_derived_labels
 from pipeline.recordings.folder import Folder
@@ -33,12 +35,13 @@ def _time(seconds: float) -> str:
     return f"{seconds:.0f} s" if seconds < 90 else f"{seconds / 60:.0f} min"
 
 
-def report_use(chosen: Folder, folder: Folder, fitted: FittedModel) -> None:
+def report_use(chosen: Folder, folder: Folder, fitted: FittedModel, several_heights: bool = False) -> None:
     """Says how many recordings were used, and of those that were not, why not.
 
-    chosen: those of the calibration splits. folder: what the model was fitted to.
+    chosen: those of the calibration splits. folder: what the model was fitted to. several_heights: whether the model
+    can be fitted to recordings at several heights of the skin.
     """
-    left_out = why_not_labelled(with_derived_labels(chosen)) | fitted.left_out
+    left_out = why_not_labelled(with_derived_labels(chosen), several_heights) | fitted.left_out
     print(f"learnt from {len(chosen) - len(left_out)} of {len(chosen)} recordings", file=sys.stderr)
     for line in (*_left_out(left_out), *_assumed(chosen, folder, fitted)):
         print(line, file=sys.stderr)
@@ -63,18 +66,28 @@ def _assumed(chosen: Folder, folder: Folder, fitted: FittedModel) -> list[str]:
     if (absent := table["depth_mm"].isna()).any():
         depths = folder.manifest["depth_mm"][absent].unique()
         lines.append(f"no depth_mm in {int(absent.sum())}: taken as {depths[0]:g} mm")
-    if "skin_height_mm" in table:
-        heights = pd.to_numeric(table["skin_height_mm"], errors="coerce").dropna()
-        if heights.nunique() > 1:
-            lines.append(
-                f"skin_height_mm from {heights.min():g} to {heights.max():g} mm: one response map for all of them"
-            )
+    if fitted.heights is not None:
+        lines.append(_over_heights(fitted.heights, fitted.summary))
     contact = folder.manifest["depth_mm"]
     if contact.nunique() > 1:
         lines.append(
             f"depth_mm from {contact.min():g} to {contact.max():g}: any depth between them is expected"
         )
     return lines
+
+
+def _over_heights(heights: HeightCalibration, summary: dict[str, float]) -> str:
+    """What was made of recordings at several heights of the skin."""
+    line = f"skin {heights.lowest_mm:.2f} to {heights.highest_mm:.2f} mm high: one response map over heights"
+    if "heldout_residual_map_a_height" in summary:
+        shared, apart = (summary[f"heldout_residual_map_{name}"] for name in ("over_heights", "a_height"))
+        line += f", which leaves {shared:.1%} of held-out lines (a map of each height {apart:.1%})"
+    tells = not math.isnan(heights.told(np.array(heights.static_v)))
+    return f"{line}; " + (
+        "the static output tells the height"
+        if tells
+        else "the static output tells no height, name it by --height"
+    )
 
 
 def _some(names: list[str]) -> str:

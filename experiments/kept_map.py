@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from experiments.provenance import data_hashes, machine, source_hash
+from features.height import HeightCalibration
 from features.stream.conditioning import Conditioning
 from models.response_map.calibrate import CalibrationConfig
 from models.response_map.from_atlas import SensorSpread
@@ -121,6 +122,8 @@ def _packed(found: CalibratedMap) -> Arrays:
         "summary": found.summary,
         "untimed": found.untimed,
         "left_out": found.left_out,
+        "heights": None if found.heights is None else asdict(found.heights),
+        "told_mm": found.told_mm,
     }
     return {
         **{name: np.ascontiguousarray(values) for name, values in arrays.items()},
@@ -135,8 +138,7 @@ def _unpacked(arrays: Arrays, folder: Folder) -> CalibratedMap:
     maps = []
     for n, numbers in enumerate(rest["maps"]):
         own = {k.removeprefix(f"map.{n}."): v for k, v in arrays.items() if k.startswith(f"map.{n}.")}
-        values: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in numbers.items()}
-        maps.append(ResponseMap(**(own | values)))
+        maps.append(ResponseMap(**(own | _tuples(numbers))))
     motion = dict(zip(LABELS, arrays["motion"].T, strict=True))
     return CalibratedMap(
         response=maps[0],
@@ -147,4 +149,11 @@ def _unpacked(arrays: Arrays, folder: Folder) -> CalibratedMap:
         folder=replace(folder, manifest=folder.manifest.assign(**motion)),
         untimed=rest["untimed"],
         left_out=rest["left_out"],
+        heights=None if rest["heights"] is None else HeightCalibration(**_tuples(rest["heights"])),
+        told_mm=rest["told_mm"],
     )
+
+
+def _tuples(table: dict[str, Any]) -> dict[str, Any]:
+    """A table as JSON has it, with tuples for its lists."""
+    return {key: tuple(value) if isinstance(value, list) else value for key, value in table.items()}

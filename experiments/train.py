@@ -27,7 +27,13 @@ from features.card import read_card
 from features.errors import InputError
 from models.export.bundle import read_graph, write_bundle
 from models.fitted_model import FittedModel
-from models.registry import default_config, fit_model, learns_from_design_alone, uses_design
+from models.registry import (
+    default_config,
+    fit_model,
+    learns_from_design_alone,
+    takes_several_heights,
+    uses_design,
+)
 from pipeline.atlas.atlas import Atlas, atlas_hash
 from pipeline.atlas.library import atlas_at_hand, atlas_of
 from pipeline.progress import progress_bar
@@ -91,7 +97,8 @@ def train(
     out, atlas, init, config = Path(out), _path(atlas), _path(init), _path(config)
     roots = [Path(recordings)] if isinstance(recordings, str | Path) else [Path(root) for root in recordings]
     whole = read_folders(roots)
-    folder = to_learn_from(whole, design_alone)
+    heights = takes_several_heights(model)
+    folder = to_learn_from(whole, design_alone, heights)
     settings = configured(change(default_config(model)), config, model)
     start = None if init is None else _graph_of(init)
     check_replaceable(out, BUNDLE_FILES)
@@ -119,7 +126,7 @@ def train(
         fitted, losses = _fit(model, folder, settings, design, start, fresh)
         _warn_if_lost(fitted)
         if not design_alone:
-            report_use(whole.select(*LEARNT), folder, fitted)
+            report_use(whole.select(*LEARNT), folder, fitted, heights)
         windows = fitted.windows or labelled_windows(folder, fitted.conditioning)
         parity = write_bundle(fitted, folder.sensor, windows, provenance, out)
         run.model(out, model)
@@ -133,8 +140,10 @@ def train(
     return Training(out, fitted, run)
 
 
-def to_learn_from(whole: Folder, design_alone: bool) -> Folder:
+def to_learn_from(whole: Folder, design_alone: bool, several_heights: bool = False) -> Folder:
     """The recordings to learn from: of the splits LEARNT, those whose line is known.
+
+    several_heights: of the skin, those too that are not at the pressure of most.
 
     Raises:
         InputError: some have labels and none can be used.
@@ -142,7 +151,7 @@ def to_learn_from(whole: Folder, design_alone: bool) -> Folder:
     chosen = whole.select(*LEARNT)
     if design_alone:
         return replace(chosen, manifest=chosen.manifest.iloc[:0])
-    folder = recordings_to_learn_from(chosen)
+    folder = recordings_to_learn_from(chosen, several_heights)
     some = chosen.manifest[list(LINE)].notna().any(axis=1)
     if not len(folder) and some.any():
         name, why = next(iter(why_not_labelled(with_derived_labels(chosen)).items()))

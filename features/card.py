@@ -12,6 +12,7 @@ from features.contact.calibration import ContactCalibration
 from features.contact.force_map import ForceMap
 from features.digest import sha256
 from features.errors import InputError
+from features.height import HeightCalibration
 from features.regular_file import read_regular
 from features.stream.conditioning import ROUNDING, Conditioning
 
@@ -80,7 +81,8 @@ class Card:
     reference_mm: the point that offsets are measured from. intervals: by quantity (direction_deg, log_speed,
     offset_mm, depth_mm). provenance: what the model was trained from. golden: one worked example, the graph's inputs
     by name and its row for them. graph_sha256: of the graph's file. contact: what contacts are tracked with, None:
-    straight slides alone. force: of a contact by its place, None: not known.
+    straight slides alone. force: of a contact by its place, None: not known. heights: of the skin, None: it is a
+    model for one.
 
     Raises:
         ValueError: an unknown input or output, channels that are no whole number of accelerometers, or a field of
@@ -102,6 +104,7 @@ class Card:
     graph_sha256: str
     contact: ContactCalibration | None = None
     force: ForceMap | None = None
+    heights: HeightCalibration | None = None
 
     def __post_init__(self) -> None:
         if self.input not in INPUTS:
@@ -158,9 +161,9 @@ def read_card(path: Path) -> Card:
             f"{path}: card version {version!r:.40}, this release reads {VERSION}; export the bundle again"
         )
     table.pop("units", None)
-    # Bundles made before contacts were tracked, or forces known, have no such section.
-    table.setdefault("contact", None)
-    table.setdefault("force", None)
+    # Bundles made before contacts were tracked, or forces or heights known, have no such section.
+    for section in ("contact", "force", "heights"):
+        table.setdefault(section, None)
     if odd := sorted(set(table) ^ {f.name for f in fields(Card)}):
         raise InputError(f"{path}: key {odd[0]!r:.60} is missing or unknown; export the bundle again")
     try:
@@ -213,6 +216,7 @@ def _card(table: dict[str, Any]) -> Card:
             "intervals": {k: Interval(**v) for k, v in table["intervals"].items()},
             "validity": Validity(**limits),
             "force": None if table["force"] is None else _force(table["force"]),
+            "heights": None if table["heights"] is None else _heights(table["heights"]),
             "contact": None if table["contact"] is None else _contact(table["contact"]),
         }
     )
@@ -226,6 +230,11 @@ def _force(table: dict[str, Any]) -> ForceMap:
 
 def _contact(table: dict[str, Any]) -> ContactCalibration:
     return ContactCalibration(**{**table, **{name: tuple(table[name]) for name in ("chamber_mm", "noise_v")}})
+
+
+def _heights(table: dict[str, Any]) -> HeightCalibration:
+    lists = ("static_v", "static_v_per_mm", "static_sd_v")
+    return HeightCalibration(**{**table, **{name: tuple(table[name]) for name in lists}})
 
 
 def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

@@ -56,6 +56,8 @@ class Estimate(NamedTuple):
     accelerometers: number that the slide is read from, 0 without a slide. zero_shift_v, gain, turn_deg: the sensor's
     drift (features/stream/drift.py).
     places: where the contact may be, the likeliest first, while several places explain the output.
+    skin_height_mm: of the inflated skin, as given or as the static output tells it, of bundles over heights
+    (features/height.py).
     """
 
     time_s: float
@@ -99,6 +101,7 @@ class Estimate(NamedTuple):
     tangential_force_lo_mn: float = math.nan
     tangential_force_hi_mn: float = math.nan
     places: tuple[Place, ...] = ()
+    skin_height_mm: float = math.nan
 
 
 _NO_INTERVAL = Interval(math.nan, math.nan)

@@ -10,6 +10,7 @@ import onnx
 from features.card import Interval, Validity
 from features.contact.calibration import ContactCalibration
 from features.contact.force_map import ForceMap
+from features.height import HeightCalibration
 from features.stream.conditioning import Conditioning
 from pipeline.recordings.windows import LabelledWindows
 
@@ -24,6 +25,7 @@ class FittedModel:
     summary: figures of the fit, for the record.
     windows: what export is checked on where there are no recordings; None: the recordings' own.
     contact: what contacts are tracked with; None: the model knows straight slides alone. force: None: it knows none.
+    heights: of the skin; None: it knows one alone.
     untimed: how many slides had their onset fitted. left_out: why a recording was not learnt from, by name.
     """
 
@@ -39,6 +41,7 @@ class FittedModel:
     windows: LabelledWindows | None = None
     contact: ContactCalibration | None = None
     force: ForceMap | None = None
+    heights: HeightCalibration | None = None
     untimed: int = 0
     left_out: dict[str, str] = field(default_factory=dict)
 
@@ -51,10 +54,12 @@ class Model:
     fit: (folder, configuration) -> FittedModel; with from_design (folder, configuration, atlas, calibrate), with alone
     (folder, configuration, atlas, init, progress, calibrate, judge), as `models.registry.fit_model` describes them.
     from_design: whether it can use an atlas of the sensor's design. alone: whether that suffices, so that an atlas is
-    solved where none is at hand; such a model can also start from an earlier bundle.
+    solved where none is at hand; such a model can also start from an earlier bundle. several_heights: whether it can
+    learn from recordings at several heights of the skin.
     """
 
     config: Callable[[], Any]
     fit: Callable[..., FittedModel]
     from_design: bool = False
     alone: bool = False
+    several_heights: bool = False

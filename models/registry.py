@@ -60,6 +60,15 @@ def learns_from_design_alone(name: str) -> bool:
     return _model(name).alone
 
 
+def takes_several_heights(name: str) -> bool:
+    """Whether the model can learn from recordings at several heights of the skin.
+
+    Raises:
+        InputError: no such model.
+    """
+    return _model(name).several_heights
+
+
 def fit_model(
     name: str,
     folder: "Folder",

@@ -10,11 +10,13 @@ import onnxruntime as ort
 
 from features.angles import touch_channels
 from features.card import Card
+from features.contact.response_surface import ResponseSurface
 from features.contact.tracker import ContactTracker, Track, TrackingConfig
 from features.departure import held_at_rim
 from features.errors import InputError
 from features.estimate import Estimate, Reason, decode
 from features.force import ForceReader
+from features.height import HEIGHT_INPUT, given_height
 from features.stream.conditioning import ONSETS, Blocks, LagUndone
 from features.stream.drift import UNKNOWN, DriftWatch, measures_gravity
 from features.stream.faults import BRIDGED_BLOCKS, SignalWatch
@@ -30,6 +32,8 @@ from serve.sample_slots import SampleClock
 BRIDGED_SHARE = 0.05
 # Blocks, 1 s, between two readings of the drift at rest; the static output's memory is 30 s.
 DRIFT_BLOCKS = 50
+# The tracker's map is mixed anew for another height of the skin than this much: 0.3 % of the response.
+HEIGHT_STEP_MM = 0.03
 _OUTPUT = ["estimate"]
 # What forbids any estimate from the signal, not only that of a straight slide.
 _OF_THE_SIGNAL = (Reason.DEAD_CHANNEL, Reason.DRIFT, Reason.TOO_EARLY)
@@ -43,8 +47,14 @@ class Localizer:
     one. After that its static output is learnt anew, which takes three times `trigger_blocks`.
     """
 
-    def __init__(self, card: Card, session: ort.InferenceSession) -> None:
+    def __init__(self, card: Card, session: ort.InferenceSession, height_mm: float | None = None) -> None:
+        """height_mm: the skin's, for a bundle over heights; None: what the static output tells.
+
+        Raises:
+            InputError: the bundle is for one height, or not for this one.
+        """
         self.card = card
+        self._given_mm = given_height(card.heights, height_mm)
         self._session = session
         channels, accelerometers = len(card.channels), card.sensor["accelerometers"]
         self._blocks = Blocks(channels, card.block_samples)
@@ -55,7 +65,8 @@ class Localizer:
         self._tracker = SlideTracker(card.conditioning, channels)
         self._drift = DriftWatch(accelerometers, card.conditioning.touch_axes, card.conditioning.scale)
         self._lag = LagUndone(card.conditioning, len(self._tracker.touch))
-        self._contact = contact_tracker(card, self._lag.noise_gain)
+        self._contact = contact_tracker(card, self._lag.noise_gain, math.nan)
+        self._contact_mm = math.nan
         self._limits = TrackLimits()
         self._forces = None if card.force is None else ForceReader(card.force)
         self._inputs = {
@@ -63,16 +74,19 @@ class Localizer:
             "elapsed_s": np.zeros(1, np.float32),
             "weight": np.ones((1, len(accelerometers)), np.float32),
         }
+        if card.heights is not None:
+            self._inputs[HEIGHT_INPUT] = np.zeros(1, np.float32)
         self.reset()
 
     @classmethod
-    def load(cls, bundle: str | Path) -> "Localizer":
-        """Opens a bundle and checks the example of its card.
+    def load(cls, bundle: str | Path, height_mm: float | None = None) -> "Localizer":
+        """Opens a bundle and checks the example of its card. height_mm: as in `__init__`.
 
         Raises:
-            InputError: the bundle is missing, altered or truncated, or does not give the result of its example.
+            InputError: the bundle is missing, altered or truncated, does not give the result of its example, or is not
+                for this height.
         """
-        return cls(*open_bundle(bundle))
+        return cls(*open_bundle(bundle), height_mm)
 
     def reset(self) -> None:
         """Forgets the stream; the static output has to be learnt anew."""
@@ -82,6 +96,8 @@ class Localizer:
         self._tracker.reset()
         self._drift.reset()
         self._forget_contact()
+        self._height_mm = math.nan
+        self._take_height(self._given_mm)
         self._count = 0
         self._bridged = 0
         self._slide_blocks = 0
@@ -205,7 +221,7 @@ class Localizer:
             estimate = held_at_rim(estimate, chamber, ball)
         if self._forces is not None:
             estimate = self._forces.with_force(estimate)
-        return estimate._replace(**self._last_drift._asdict())
+        return estimate._replace(**self._last_drift._asdict(), skin_height_mm=self._height_mm)
 
     def _no_contact(self) -> Reason:
         if not self._healthy.any():
@@ -240,6 +256,27 @@ class Localizer:
         ):
             self._clear = self._track, self._count
 
+    def _read_height(self) -> None:
+        """The skin's height, from what is at rest: it stays what it was while an accelerometer is not."""
+        tracker = self._tracker
+        if self.card.heights is None or not math.isnan(self._given_mm) or not tracker.known.all():
+            return
+        self._take_height(self.card.heights.told(tracker.static[tracker.touch]))
+
+    def _take_height(self, height_mm: float) -> None:
+        """Reads the map at this height of the skin; NaN: at the height that most of its recordings had."""
+        heights = self.card.heights
+        if heights is None:
+            return
+        self._height_mm = height_mm
+        used_mm = heights.height_mm if math.isnan(height_mm) else height_mm
+        if HEIGHT_INPUT in self._inputs:
+            self._inputs[HEIGHT_INPUT][0] = used_mm - heights.height_mm
+        # The map is mixed anew for the tracker, which takes a millisecond: not in mid-contact, and not for nothing.
+        if self._track is None and not abs(used_mm - self._contact_mm) <= HEIGHT_STEP_MM:
+            self._contact = contact_tracker(self.card, self._lag.noise_gain, used_mm)
+            self._contact_mm = used_mm
+
     def _whole_blocks(
         self, volts: np.ndarray, time_s: np.ndarray | None
     ) -> Iterator[tuple[np.ndarray, tuple[float, float]]]:
@@ -263,6 +300,7 @@ class Localizer:
             if not sliding or tracker.usable is not usable:
                 # The static output stays as it is while something slides.
                 self._last_drift = self._drift.read(tracker.static, tracker.usable)
+                self._read_height()
             self._slide_blocks += 1
             bridged = bool((block.bridged & tracker.usable).any())
             self._bridged += bridged
@@ -275,6 +313,7 @@ class Localizer:
             self._held = tracker.final, self._chosen(straight, 0.0)
         if tracker.state is not SlideState.SLIDE and self._count % DRIFT_BLOCKS == 0:
             self._last_drift = self._drift.read(tracker.static, block.healthy)
+            self._read_height()
 
     def _checked(self, volts: np.ndarray, time_s: np.ndarray | None) -> tuple[np.ndarray, np.ndarray | None]:
         channels = len(self.card.channels)
@@ -291,8 +330,10 @@ class Localizer:
         return volts, time_s
 
 
-def contact_tracker(card: Card, noise_gain: float) -> ContactTracker | None:
+def contact_tracker(card: Card, noise_gain: float, height_mm: float) -> ContactTracker | None:
     """The tracker that a card describes; None for a bundle that knows straight slides alone.
+
+    height_mm: of the skin, for a card over heights; NaN: the card's.
 
     Where a slide begins with a touch it is None too: the tracker knows contacts that come over a rim or are pressed on
     slowly, and loses those that are there from one block to the next.
@@ -300,8 +341,11 @@ def contact_tracker(card: Card, noise_gain: float) -> ContactTracker | None:
     contact = card.contact
     if contact is None or card.conditioning.onset == ONSETS[1]:
         return None
+    splines = contact.splines()
+    if card.heights is not None and not math.isnan(height_mm):
+        splines[0] += (height_mm - card.heights.height_mm) * card.heights.splines()
     return ContactTracker(
-        surface=contact.surface(),
+        surface=ResponseSurface(splines, contact.half_mm, contact.spacing_mm),
         half_mm=(contact.chamber_mm[0] / 2, contact.chamber_mm[1] / 2),
         block_s=card.conditioning.block_s,
         noise_v=noise_gain * np.array(contact.noise_v),

@@ -15,16 +15,17 @@ def predict(
     paths: Sequence[str | Path],
     track: bool = False,
     refused: Callable[[InputError], None] | None = None,
+    height_mm: float | None = None,
 ) -> Iterator[dict[str, Any]]:
     """The estimate at the end of each recording, ready for JSON; None: not estimated.
 
     track: every estimate, one a block. refused: is told why a file could not be read, and the others go on; None: the
-    first ends it.
+    first ends it. height_mm: the skin's, for a bundle over heights; None: what the static output tells.
 
     Raises:
         InputError: the bundle or a file is missing, damaged, or of another format.
     """
-    localizer = Localizer.load(bundle)
+    localizer = Localizer.load(bundle, height_mm)
     card = localizer.card
     for path in map(Path, paths):
         try:

@@ -11,6 +11,7 @@ from features.card import HALF_WIDTH_SD, Interval, Validity
 from features.errors import InputError
 from features.stream.conditioning import Conditioning
 from models.cnn.gauss_newton import Refinement
+from models.cnn.height_input import with_height
 from models.cnn.network import OUTPUTS, NetworkConfig, Proposal, SlideNetwork
 from models.cnn.training import TrainingConfig, train_proposal
 from models.cnn.training_windows import SynthesisConfig, WindowSource
@@ -26,8 +27,10 @@ from models.response_map.forces import calibrated_forces
 from models.response_map.from_atlas import SensorSpread
 from models.response_map.map import ResponseMap
 from models.response_map.select import CalibratedMap, calibrated_map
+from models.response_map.slides import LEAST_HEIGHTS_MM
 from pipeline.atlas.atlas import Atlas
 from pipeline.recordings.folder import Folder
+from pipeline.recordings.heights import HEIGHT
 from pipeline.recordings.windows import LabelledWindows, labelled_windows
 
 # Without recordings nothing says how far this sensor is from its design: the article's own bounds, and a margin.
@@ -49,6 +52,7 @@ LOST_DEG = 20.0
 EARLY = 0.35  # share of the stroke before which slides that differ look alike
 # Rows (n, K) of the network, and the windows that they are of.
 Held = tuple[np.ndarray, LabelledWindows]
+HEIGHT_STEP_MM = 0.02  # held-out windows within it share a network; the response changes by 0.2 %
 LEAST_WINDOWS = 20  # to set intervals on: with fewer a 90 % quantile is the largest error
 
 
@@ -108,11 +112,12 @@ def fit_cnn(
         beside = None if found.response.depth_sd_mm else _other_depths(found.response, network, config, held)
         intervals, validity = _judge(*held, network.outputs, beside)
         summary = summary | _held_out_summary(held)
+    graph = export_graph(network, len(folder.sensor.accelerometers))
     return FittedModel(
         name="cnn",
         input="window",
         outputs=network.outputs,
-        graph=export_graph(network, len(folder.sensor.accelerometers)),
+        graph=graph if found.heights is None else with_height(graph, found.response),
         original=lambda inputs: _run(network, **inputs),
         intervals=dict(intervals),
         validity=validity,
@@ -121,11 +126,21 @@ def fit_cnn(
         contact=contact_calibration(found.response),
         force=None
         if atlas is None
-        else calibrated_forces(found.folder, atlas, found.summary, found.response.depth_mm),
+        else calibrated_forces(_at_main_height(found), atlas, found.summary, found.response.depth_mm),
+        heights=found.heights,
         windows=None if found.slides else source.draw(200, torch.Generator().manual_seed(1)).labelled(),
         untimed=found.untimed,
         left_out=found.left_out,
     )
+
+
+def _at_main_height(found: CalibratedMap) -> Folder:
+    """The recordings at the height that the map is of."""
+    table = found.folder.manifest
+    if found.heights is None:
+        return found.folder
+    kept = (table[HEIGHT] - found.heights.height_mm).abs() <= LEAST_HEIGHTS_MM
+    return replace(found.folder, manifest=table[kept])
 
 
 def _held_out_summary(held: Held) -> dict[str, float]:
@@ -174,15 +189,21 @@ def _run(network: SlideNetwork, volts: np.ndarray, elapsed_s: np.ndarray, weight
 
 
 def _held_out(folder: Folder, found: CalibratedMap, proposal: Proposal, config: CnnConfig) -> Held:
-    """Rows (n, K) for windows of lines that the map behind them was not fitted to, and those windows."""
+    """Rows (n, K) for windows of lines that the map behind them was not fitted to, and those windows.
+
+    Of a map over heights each is read at the height that its own static output tells, as on a device.
+    """
     windows = labelled_windows(folder, config.conditioning)
+    main_mm = found.response.height_mm if found.heights is not None else 0.0
+    told_mm = [found.told_mm.get(name, main_mm) for name in windows.recording]
+    heights_mm = HEIGHT_STEP_MM * np.round(np.where(np.isnan(told_mm), main_mm, told_mm) / HEIGHT_STEP_MM)
     columns = _network(proposal, found.response, config).outputs
     rows = np.full((len(windows), len(columns)), np.nan, dtype=np.float32)
     for response, unseen in found.held_out:
-        mask = np.isin(windows.recording, unseen)
-        if mask.any():
+        for height_mm in np.unique(heights_mm[np.isin(windows.recording, unseen)]):
+            mask = np.isin(windows.recording, unseen) & (heights_mm == height_mm)
             weight = np.ones((int(mask.sum()), windows.volts.shape[1] // 3))
-            network = _network(proposal, response, config)
+            network = _network(proposal, response.at_height(height_mm), config)
             rows[mask] = _run(network, windows.volts[mask], windows.elapsed_s[mask], weight)
     known = np.isfinite(rows[:, 0])
     return rows[known], windows[known]
@@ -194,7 +215,7 @@ def _other_depths(response: ResponseMap, network: SlideNetwork, config: CnnConfi
     Of how far other depths are from it nothing is known but the refinement's own prior.
     """
     spread = replace(config.synthesis, depth_mm=config.network.refinement.depth_sd_mm)
-    source = WindowSource(response, config.conditioning.block_s, spread)
+    source = WindowSource(replace(response, height_slope=None), config.conditioning.block_s, spread)
     windows = source.draw(len(held[1]), torch.Generator().manual_seed(2)).labelled()
     weight = np.ones((len(windows), windows.volts.shape[1] // 3))
     return _run(network, windows.volts, windows.elapsed_s, weight), windows
@@ -284,4 +305,4 @@ def _errors(rows: np.ndarray, windows: LabelledWindows) -> dict[str, float]:
     }
 
 
-MODEL = Model(CnnConfig, fit_cnn, from_design=True, alone=True)
+MODEL = Model(CnnConfig, fit_cnn, from_design=True, alone=True, several_heights=True)

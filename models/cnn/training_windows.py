@@ -103,7 +103,11 @@ class WindowSource:
         along_x = response.response(x, y, 0.0) - response.response(x, y, np.pi)
         along_y = response.response(x, y, np.pi / 2) - response.response(x, y, -np.pi / 2)
         deep = response.response(x, y, 0.0, response.depth_mm + 1.0) - response.response(x, y, 0.0)
-        table = np.concatenate([mean / 2, along_x / 2, along_y / 2, deep], axis=1)
+        parts = [mean / 2, along_x / 2, along_y / 2, deep]
+        if response.height_slope is not None:
+            higher = response.at_height(response.height_mm + 1.0)
+            parts.append(higher.response(x, y, 0.0) - response.response(x, y, 0.0))
+        table = np.concatenate(parts, axis=1)
         self._table = torch.tensor(table, dtype=torch.float32)
         self._origin, self._size = float(grid[0]), len(grid)
         self._noise = torch.tensor(response.noise_v, dtype=torch.float32)
@@ -169,12 +173,16 @@ class WindowSource:
         travelled = torch.minimum(share * path_mm, motion.length[:, None])
         s = motion.first[:, None] + travelled - (lines.speed * response.lag_s)[:, None]
         depth = c.depth_mm * random.normal(random.count).clamp(-2.0, 3.0)
+        low, high = (at - response.height_mm for at in response.height_range_mm)
+        # Drawn for a map over heights alone: the windows of others stay as they are.
+        height = None if response.height_slope is None else random.uniform(low, high)
         clean = self._response(
             lines.foot_x[:, None] + s * lines.cos[:, None],
             lines.foot_y[:, None] + s * lines.sin[:, None],
             lines.cos,
             lines.sin,
             depth,
+            height,
         )
         each = (random.count, 1, clean.shape[2])
         gain = (
@@ -216,7 +224,9 @@ class WindowSource:
             weight[torch.arange(random.count), lost] = 1.0 - random.chance(self.config.dead).float()
         return weight
 
-    def _response(self, x: Tensor, y: Tensor, cos: Tensor, sin: Tensor, depth: Tensor) -> Tensor:
+    def _response(
+        self, x: Tensor, y: Tensor, cos: Tensor, sin: Tensor, depth: Tensor, height: Tensor | None
+    ) -> Tensor:
         """Bilinear look-up in the table: (B, n) positions -> (B, n, C) V; zero beyond the table."""
         inside = (x.abs() < -self._origin) & (y.abs() < -self._origin)
         u = ((x - self._origin) / TABLE_MM).clamp(0, self._size - 1.001)
@@ -227,9 +237,10 @@ class WindowSource:
         low = self._table[at] * (1 - fu) + self._table[at + self._size] * fu
         high = self._table[at + 1] * (1 - fu) + self._table[at + self._size + 1] * fu
         parts = (low * (1 - fv) + high * fv) * inside[..., None]
-        mean, along_x, along_y, deep = parts.chunk(4, dim=2)
+        mean, along_x, along_y, deep, *higher = parts.split(self.response.channels, dim=2)
         axis = (cos[:, None, None], sin[:, None, None])
-        return mean + axis[0] * along_x + axis[1] * along_y + depth[:, None, None] * deep
+        volts = mean + axis[0] * along_x + axis[1] * along_y + depth[:, None, None] * deep
+        return volts if height is None else volts + height[:, None, None] * higher[0]
 
 
 @dataclass(frozen=True)

@@ -48,7 +48,7 @@ def write_bundle(
     """
     graph = fitted.graph.SerializeToString()
     inputs = graph_inputs(fitted.input, windows.volts, windows.elapsed_s)
-    session = ort.InferenceSession(graph, providers=["CPUExecutionProvider"])
+    session = session_of(graph)
     exported = session.run(None, inputs)[0]
     original = fitted.original(inputs)
     # Where the model abstains (too little of the stroke to tell one line from another), its iteration may end in
@@ -87,11 +87,19 @@ def write_bundle(
         graph_sha256=hashlib.sha256(graph).hexdigest(),
         contact=fitted.contact,
         force=fitted.force,
+        heights=fitted.heights,
     )
     with staged(out) as folder:
         (folder / "model.onnx").write_bytes(graph)
         write_card(card, folder / "model.json")
     return difference
+
+
+def session_of(graph: bytes) -> ort.InferenceSession:
+    """A session of a graph that was just made. It does not warn of an input that need not be given."""
+    options = ort.SessionOptions()
+    options.log_severity_level = 3
+    return ort.InferenceSession(graph, options, providers=["CPUExecutionProvider"])
 
 
 def believed(rows: np.ndarray, fitted: FittedModel | Card) -> np.ndarray:

@@ -18,7 +18,7 @@ from onnxruntime.quantization import CalibrationDataReader, QuantFormat, QuantTy
 from features.angles import wrapped_deg
 from features.card import Card, write_card
 from features.errors import InputError
-from models.export.bundle import PARITY, believed, graph_inputs, read_graph, relative_differences
+from models.export.bundle import PARITY, believed, graph_inputs, read_graph, relative_differences, session_of
 from models.export.c99.node import NoForm
 from models.export.c99.precision import in_single
 from models.export.c99.source import sources
@@ -90,7 +90,7 @@ def precision_difference(card: Card, graph: onnx.ModelProto, single: onnx.ModelP
 
 def _rows(graph: bytes, inputs: dict[str, np.ndarray]) -> np.ndarray:
     """Rows (n, K) of a graph, one window at a time, as on a device."""
-    session = ort.InferenceSession(graph, providers=["CPUExecutionProvider"])
+    session = session_of(graph)
     count = len(next(iter(inputs.values())))
     return np.concatenate(
         [session.run(None, {k: v[n : n + 1] for k, v in inputs.items()})[0] for n in range(count)]

@@ -6,17 +6,18 @@ from typing import Any
 
 import numpy as np
 import onnx
-import onnxruntime as ort
 from onnx import numpy_helper
 
 from features.card import Card, write_card
 from features.digest import sha256
 from features.errors import InputError
 from models.cnn.forward_model import TABLE
-from models.export.bundle import read_graph
+from models.cnn.height_input import SLOPE
+from models.export.bundle import read_graph, session_of
 from models.graph.packing import pack
 from models.response_map.contact_card import contact_calibration, response_of
 from models.response_map.gains import Gains, fit_gains, labelled_contacts
+from models.response_map.heights import with_gains
 from pipeline.recordings.folder import Folder
 from pipeline.staging import staged
 from serve.bundle import open_bundle
@@ -58,16 +59,18 @@ def recalibrate(bundle: Path, folder: Folder, out: Path, data: dict[str, str]) -
 
 
 def _with_gains(graph: onnx.ModelProto, gains: Gains, path: Path) -> onnx.ModelProto:
-    """The graph with each channel's columns of the map's table times its gain, rounded as they were."""
-    table = next((item for item in graph.graph.initializer if item.name == TABLE), None)
-    if table is None:
+    """The graph with each channel's columns of the map's table times its gain, rounded as they were; its change with
+    the skin's height as well."""
+    tables = {item.name: item for item in graph.graph.initializer if item.name in (TABLE, SLOPE)}
+    if TABLE not in tables:
         raise InputError(
             f"{path}: its graph holds no table of the response map; name a bundle as 'train' wrote it"
         )
-    values = numpy_helper.to_array(table)
-    # Four parts of a channel lie side by side (models/cnn/forward_model.py).
-    scaled = values * np.repeat(gains.gain, values.shape[1] // len(gains.gain))
-    table.CopyFrom(numpy_helper.from_array(scaled.astype(np.float16).astype(values.dtype), TABLE))
+    for name, table in tables.items():
+        values = numpy_helper.to_array(table)
+        # The parts of a channel lie side by side (models/cnn/forward_model.py).
+        scaled = values * np.repeat(gains.gain, values.shape[1] // len(gains.gain))
+        table.CopyFrom(numpy_helper.from_array(scaled.astype(np.float16).astype(values.dtype), name))
     pack(graph)
     return graph
 
@@ -79,11 +82,12 @@ def _renewed(card: Card, gains: Gains, graph: bytes, found: dict[str, Any]) -> C
         coefficients=gains.gain * response.coefficients,
         depth_slope=gains.gain * response.depth_slope,
     )
-    session = ort.InferenceSession(graph, providers=["CPUExecutionProvider"])
+    session = session_of(graph)
     inputs = {name: np.array(value, np.float32) for name, value in card.golden["inputs"].items()}
     return replace(
         card,
         contact=contact_calibration(response),
+        heights=None if card.heights is None else with_gains(card.heights, gains.gain),
         golden={**card.golden, "estimate": session.run(None, inputs)[0][0].tolist()},
         graph_sha256=sha256(graph).hexdigest(),
         provenance={**card.provenance, "recalibrations": [*card.provenance.get("recalibrations", ()), found]},

@@ -13,7 +13,7 @@ from scipy import sparse
 from scipy.linalg import solveh_banded
 
 from models.response_map.map import MARGIN_MM, PARTS, SPACING_MM, ResponseMap, knots, splines_at
-from models.response_map.slides import CalibrationSlide
+from models.response_map.slides import LEAST_HEIGHTS_MM, CalibrationSlide, main_height_mm, several_heights
 from pipeline.sensor import Sensor
 
 # Variance of the map's own residual, which no averaging lessens, in units of a block's noise variance: on bench-a the
@@ -31,8 +31,9 @@ RIDGE, LEAST_RIDGE = (
 )  # hold coefficients that no slide touches: share of the smoothing, and at least
 PENALTY_NOISE_V = 1.35e-3  # a block's noise on the recordings that the penalties were chosen on
 LEAST_DEPTHS_MM = 0.1  # what depths differ by at least; a gain of 2 % is worth as much
-# Priors of the change with depth: of its factor on the design's, and of what it holds of the response itself, 1/mm.
-DEPTH_CHANGE_SD = (0.5, 0.1)
+# Priors of the change with depth or height: of its factor on the design's, and of what it holds of the response itself,
+# 1/mm.
+CHANGE_SD = (0.5, 0.1)
 OUTLIER = 4.0  # times the median residual: a slide beyond it has a wrong label
 PRIOR_SLIDES = 4  # how many slides' worth the priors of gain and drift count
 CLEAR = 0.3  # share of the largest peak below which a slide's gain is mostly noise
@@ -97,19 +98,36 @@ def calibrate(
     output, median), `gain_sd`, `lag_s`, `slides`, `outliers`.
     """
     noise = np.sqrt(np.mean([s.rest_noise_v**2 for s in slides], axis=0))
-    response = replace(prior, noise_v=noise)
+    response = _over_heights(replace(prior, noise_v=noise), slides)
     gains, shifts = np.ones(len(slides)), np.zeros(len(slides))
     speeds = np.array([s.speed_mm_s.max() for s in slides])
     rms, means = np.empty(len(slides)), np.empty((len(slides), response.channels))
     residuals = [slide.volts for slide in slides]
     keep, timed = np.ones(len(slides), dtype=bool), np.array([s.timed for s in slides])
-    for _ in range(config.iterations):
+    for first in (True, *[False] * (config.iterations - 1)):
         kept = [slide for slide, k in zip(slides, keep, strict=True) if k]
+        told = _telling(slides, response) & keep if first else keep
         response = _fit_splines(
-            kept, gains[keep], shifts[keep], response, prior if informed else None, config
+            [slide for slide, k in zip(slides, told, strict=True) if k],
+            gains[told],
+            shifts[told],
+            response,
+            prior if informed else None,
+            config,
         )
         if several_depths(kept):
-            response = _fit_depth_slope(kept, gains[keep], shifts[keep], response, prior.depth_slope)
+            off_mm = np.array([slide.depth_mm - response.depth_mm for slide in kept])
+            without = replace(response, depth_slope=np.zeros_like(prior.depth_slope))
+            slope = _fitted_change(kept, gains[keep], shifts[keep], without, prior.depth_slope, off_mm)
+            response = replace(response, depth_slope=slope)
+        if response.height_slope is not None:
+            design = (
+                np.zeros_like(response.height_slope) if prior.height_slope is None else prior.height_slope
+            )
+            off_mm = np.array([slide.height_mm - response.height_mm for slide in kept])
+            without = replace(response, height_slope=np.zeros_like(design))
+            slope = _fitted_change(kept, gains[keep], shifts[keep], without, design, off_mm)
+            response = replace(response, height_slope=slope)
         for i, slide in enumerate(slides):
             fit = fit_slide(slide, response, config, gains[i], shifts[i])
             gains[i], shifts[i], rms[i] = fit.gain, fit.shift_mm, fit.rms_v
@@ -141,6 +159,30 @@ def calibrate(
         "gain_sd": response.gain_sd,
         "lag_s": float(response.lag_s),
     }
+
+
+def _telling(slides: list[CalibrationSlide], response: ResponseMap) -> np.ndarray:
+    """(n,) bool: the slides that the first map is fitted to. Where most have the map's height it is they alone: what
+    the others differ by is then the change with height, and not in the map already."""
+    every = np.ones(len(slides), dtype=bool)
+    if response.height_slope is None:
+        return every
+    main = np.abs([slide.height_mm - response.height_mm for slide in slides]) <= LEAST_HEIGHTS_MM
+    return main if main.mean() > 0.5 else every
+
+
+def _over_heights(response: ResponseMap, slides: list[CalibrationSlide]) -> ResponseMap:
+    """The map with the heights of the slides, where they have several."""
+    if not several_heights(slides):
+        return replace(response, height_slope=None)
+    heights_mm = [slide.height_mm for slide in slides]
+    slope = np.zeros_like(response.depth_slope) if response.height_slope is None else response.height_slope
+    return replace(
+        response,
+        height_mm=main_height_mm(slides),
+        height_slope=slope,
+        height_range_mm=(min(heights_mm), max(heights_mm)),
+    )
 
 
 def _whitening(residuals_v: list[np.ndarray]) -> np.ndarray:
@@ -193,10 +235,11 @@ def fit_slide(
     assert response.noise_v is not None
     noise = float(np.hypot(np.median(response.noise_v) / np.sqrt(slide.blocks), LEAST_RESIDUAL_V))
     shift_sd_mm = config.shift_sd_mm if slide.timed else config.untimed_sd_mm
+    own = response.at_height(slide.height_mm)
 
     def model(at: float) -> np.ndarray:
         x, y = slide.place(at, response.lag_s)
-        return response.response(x, y, slide.direction_rad, slide.depth_mm)
+        return own.response(x, y, slide.direction_rad, slide.depth_mm)
 
     for _ in range(ITERATIONS):
         volts = model(shift_mm)
@@ -223,8 +266,9 @@ def _fit_splines(
 ) -> ResponseMap:
     """One penalised least-squares solution for M, Fx, Fy with the slides' gains and shifts held.
 
-    Minimizes sum w |volts - g (M + cos Fx + sin Fy + (d - d0) D)|^2 + rim + penalties over the coefficients' distance
-    from the prior's. The unknowns are in the order place, part: the normal matrix is then a band of a few hundred.
+    Minimizes sum w |volts - g (M + cos Fx + sin Fy + (d - d0) D + (h - h0) H)|^2 + rim + penalties over
+    the coefficients' distance from the prior's. The unknowns are in the order place, part: the normal matrix is then a
+    band of a few hundred.
     """
     assert response.noise_v is not None
     k = response.coefficients.shape[1]
@@ -232,6 +276,7 @@ def _fit_splines(
     right = np.zeros((size, PARTS, response.channels))
     start = np.zeros_like(right) if prior is None else _by_place(prior.coefficients)
     depth_slope = response.depth_slope.reshape(size, -1)
+    height_slope = None if response.height_slope is None else response.height_slope.reshape(size, -1)
     # Slides of one direction share their weights of M, Fx, Fy, so that their Gram matrices add up.
     grams: dict[float, sparse.csr_matrix] = {}
     for slide, gain, shift in zip(slides, gains, shifts, strict=True):
@@ -241,7 +286,10 @@ def _fit_splines(
         weight = 1.0 / (1.0 / slide.blocks + MAP_VARIANCE)
         parts = part_weights(slide.direction_rad)
         off_depth = slide.depth_mm - response.depth_mm
-        known = rows @ (off_depth * depth_slope + np.tensordot(parts, start, (0, 1)))
+        off = off_depth * depth_slope
+        if height_slope is not None:
+            off = off + (slide.height_mm - response.height_mm) * height_slope
+        known = rows @ (off + np.tensordot(parts, start, (0, 1)))
         right += weight * parts[:, None] * (rows.T @ (slide.volts - known))[:, None]
         before = grams.get(slide.direction_rad, sparse.csr_matrix((size, size)))
         grams[slide.direction_rad] = before + weight * (rows.T @ rows)
@@ -266,37 +314,40 @@ def several_depths(slides: list[CalibrationSlide]) -> bool:
     return bool(np.ptp([slide.depth_mm for slide in slides]) > LEAST_DEPTHS_MM)
 
 
-def _fit_depth_slope(
+def _fitted_change(
     slides: list[CalibrationSlide],
     gains: np.ndarray,
     shifts: np.ndarray,
-    response: ResponseMap,
+    without: ResponseMap,
     design: np.ndarray,
-) -> ResponseMap:
-    """The map with D = c D_design + b M, its two numbers c and b fitted to slides of several depths by least squares.
+    off_mm: np.ndarray,
+) -> np.ndarray:
+    """The map's change (K, K, C) V/mm with depth or height, c times the design's + b M, its two numbers c and b fitted
+    to slides of several by least squares.
 
-    design: (K, K, C) V/mm, D_design. The lines of each depth are too few for a D that is free in place: held-out lines
-    are predicted worse by it (experiments/LOG.md).
+    without: the map without this change. design: (K, K, C) V/mm. off_mm: (n,), each slide's depth or height less the
+    map's. The lines of each depth are too few for a change that is free in place: held-out lines are predicted worse by
+    it (experiments/LOG.md).
     """
-    assert response.noise_v is not None
-    still, flat = response.coefficients[0], np.zeros_like(design)
-    parts = [replace(response, coefficients=np.stack([part, flat, flat])) for part in (design, still)]
+    assert without.noise_v is not None
+    still, flat = without.coefficients[0], np.zeros_like(design)
+    parts = [replace(without, coefficients=np.stack([part, flat, flat])) for part in (design, still)]
     # In units of a block's noise.
-    noise = float(np.median(response.noise_v))
+    noise = float(np.median(without.noise_v))
     normal, right = (
-        np.diag(1.0 / np.square(DEPTH_CHANGE_SD)),
-        np.array([1.0, 0.0]) / np.square(DEPTH_CHANGE_SD),
+        np.diag(1.0 / np.square(CHANGE_SD)),
+        np.array([1.0, 0.0]) / np.square(CHANGE_SD),
     )
-    for slide, gain, shift in zip(slides, gains, shifts, strict=True):
-        place, a = slide.place(shift, response.lag_s), slide.direction_rad
-        rest = (slide.volts - gain * response.response(*place, a)) / noise
-        scale = gain * (slide.depth_mm - response.depth_mm) / noise
-        rows = scale * np.stack([part.response(*place, a).ravel() for part in parts], axis=1)
+    for slide, gain, shift, off in zip(slides, gains, shifts, off_mm.tolist(), strict=True):
+        place, a = slide.place(shift, without.lag_s), slide.direction_rad
+        known = without.at_height(slide.height_mm).response(*place, a, slide.depth_mm)
+        rest = (slide.volts - gain * known) / noise
+        rows = gain * off / noise * np.stack([part.response(*place, a).ravel() for part in parts], axis=1)
         weight = 1.0 / (1.0 / slide.blocks + MAP_VARIANCE)
         normal += weight * rows.T @ rows
         right += weight * rows.T @ rest.ravel()
     factor, share = np.linalg.solve(normal, right)
-    return replace(response, depth_slope=factor * design + share * still)
+    return factor * design + share * still
 
 
 def roughness(k: int) -> sparse.spmatrix:

@@ -4,15 +4,14 @@ import math
 from dataclasses import replace
 
 import numpy as np
-import pandas as pd
 
 from features.contact.force_map import ForceMap, in_steps
 from features.force import STEP_MM, ForceReader
 from models.response_map.from_atlas import DEPTH_STEP_MM, GRID_MM
 from models.response_map.map import MARGIN_MM, SPACING_MM, spline_coefficients
 from pipeline.atlas.atlas import Atlas
-from pipeline.atlas.skin_height import LASER
 from pipeline.recordings.folder import Folder
+from pipeline.recordings.heights import laser_readings_mm
 from pipeline.skin.lines import PER_BOARD
 
 SCALE = "force_mn"  # column of the manifest: the largest normal force of the stroke that a scale read
@@ -72,7 +71,7 @@ def calibrated_forces(folder: Folder, atlas: Atlas, fitted: dict[str, float], de
     factor: the mean of their logarithms over the map's, with a prior of no factor.
     """
     table = folder.manifest
-    read = pd.to_numeric(table.get(LASER, pd.Series(dtype=float)), errors="coerce").mean()
+    read = laser_readings_mm(folder).mean()
     height_mm = fitted["height_mm"] if math.isnan(read) else float(read)
     forces = force_map(atlas, folder.sensor.chamber_mm, height_mm, depth_mm, fitted.get("friction", 1.0))
     reader, ratios = ForceReader(forces), []

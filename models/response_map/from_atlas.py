@@ -11,12 +11,13 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from models.response_map.map import MARGIN_MM, PARTS, ResponseMap, spline_coefficients
-from models.response_map.slides import CalibrationSlide
+from models.response_map.slides import LEAST_HEIGHTS_MM, CalibrationSlide, main_height_mm, several_heights
 from pipeline.atlas.atlas import Atlas
 from pipeline.sensor import Sensor
 
 GRID_MM = 1.0  # of the points that splines are fitted to; they are 2.5 mm apart
 DEPTH_STEP_MM = 0.1  # of the central difference over depth
+HEIGHT_STEP_MM = 0.5  # and over the skin's height, about what recordings at several pressures differ by
 SAMPLE_MM = 2.0  # between the stretches used; neighbours say the same
 MOST_SLIDES = 24  # a few parameters need no more; the fit's time grows with them
 # Independent pieces of evidence in a slide: the residuals of neighbouring stretches are alike.
@@ -98,10 +99,15 @@ def prior_map(
 ) -> tuple[ResponseMap, dict[str, float]]:
     """The design's map with its parameters fitted to the slides, by least squares with priors; and the parameters.
 
-    Without slides the parameters are the means of the spread.
+    Without slides the parameters are the means of the spread. Of slides of several heights of the skin those of the
+    height that most have tell them, and the map has the design's change with height.
     """
     family = _family(atlas, sensor, depth_mm, spread)
     start = family.centre
+    over_heights = several_heights(slides)
+    if over_heights:
+        height_mm = main_height_mm(slides)
+        slides = [slide for slide in slides if abs(slide.height_mm - height_mm) <= LEAST_HEIGHTS_MM]
     if slides:
         slides = slides[:: max(1, len(slides) // MOST_SLIDES)]
         peak = max(float(np.abs(s.volts).max()) for s in slides)
@@ -114,6 +120,8 @@ def prior_map(
 
         start = least_squares(residuals, start, x_scale=family.sd, method="trf", max_nfev=12).x
     moved = _with_depth_change(_warped(family.design(start), sensor, start), spread)
+    if over_heights:
+        moved = replace(moved, height_mm=height_mm, height_slope=_height_slope(family, sensor, start))
     report = {
         "height_mm": family.height_mm(start),
         "friction": 1 + float(start[1]),
@@ -214,6 +222,14 @@ def _family(atlas: Atlas, sensor: Sensor, depth_mm: float, spread: SensorSpread)
         centre,
         sd,
     )
+
+
+def _height_slope(family: _Family, sensor: Sensor, p: np.ndarray) -> np.ndarray:
+    """The change (K, K, C) V/mm of the design's M with height; zero where the atlas has one height alone."""
+    low, high = (p + step * np.eye(len(p))[0] for step in (-HEIGHT_STEP_MM, HEIGHT_STEP_MM))
+    apart_mm = family.height_mm(high) - family.height_mm(low)
+    below, above = (_warped(family.design(q), sensor, q).coefficients[0] for q in (low, high))
+    return (above - below) / apart_mm if apart_mm > 0 else np.zeros_like(below)
 
 
 def _predicted(design: ResponseMap, sensor: Sensor, p: np.ndarray, slide: CalibrationSlide) -> np.ndarray:

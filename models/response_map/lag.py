@@ -72,6 +72,7 @@ def _lag_projection(
 
     Both over the residual's variance, and orthogonal to the slide's own gain and shift.
     """
+    response = response.at_height(slide.height_mm)
     fit = fit_slide(slide, response, CalibrationConfig())
 
     def signal(at: float, lag: float) -> np.ndarray:

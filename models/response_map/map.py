@@ -2,12 +2,15 @@
 
 V(x, y, a, d) = g [M(x, y) + cos(a) Fx(x, y) + sin(a) Fy(x, y) + (d - d0) D(x, y)], g = 1 + slide-to-slide error
 
+Of a skin that is inflated to several heights M is that of the height h0, and M + (h - h0) H that of h.
+
 M is the response without friction, Fx and Fy what friction adds along each axis (first order in the friction
 coefficient), D the change with contact depth; each a tensor product of uniform cubic B-splines (de Boor 1978). The
 signal follows the contact with a lag. Of accelerometers only V_x and V_y are mapped: gravity has a fixed length, so V_z
 adds nothing to them. Sensing elements of other kinds may have three mapped axes.
 """
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -32,6 +35,8 @@ class ResponseMap:
         are.
     reference_mm: the point that offsets are measured from.
     depth_mm: d0, the middle of the contact depths of the recordings that the map was fitted to.
+    height_mm: h0, the skin's height of most of these recordings. height_slope: (K, K, C) V/mm, spline coefficients of
+        H; None: the recordings have one height. height_range_mm: the lowest and the highest of them.
     depth_sd_mm: standard deviation about d0 of the depths that are to be expected, where the recordings have several;
         0: they have one, and tell nothing of others.
     lag_s: the skin's lag behind the contact.
@@ -56,6 +61,9 @@ class ResponseMap:
     rim: bool = True
     spacing_mm: float = SPACING_MM
     whitening: np.ndarray | None = None
+    height_mm: float = math.nan
+    height_slope: np.ndarray | None = None
+    height_range_mm: tuple[float, float] = (math.nan, math.nan)
 
     @property
     def half_mm(self) -> float:
@@ -91,9 +99,22 @@ class ResponseMap:
         each = across[:, :, None, None] * up[:, None, :, None] * weights.transpose(1, 2, 0)[:, :, None]
         return (each.reshape(len(i), 1, -1) @ patch.reshape(len(i), -1, self.channels))[:, 0]
 
+    def at_height(self, height_mm: float) -> "ResponseMap":
+        """The map of one height of the skin; itself where its recordings have but one, or the height is not known."""
+        if self.height_slope is None or math.isnan(height_mm):
+            return self
+        still = self.coefficients[0] + (height_mm - self.height_mm) * self.height_slope
+        coefficients = np.concatenate([still[None], self.coefficients[1:]])
+        return replace(self, coefficients=coefficients, height_mm=height_mm, height_slope=None)
+
     def scaled(self, gain: float) -> "ResponseMap":
         """The same map with every response times `gain`."""
-        return replace(self, coefficients=self.coefficients * gain, depth_slope=self.depth_slope * gain)
+        return replace(
+            self,
+            coefficients=self.coefficients * gain,
+            depth_slope=self.depth_slope * gain,
+            height_slope=None if self.height_slope is None else self.height_slope * gain,
+        )
 
 
 def knots(half_mm: float, spacing_mm: float = SPACING_MM) -> int:

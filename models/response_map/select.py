@@ -9,19 +9,21 @@ fit is whole lines and, besides, cells of the skin: lines that are close togethe
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from features.errors import InputError
+from features.height import HeightCalibration
 from features.stream.conditioning import Conditioning
 from models.held_out import line_folds
 from models.response_map.calibrate import CalibrationConfig, blank_map, calibrate, fit_slide
 from models.response_map.from_atlas import SensorSpread, prior_map
+from models.response_map.heights import calibrated_heights
 from models.response_map.lag import with_lag
 from models.response_map.map import SPACING_MM, ResponseMap
 from models.response_map.onset import Onsets, moved, with_onsets
-from models.response_map.slides import CalibrationSlide, calibration_slides
+from models.response_map.slides import LEAST_HEIGHTS_MM, CalibrationSlide, calibration_slides, main_height_mm
 from pipeline.atlas.atlas import Atlas
 from pipeline.recordings.derived_labels import USUAL_DEPTH_MM
 from pipeline.recordings.folder import Folder
@@ -54,7 +56,8 @@ class CalibratedMap:
     those lines' recordings. conditioning: of the signal that it is a map of, the lag undone. slides: how many there
     were. summary: figures of the fit; `from_atlas` is 1 where the candidate chosen starts from an atlas.
     folder: the recordings with the motion of every slide used, fitted where the labels do not tell it (untimed of
-    them). left_out: why a recording is not among the slides, by name.
+    them). left_out: why a recording is not among the slides, by name. heights: where they have several heights of the
+    skin, what a device needs to know of them; told_mm: the height that each one's static output tells, by name.
     """
 
     response: ResponseMap
@@ -65,6 +68,8 @@ class CalibratedMap:
     folder: Folder
     untimed: int
     left_out: dict[str, str]
+    heights: HeightCalibration | None = None
+    told_mm: dict[str, float] = field(default_factory=dict)
 
 
 def calibrated_map(
@@ -76,7 +81,9 @@ def calibrated_map(
 ) -> CalibratedMap:
     """Calibrates on the folder's slides: the map, the lag it shows, then the map of the signal without this lag.
 
-    A lag that `conditioning` already names is taken as it is.
+    A lag that `conditioning` already names is taken as it is. Slides at several heights of the skin share one map over
+    heights, unless maps of one height each predict held-out lines better: then it is that of the height that most have,
+    and the others are left out.
 
     Raises:
         InputError: neither an atlas nor enough slides, or none of the folder's recordings can be used.
@@ -94,10 +101,66 @@ def calibrated_map(
         if conditioning == read:
             break
     lag = {"delayed": read.delayed, "tau_s": read.tau_s}
+    if response.height_slope is not None:
+        shares = _shares_at_other_heights(slides, held_out, atlas, sensor, spread, calibration)
+        summary |= {f"heldout_residual_{name}": share for name, share in shares.items()}
+        if shares and shares["map_a_height"] < shares["map_over_heights"]:
+            others = _names_at_other_heights(slides)
+            alone = replace(folder, manifest=folder.manifest.drop(index=others))
+            found = calibrated_map(alone, atlas, conditioning, calibration, spread)
+            why = dict.fromkeys(
+                others, "a map of each height predicts held-out lines better; train one for it"
+            )
+            return replace(found, summary=found.summary | summary, left_out=found.left_out | left_out | why)
     untimed = [slide for slide in slides if not slide.timed]
     shifts = {slide.recording: fit_slide(slide, response, calibration).shift_mm for slide in untimed}
     placed = moved(onsets.folder, shifts)
-    return CalibratedMap(response, held_out, read, len(slides), summary | lag, placed, len(untimed), left_out)
+    heights = calibrated_heights(response, slides)
+    told_mm = {} if heights is None else {s.recording: heights.told(s.static_v) for s in slides}
+    return CalibratedMap(
+        response, held_out, read, len(slides), summary | lag, placed, len(untimed), left_out, heights, told_mm
+    )
+
+
+def _names_at_other_heights(slides: list[CalibrationSlide]) -> list[str]:
+    """The recordings whose skin's height is not that of most."""
+    main_mm = main_height_mm(slides)
+    return [s.recording for s in slides if abs(s.height_mm - main_mm) > LEAST_HEIGHTS_MM]
+
+
+def _shares_at_other_heights(
+    slides: list[CalibrationSlide],
+    held_out: Maps,
+    atlas: Atlas | None,
+    sensor: Sensor,
+    spread: SensorSpread,
+    config: CalibrationConfig,
+) -> dict[str, float]:
+    """What a map over heights (held_out) and what a map of each height leave of held-out lines at other heights than
+    that of most: the median residual as a share of a slide's largest output. Empty where no height has enough slides.
+    """
+    others = [slide for slide in slides if slide.recording in set(_names_at_other_heights(slides))]
+    others.sort(key=lambda slide: slide.height_mm)
+    gaps = np.flatnonzero(np.diff([slide.height_mm for slide in others]) > LEAST_HEIGHTS_MM) + 1
+    shared: list[float] = []
+    apart: list[float] = []
+    for at in np.split(np.arange(len(others)), gaps):
+        group = [others[n] for n in at]
+        if len(group) < (2 * FOLDS if atlas is not None else LEAST_ALONE):
+            continue
+        whole, folds = _parts(group, atlas, sensor, spread)
+        candidates = _candidates(len(group), atlas is not None, config, sensor)
+        own = _cross_validated(candidates, whole, folds)[1]
+        for shares, maps in ((shared, held_out), (apart, own)):
+            shares += [
+                fit_slide(slide, response, CalibrationConfig()).rms_v / np.abs(slide.volts).max()
+                for response, unseen in maps
+                for slide in group
+                if slide.recording in unseen
+            ]
+    if not shared:
+        return {}
+    return {"map_over_heights": float(np.median(shared)), "map_a_height": float(np.median(apart))}
 
 
 def _left_out(onsets: Onsets, slides: list[CalibrationSlide]) -> dict[str, str]:
@@ -156,9 +219,11 @@ def _candidates(slides: int, has_atlas: bool, config: CalibrationConfig, sensor:
         return fit
 
     def alone(part: _Part) -> tuple[ResponseMap, dict[str, float]]:
-        blank = blank_map(sensor, part.depth_mm)
-        # Recordings of one depth say nothing of others: that part is the design's in any case.
-        start = blank if part.prior is None else replace(blank, depth_slope=part.prior.depth_slope)
+        start = blank_map(sensor, part.depth_mm)
+        if part.prior is not None:
+            # Recordings of one depth say nothing of others: that part is the design's in any case.
+            changes = part.prior.depth_slope, part.prior.height_slope
+            start = replace(start, depth_slope=changes[0], height_slope=changes[1])
         return calibrate(part.slides, start, False, config)
 
     candidates: dict[str, _Fit] = {f"atlas_{s:g}": near(s) for s in STIFFNESS} if has_atlas else {}

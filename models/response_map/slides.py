@@ -1,6 +1,7 @@
 """Labelled slides as the calibration reads them: short stretches of a known line, with their mean output."""
 
-from dataclasses import dataclass, replace
+import math
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -8,10 +9,12 @@ import numpy as np
 from features.angles import touch_channels
 from features.stream.conditioning import ONSETS, Conditioning, block_means, without_lag
 from pipeline.recordings.folder import Folder
+from pipeline.recordings.heights import HEIGHT
 from pipeline.recordings.stroke import stage_motion
 
 STRETCH_MM = 0.5  # a fifth of the splines' spacing: along a stretch the response is straight
 LEAST_REST_BLOCKS = 5  # fewer tell neither the static output nor its noise
+LEAST_HEIGHTS_MM = 0.1  # what heights of the skin differ by at least; a gain of 1 % is worth as much
 LEAD_S = 0.1  # the contact is looked at from this long before the stage starts
 # Without these labels a slide cannot be placed on the skin.
 LABELS = (
@@ -33,6 +36,7 @@ class CalibrationSlide:
     volts: (m, C) V, subtracted, C channels that answer to a touch, a0_vx, a0_vy, a1_vx, ...
     blocks: how many blocks a stretch averages; step_s: the same as a time.
     rest_noise_v: (C,) V, standard deviation of one block's mean at rest.
+    static_v: (2 A,) V, V_x and V_y at rest. height_mm: of the skin; NaN: that of all slides.
     timed: the labels tell where the contact was when; else the place along the line is a first guess.
     """
 
@@ -47,6 +51,8 @@ class CalibrationSlide:
     step_s: float
     rest_noise_v: np.ndarray
     timed: bool = True
+    static_v: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    height_mm: float = math.nan
 
     @property
     def line_offset_mm(self) -> float:
@@ -104,7 +110,20 @@ def _slide(folder: Folder, name: str, row: Any, conditioning: Conditioning) -> C
         step_s=count * conditioning.block_s,
         # Differences of neighbours: a slow drift of the zero is no noise.
         rest_noise_v=np.diff(rest, axis=0).std(axis=0) / np.sqrt(2),
+        static_v=rest.mean(axis=0),
+        height_mm=float(row.get(HEIGHT, math.nan)),
     )
+
+
+def several_heights(slides: list[CalibrationSlide]) -> bool:
+    """Whether the skin's heights differ enough to tell how the response changes with height."""
+    return bool(slides) and bool(np.ptp([slide.height_mm for slide in slides]) > LEAST_HEIGHTS_MM)
+
+
+def main_height_mm(slides: list[CalibrationSlide]) -> float:
+    """The height that most slides have, mm."""
+    heights, counts = np.unique([slide.height_mm for slide in slides], return_counts=True)
+    return float(heights[counts.argmax()])
 
 
 def stretch_blocks(speed_mm_s: float, block_s: float) -> int:

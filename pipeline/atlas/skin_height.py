@@ -14,8 +14,8 @@ from features.errors import InputError
 from pipeline.atlas.atlas import Atlas
 from pipeline.atlas.static_contact import height_by_atlas, height_by_formula
 from pipeline.recordings.folder import Folder
+from pipeline.recordings.heights import LASER, laser_readings_mm
 
-LASER = "skin_height_mm"  # column of the manifest: a laser's reading
 REST_S = 0.5  # what an unlabelled recording is taken to rest at its start
 
 
@@ -25,7 +25,7 @@ def laser_mm(folder: Folder) -> float:
     Raises:
         InputError: the folder has none.
     """
-    readings = pd.to_numeric(folder.manifest.get(LASER, pd.Series(dtype=float)), errors="coerce")
+    readings = laser_readings_mm(folder)
     if readings.isna().all():
         raise InputError(
             f"not known: {folder.root / 'manifest.csv'} has no {LASER}; name one in mm", "height"
@@ -47,11 +47,7 @@ def skin_heights(folder: Folder, atlas: Atlas) -> list[dict[str, Any]]:
     if not folder.sensor.measures_gravity:
         raise InputError(f"{folder.sensor.name}: the skin's height is read from gravity; it measures none")
     pressure = folder.manifest["pressure_mpa"].fillna(folder.sensor.pressure_mpa)
-    laser = (
-        pd.to_numeric(folder.manifest[LASER], errors="coerce")
-        if LASER in folder.manifest
-        else pd.Series(np.nan, folder.manifest.index)
-    )
+    laser = laser_readings_mm(folder)
     static_g = pd.Series({name: _static_g(folder, name) for name in folder.manifest.index}, dtype=object)
     factor, used_mpa = _tilt_factor(folder, static_g, laser, pressure, atlas)
     rows = []

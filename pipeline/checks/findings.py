@@ -25,7 +25,8 @@ from pipeline.checks.wrong_units import impossible_output, impossible_speed
 from pipeline.checks.zone_signs import line_mismatch_mm
 from pipeline.progress import progress_bar
 from pipeline.recordings.folder import Folder
-from pipeline.recordings.taught import SAME_LINE_MM, taught_lines
+from pipeline.recordings.heights import told_heights
+from pipeline.recordings.taught import CALIBRATION, SAME_LINE_MM, taught_lines
 from pipeline.sensor import NOISE_G_RTHZ, Accelerometer, Sensor
 
 
@@ -136,6 +137,7 @@ def as_json(root: Path, folder: Folder | None, findings: Sequence[Finding]) -> d
         "errors": levels.count("error"),
         "warnings": levels.count("warning"),
         "not_checked": [] if folder is None else not_checked(folder.sensor),
+        "heights": "" if folder is None else told_heights(folder.select(*CALIBRATION)),
         "not_covered": [] if folder is None else not_covered(folder.manifest, folder.sensor),
         "findings": [asdict(finding) for finding in findings],
     }

@@ -6,32 +6,25 @@ import numpy as np
 import pandas as pd
 
 from pipeline.recordings.folder import Folder
+from pipeline.recordings.heights import is_other, main_pressure_mpa, with_heights
 from pipeline.recordings.truth import truth_path
 
 LINE = ("direction_deg", "speed_mm_s", "offset_mm")
-# Relative: what a regulator holds a pressure by. The skin's height goes with its cube root.
-SAME_PRESSURE = 0.02
 USUAL_DEPTH_MM = 0.5  # contact depth of the article's recordings, where no slide says
 
 
-def recordings_to_learn_from(folder: Folder) -> Folder:
+def recordings_to_learn_from(folder: Folder, several_heights: bool = False) -> Folder:
     """The recordings of the splits `calibration*` and `train*` whose line is known, with what follows from it: those of
-    the pressure that most of them have, which the sensor of the folder then has."""
+    the pressure that most of them have, which the sensor of the folder then has.
+
+    several_heights: those of other pressures too, each with the skin's height (pipeline/recordings/heights.py).
+    """
     known = with_derived_labels(folder.select("calibration", "train")).labelled()
-    pressure_mpa = _main_pressure_mpa(known)
-    kept = known.manifest[~_is_other(known.manifest["pressure_mpa"], pressure_mpa)]
-    return replace(known, manifest=kept, sensor=replace(known.sensor, pressure_mpa=pressure_mpa))
-
-
-def _main_pressure_mpa(folder: Folder) -> float:
-    """The pressure under the skin that most recordings have; `sensor.toml`'s where none says."""
-    pressures = folder.manifest["pressure_mpa"].dropna()
-    return float(pressures.mode().iloc[0]) if len(pressures) else folder.sensor.pressure_mpa
-
-
-def _is_other(pressures_mpa: pd.Series, pressure_mpa: float) -> pd.Series:
-    """Whether a recording's pressure is another; one that is not known is not."""
-    return (pressures_mpa / pressure_mpa - 1).abs() > SAME_PRESSURE
+    pressure_mpa = main_pressure_mpa(known)
+    known = replace(known, sensor=replace(known.sensor, pressure_mpa=pressure_mpa))
+    if several_heights:
+        return with_heights(known)
+    return replace(known, manifest=known.manifest[~is_other(known.manifest["pressure_mpa"], pressure_mpa)])
 
 
 def with_derived_labels(folder: Folder) -> Folder:
@@ -61,18 +54,23 @@ def with_derived_labels(folder: Folder) -> Folder:
     return replace(folder, manifest=table)
 
 
-def why_not_labelled(folder: Folder) -> dict[str, str]:
-    """For each recording that is not learnt from, why: the labels of LINE that it lacks, or another pressure."""
+def why_not_labelled(folder: Folder, several_heights: bool = False) -> dict[str, str]:
+    """For each recording that is not learnt from, why: the labels of LINE that it lacks, or another pressure.
+
+    several_heights: as in `recordings_to_learn_from`.
+    """
     absent = folder.manifest[list(LINE)].isna()
     lacking = {
         str(name): "no " + ", ".join(label for label in LINE if row[label])
         for name, row in absent.iterrows()
         if row.any()
     }
+    if several_heights:
+        return lacking
     known = folder.labelled()
-    pressure_mpa, each = _main_pressure_mpa(known), known.manifest["pressure_mpa"]
+    pressure_mpa, each = main_pressure_mpa(known), known.manifest["pressure_mpa"]
     others = {
         str(name): f"pressure_mpa is {value:g}, that of most is {pressure_mpa:g}: a model is for one pressure"
-        for name, value in each[_is_other(each, pressure_mpa)].items()
+        for name, value in each[is_other(each, pressure_mpa)].items()
     }
     return lacking | others

@@ -26,17 +26,19 @@ def serve(
     fast: bool = False,
     page: str | None = None,
     smooth: bool = False,
+    height_mm: float | None = None,
 ) -> int:
     """Streams until the source ends, or SIGINT or SIGTERM comes. Returns the number of estimates written.
 
     source, sinks: as in serve/stream/sources.py and serve/stream/sinks.py. form: csv or f32, of bytes that come in.
     fast: play a recording as fast as possible. page: [HOST:]PORT of the live page, None for none.
+    height_mm: the skin's, for a bundle over heights; None: what the static output tells.
     smooth: filter each slide's position, direction and speed (features/track_filter.py).
 
     Raises:
         InputError: the bundle, the source, a sink or the page's address is wrong or cannot be opened.
     """
-    localizer = Localizer.load(bundle)
+    localizer = Localizer.load(bundle, height_mm)
     steady = TrackFilter().update if smooth else None
     written = 0
     with _stoppable() as stopped, ExitStack() as held:

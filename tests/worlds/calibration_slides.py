@@ -4,23 +4,28 @@ import numpy as np
 
 from models.response_map.slides import CalibrationSlide
 
+STATIC_V_PER_MM = (0.01, 0.0)  # of V_x and V_y
+
 
 def slides_of(
-    response, lines, speeds, gains, noise_v=0.0, seed=0, lag_s=0.0, depths_mm=None
+    response, lines, speeds, gains, noise_v=0.0, seed=0, lag_s=0.0, depths_mm=None, heights_mm=None
 ) -> list[CalibrationSlide]:
-    """Labelled slides along (direction_deg, offset_mm) lines through the map's chamber, at its depth or at depths."""
+    """Labelled slides along (direction_deg, offset_mm) lines through the map's chamber, at its depth or at depths, and
+    at heights of the skin that tilt a board by STATIC_V_PER_MM at rest."""
     rng = np.random.default_rng(seed)
     slides = []
     depths = np.full(len(lines), response.depth_mm) if depths_mm is None else np.asarray(depths_mm)
-    each = zip(lines, speeds, gains, depths.tolist(), strict=True)
-    for number, ((direction, offset), speed, gain, depth) in enumerate(each):
+    heights = np.full(len(lines), np.nan) if heights_mm is None else np.asarray(heights_mm)
+    each = zip(lines, speeds, gains, depths.tolist(), heights.tolist(), strict=True)
+    for number, ((direction, offset), speed, gain, depth, height) in enumerate(each):
         a = np.deg2rad(direction)
         foot = np.array(response.reference_mm) + offset * np.array([-np.sin(a), np.cos(a)])
         start = foot - 36.0 * np.array([np.cos(a), np.sin(a)])
         travelled = np.arange(0.25, 72.0, 0.5)
         blocks = max(1, round(0.5 / speed / 0.02))
         s = travelled - speed * lag_s
-        clean = response.response(start[0] + s * np.cos(a), start[1] + s * np.sin(a), a, depth)
+        own = response.at_height(height)
+        clean = own.response(start[0] + s * np.cos(a), start[1] + s * np.sin(a), a, depth)
         volts = gain * clean + noise_v / np.sqrt(blocks) * rng.standard_normal(clean.shape)
         slides.append(
             CalibrationSlide(
@@ -34,6 +39,8 @@ def slides_of(
                 blocks=blocks,
                 step_s=0.5 / speed,
                 rest_noise_v=np.full(2, 1.4e-3),
+                static_v=np.array([1.7, 1.65]) + np.nan_to_num(height) * np.array(STATIC_V_PER_MM),
+                height_mm=height,
             )
         )
     return slides

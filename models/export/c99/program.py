@@ -34,7 +34,8 @@ def program(model: onnx.ModelProto) -> Program:
     graph = model.graph
     # Of each operator only its own reference is run, on constants, shapes and places: never a whole graph.
     evaluator = ReferenceEvaluator(model, new_ops=[Inverse])
-    inputs = {value.name: _parameter(value) for value in graph.input}
+    # What need not be given is as it is unless it is given: a constant.
+    inputs = {v.name: _parameter(v) for v in graph.input if v.name not in evaluator.rt_inits_}
     known: dict[str, Tensor] = {
         name: constant(np.asarray(value)) for name, value in evaluator.rt_inits_.items()
     }

@@ -1,0 +1,45 @@
+"""A map over heights of the skin as the model card's section `heights`, with what the static output tells of them."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from features.contact.calibration import encoded
+from features.height import HeightCalibration
+from models.response_map.map import ResponseMap
+from models.response_map.slides import CalibrationSlide
+
+# Of the static output about its line, at least: one step of the article's converter.
+LEAST_STATIC_SD_V = 5e-4
+
+
+def calibrated_heights(response: ResponseMap, slides: list[CalibrationSlide]) -> HeightCalibration | None:
+    """What a device needs to know of the skin's height; None where the slides have one.
+
+    The static output is fitted by a line over the height, by least squares.
+    """
+    if response.height_slope is None:
+        return None
+    off_mm = np.array([slide.height_mm - response.height_mm for slide in slides])
+    static = np.array([slide.static_v for slide in slides])
+    design = np.stack([np.ones_like(off_mm), off_mm], axis=1)
+    line = np.linalg.lstsq(design, static, rcond=None)[0]
+    sd = np.maximum(np.sqrt(np.mean((static - design @ line) ** 2, axis=0)), LEAST_STATIC_SD_V)
+    text, scale = encoded(response.height_slope)
+    return HeightCalibration(
+        coefficients=text,
+        scale_v=scale,
+        knots=len(response.height_slope),
+        height_mm=response.height_mm,
+        lowest_mm=response.height_range_mm[0],
+        highest_mm=response.height_range_mm[1],
+        static_v=tuple(line[0].tolist()),
+        static_v_per_mm=tuple(line[1].tolist()),
+        static_sd_v=tuple(sd.tolist()),
+    )
+
+
+def with_gains(heights: HeightCalibration, gain: np.ndarray) -> HeightCalibration:
+    """The same of a sensor whose channels answer `gain` (C,) times as much. What they show at rest is left as it is."""
+    text, scale = encoded(gain * heights.splines())
+    return replace(heights, coefficients=text, scale_v=scale)

@@ -1,0 +1,74 @@
+"""The skin's height at each recording: a laser's reading, or what the pressure under the skin makes of those there are.
+
+A skin's height goes about with the cube root of the pressure; where a laser read several pressures they tell the power.
+"""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+
+from pipeline.recordings.folder import Folder
+
+HEIGHT = "height_mm"  # column of a manifest: the skin's height, in mm
+LASER = "skin_height_mm"  # a laser's reading of it
+# Relative: what a regulator holds a pressure by. The skin's height goes with its cube root.
+SAME_PRESSURE = 0.02
+POWER = 1 / 3
+USUAL_MM = 7.5  # where no laser tells; what follows from it is a height over the main pressure's, times this
+
+
+def main_pressure_mpa(folder: Folder) -> float:
+    """The pressure under the skin that most recordings have; `sensor.toml`'s where none says."""
+    pressures = folder.manifest["pressure_mpa"].dropna()
+    return float(pressures.mode().iloc[0]) if len(pressures) else folder.sensor.pressure_mpa
+
+
+def is_other(pressures_mpa: pd.Series, pressure_mpa: float) -> pd.Series:
+    """Whether a recording's pressure is another; one that is not known is not."""
+    return (pressures_mpa / pressure_mpa - 1).abs() > SAME_PRESSURE
+
+
+def laser_readings_mm(folder: Folder) -> pd.Series:
+    """A laser's reading at each recording, NaN where there is none."""
+    if LASER not in folder.manifest:
+        return pd.Series(np.nan, folder.manifest.index)
+    return pd.to_numeric(folder.manifest[LASER], errors="coerce").astype(float)
+
+
+def told_heights(folder: Folder) -> str:
+    """For people, what is made of calibration slides at several pressures; empty where they have one."""
+    main_mpa = main_pressure_mpa(folder)
+    others = is_other(folder.manifest["pressure_mpa"], main_mpa)
+    if not others.any():
+        return ""
+    heights = with_heights(folder).manifest[HEIGHT]
+    read = int(laser_readings_mm(folder).notna().sum())
+    return (
+        f"{int(others.sum())} calibration slides are not at {main_mpa:g} MPa as most are: 'train' makes cnn one map "
+        f"over heights of the skin ({heights.min():.2f} to {heights.max():.2f} mm; {LASER} of {read} slides), unless a "
+        "map of each height predicts held-out lines better; other models leave these slides out"
+    )
+
+
+def with_heights(folder: Folder) -> Folder:
+    """The folder with the height of the skin at each recording in the column HEIGHT, where there are several pressures.
+
+    A height is the laser's reading, else that of its pressure, which the readings tell.
+    """
+    main_mpa = main_pressure_mpa(folder)
+    pressure = folder.manifest["pressure_mpa"].fillna(main_mpa)
+    if not is_other(pressure, main_mpa).any():
+        return folder
+    read = laser_readings_mm(folder)
+    share = np.log(pressure.to_numpy(float) / main_mpa)
+    known = read.notna().to_numpy()
+    power, at_main_mm = POWER, USUAL_MM
+    if known.any():
+        log_mm = np.log(read[known].to_numpy())
+        if np.ptp(share[known]) > math.log1p(SAME_PRESSURE):
+            power = float(np.polyfit(share[known], log_mm, 1)[0])
+        at_main_mm = float(np.exp(np.mean(log_mm - power * share[known])))
+    heights = read.where(read.notna(), at_main_mm * np.exp(power * share))
+    return replace(folder, manifest=folder.manifest.assign(**{HEIGHT: heights}))

@@ -1,0 +1,300 @@
+"""One map over heights of the skin: what slides tell of it, the graph that takes a height, and what tells one."""
+
+import math
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import numpy as np
+import onnxruntime as ort
+import pandas as pd
+import pytest
+import torch
+from bump_map import bump_map
+from bump_slides import as_recorded, at_rest
+from calibration_slides import STATIC_V_PER_MM, slides_of
+
+from features.card import Card, Validity, read_card, write_card
+from features.digest import sha256
+from features.errors import InputError
+from features.height import HEIGHT_INPUT, HeightCalibration
+from features.stream.conditioning import Conditioning
+from models.cnn.gauss_newton import Refinement
+from models.cnn.height_input import with_height
+from models.cnn.network import NetworkConfig, Proposal, SlideNetwork
+from models.export.bundle import read_graph
+from models.export.c99.program import program
+from models.graph.from_torch import export_graph
+from models.registry import default_config
+from models.response_map import select
+from models.response_map.calibrate import CalibrationConfig, calibrate
+from models.response_map.contact_card import contact_calibration
+from models.response_map.from_atlas import SensorSpread
+from models.response_map.heights import calibrated_heights, with_gains
+from models.response_map.map import ResponseMap
+from models.response_map.select import CalibratedMap, _shares_at_other_heights, calibrated_map
+from models.response_map.slides import CalibrationSlide
+from pipeline.recordings.derived_labels import recordings_to_learn_from, why_not_labelled
+from pipeline.recordings.folder import SAMPLE, Folder, read_folder, write_folder
+from pipeline.recordings.heights import HEIGHT, LASER, with_heights
+from pipeline.sensor import Accelerometer, Sensor
+from serve.localizer import Localizer
+
+SENSOR = Sensor(
+    "bump", 500.0, (50.0, 50.0), 4.0, 6.0, 0.035, (5.0, 0.0), 5e-4, (Accelerometer("a0", 5.0, 0.0),)
+)
+MAIN_MM = 7.0
+LINES = [(d, o) for d in (0.0, 90.0, 180.0, 270.0, 37.0, 142.0) for o in np.arange(-20.0, 21.0, 5.0)]
+
+
+def over_heights() -> ResponseMap:
+    """A map whose V_x grows by 12 % of itself a mm of height, and V_y by 4 %."""
+    plain = bump_map()
+    slope = (plain.coefficients[0] * np.array([0.12, 0.04])).astype(np.float16).astype(float)
+    return replace(plain, height_mm=MAIN_MM, height_slope=slope, height_range_mm=(6.0, 8.0))
+
+
+def heights_of(count: int) -> np.ndarray:
+    return np.where(np.arange(count) % 3 == 0, 6.0, np.where(np.arange(count) % 3 == 1, 8.0, MAIN_MM))
+
+
+@pytest.fixture(scope="module")
+def slides() -> list[CalibrationSlide]:
+    """Slides at three heights; most are at the middle one."""
+    heights = heights_of(len(LINES))
+    heights[:30] = MAIN_MM
+    ones = np.ones(len(LINES))
+    return slides_of(over_heights(), LINES, 3.0 * ones, ones, 1.4e-3, heights_mm=heights)
+
+
+@pytest.fixture(scope="module")
+def calibrated(slides: list[CalibrationSlide]) -> ResponseMap:
+    truth = over_heights()
+    # The design's change with height is another one, by 0.8.
+    start = replace(truth, coefficients=0 * truth.coefficients, height_slope=truth.height_slope / 0.8)
+    return calibrate(slides, start, False, CalibrationConfig())[0]
+
+
+def test_a_map_over_heights_is_that_of_each(calibrated: ResponseMap) -> None:
+    x, y = (axis.ravel() for axis in np.meshgrid(np.arange(-18.0, 19.0, 3.0), np.arange(-18.0, 19.0, 3.0)))
+    assert (calibrated.height_mm, calibrated.height_range_mm) == (MAIN_MM, (6.0, 8.0))
+    for height_mm in (6.0, 7.4, 8.0):
+        wanted, without = (
+            m.response(x, y, 0.7) for m in (over_heights().at_height(height_mm), over_heights())
+        )
+        error = np.abs(calibrated.at_height(height_mm).response(x, y, 0.7) - wanted)
+        assert np.sqrt(np.mean(error**2)) < 1.5e-3
+        if height_mm != 7.4:
+            assert np.sqrt(np.mean((wanted - without) ** 2)) > 3e-3
+
+
+def test_slides_of_one_height_are_fitted_as_if_none_were_known(slides: list[CalibrationSlide]) -> None:
+    alike = [slide for slide in slides if slide.height_mm == MAIN_MM]
+    unknown = [replace(slide, height_mm=math.nan) for slide in alike]
+    blank = replace(bump_map(), coefficients=0 * bump_map().coefficients)
+    one, other = (
+        calibrate(each, blank, False, CalibrationConfig(iterations=1))[0] for each in (alike, unknown)
+    )
+    assert one.height_slope is None
+    np.testing.assert_array_equal(one.coefficients, other.coefficients)
+
+
+def network(response: ResponseMap) -> SlideNetwork:
+    torch.manual_seed(0)
+    refinement = Refinement(response, 0.02, NetworkConfig().refinement)
+    return SlideNetwork(Proposal(2, 1, NetworkConfig()), refinement).eval()
+
+
+@pytest.fixture(scope="module")
+def graph() -> bytes:
+    """Of the map over heights; exporting takes seconds."""
+    return with_height(export_graph(network(over_heights()), 1), over_heights()).SerializeToString()
+
+
+def window() -> dict[str, np.ndarray]:
+    volts = 0.05 * np.random.default_rng(0).standard_normal((1, 3, 1)) * np.hanning(64)
+    return {
+        "volts": volts.astype(np.float32),
+        "elapsed_s": np.full(1, 8.0, np.float32),
+        "weight": np.ones((1, 1), np.float32),
+    }
+
+
+def test_a_graph_is_that_of_the_height_it_is_given(graph: bytes) -> None:
+    response = over_heights()
+    session = ort.InferenceSession(graph)
+    assert [node.name for node in session.get_inputs()] == ["volts", "elapsed_s", "weight"]
+    for off_mm in (None, 0.0, -0.6, 0.9):
+        given = {} if off_mm is None else {HEIGHT_INPUT: np.full(1, off_mm, np.float32)}
+        row = session.run(None, window() | given)[0]
+        own = response.at_height(MAIN_MM + (off_mm or 0.0))
+        with torch.no_grad():
+            wanted = network(own)(*(torch.tensor(value) for value in window().values())).numpy()
+        # The table of a height is rounded to half precision where it is exported by itself.
+        np.testing.assert_allclose(
+            row, wanted, rtol=1e-4 if not off_mm else 5e-3, atol=1e-4 if not off_mm else 5e-3
+        )
+
+
+def test_a_graph_as_c_is_for_the_main_height(tmp_path: Path, graph: bytes) -> None:
+    (tmp_path / "model.onnx").write_bytes(graph)
+    assert set(program(read_graph(tmp_path)).inputs) == {"volts", "elapsed_s", "weight"}
+
+
+@pytest.fixture(scope="module")
+def told(slides: list[CalibrationSlide]) -> HeightCalibration:
+    found = calibrated_heights(over_heights(), slides)
+    assert found is not None
+    return found
+
+
+def test_the_static_output_tells_the_height_of_this_mounting(told: HeightCalibration) -> None:
+    at = np.array([1.7, 1.65])
+    for height_mm in (6.0, 7.3, 8.0):
+        assert told.told(at + height_mm * np.array(STATIC_V_PER_MM)) == pytest.approx(height_mm, abs=1e-6)
+    assert told.told(at + 8.1 * np.array(STATIC_V_PER_MM)) == pytest.approx(8.0)
+    assert math.isnan(told.told(at + 9.5 * np.array(STATIC_V_PER_MM)))
+    # Half a degree of another mounting.
+    assert math.isnan(told.told(at + 7.3 * np.array(STATIC_V_PER_MM) + [0.0, 0.007]))
+
+
+def test_a_static_output_that_does_not_change_tells_no_height(told: HeightCalibration) -> None:
+    assert math.isnan(replace(told, static_v_per_mm=(1e-5, 0.0)).told(np.array(told.static_v)))
+
+
+def test_gains_scale_the_change_with_height(told: HeightCalibration) -> None:
+    scaled = with_gains(told, np.array([1.1, 0.9]))
+    np.testing.assert_allclose(scaled.splines(), told.splines() * [1.1, 0.9], rtol=2e-3, atol=1e-6)
+
+
+@pytest.fixture
+def bundle(tmp_path: Path, graph: bytes, told: HeightCalibration) -> Path:
+    row = ort.InferenceSession(graph).run(None, window())[0][0]
+    card = Card(
+        "cnn",
+        "window",
+        network(over_heights()).outputs,
+        asdict(SENSOR),
+        SENSOR.channels,
+        SENSOR.sample_rate_hz,
+        SENSOR.reference_mm,
+        Conditioning(),
+        {},
+        Validity(),
+        {},
+        {"inputs": {k: v.tolist() for k, v in window().items()}, "estimate": row.tolist()},
+        sha256(graph).hexdigest(),
+        contact=contact_calibration(over_heights()),
+        heights=told,
+    )
+    (tmp_path / "model.onnx").write_bytes(graph)
+    write_card(card, tmp_path / "model.json")
+    return tmp_path
+
+
+def resting(height_mm: float) -> np.ndarray:
+    """Three seconds at rest, the skin at a height."""
+    signal = at_rest(SENSOR, 3.0) + np.array([0.05 + height_mm * STATIC_V_PER_MM[0], 0.0, 0.0])
+    return as_recorded(SENSOR, signal, seed=3)
+
+
+def test_a_stream_is_read_at_the_height_it_tells_or_is_given(bundle: Path) -> None:
+    assert read_card(bundle / "model.json").heights is not None
+    localizer = Localizer.load(bundle)
+    assert localizer.push(resting(7.6))[-1].skin_height_mm == pytest.approx(7.6, abs=0.1)
+    off_mm = localizer._inputs[HEIGHT_INPUT]
+    assert off_mm == pytest.approx(0.6, abs=0.1)
+    localizer.reset()
+    assert math.isnan(localizer.read().skin_height_mm)
+    assert off_mm == 0.0
+    given = Localizer.load(bundle, 6.5)
+    assert given.push(resting(7.6))[-1].skin_height_mm == 6.5
+    assert given._inputs[HEIGHT_INPUT] == pytest.approx(-0.5)
+    with pytest.raises(InputError, match="the bundle is for 6"):
+        Localizer.load(bundle, 5.0)
+
+
+def test_heights_follow_from_readings_and_pressures() -> None:
+    folder = read_folder(SAMPLE)
+    table = folder.manifest.iloc[:4].assign(pressure_mpa=[0.035, 0.035, 0.028, 0.044])
+    unread = with_heights(replace(folder, manifest=table)).manifest[HEIGHT]
+    np.testing.assert_allclose(unread, 7.5 * np.cbrt(table["pressure_mpa"] / 0.035))
+    read = with_heights(replace(folder, manifest=table.assign(**{LASER: ["", "7.1", "6.4", ""]}))).manifest[
+        HEIGHT
+    ]
+    assert list(read[:3]) == pytest.approx([7.1, 7.1, 6.4])
+    power = math.log(7.1 / 6.4) / math.log(0.035 / 0.028)
+    assert read.iloc[3] == pytest.approx(7.1 * (0.044 / 0.035) ** power)
+    assert HEIGHT not in with_heights(replace(folder, manifest=table.iloc[:2])).manifest
+
+
+def test_a_model_over_heights_learns_from_every_pressure() -> None:
+    folder = read_folder(SAMPLE).select("calibration")
+    pressures = np.where(np.arange(len(folder)) % 4 == 0, 0.028, 0.035)
+    folder = replace(folder, manifest=folder.manifest.assign(pressure_mpa=pressures))
+    assert len(recordings_to_learn_from(folder, True)) == len(folder)
+    assert not why_not_labelled(folder, True)
+    assert len(recordings_to_learn_from(folder)) == (pressures == 0.035).sum()
+
+
+def test_both_kinds_of_map_are_judged_on_held_out_lines() -> None:
+    """Thirty slides at another height: the true map over heights is better than their own map, a wrong one is not."""
+    lines = LINES[:30]
+    others = slides_of(
+        over_heights(), lines, *3.0 * np.ones((1, 30)), np.ones(30), 1.4e-3, heights_mm=np.full(30, 8.0)
+    )
+    main = slides_of(over_heights(), LINES[:2], [3.0, 3.0], [1.0, 1.0], 1.4e-3, heights_mm=[MAIN_MM] * 2)
+    used = [replace(s, recording=f"m{n}") for n, s in enumerate(main * 20)] + others
+    names = np.array([s.recording for s in others])
+    right = over_heights()
+    wrong = replace(right, height_slope=-3 * right.height_slope)
+    shares = [
+        _shares_at_other_heights(
+            used, [(m, names)], None, SENSOR, SensorSpread(), CalibrationConfig(iterations=1)
+        )
+        for m in (right, wrong)
+    ]
+    assert shares[0]["map_over_heights"] < shares[0]["map_a_height"]
+    assert shares[1]["map_a_height"] < shares[1]["map_over_heights"]
+    assert shares[0]["map_a_height"] == shares[1]["map_a_height"]
+
+
+@pytest.fixture(scope="module")
+def lab(tmp_path_factory: pytest.TempPathFactory) -> Folder:
+    """The sample's fastest calibration slides; some once more, of a skin 1 mm higher, which answers and tilts more."""
+    folder = read_folder(SAMPLE).select("calibration")
+    fastest = folder.manifest.loc[folder.manifest["speed_mm_s"].nlargest(28).index]
+    again = fastest.iloc[::4].assign(pressure_mpa=0.05, **{LASER: 8.0}).rename(index="{}-higher".format)
+    recordings = [folder.load(str(name)) for name in fastest.index]
+    for one in recordings[::4]:
+        rest = one.volts[one.time_s < fastest["motion_start_s"][one.name]].mean(axis=0)
+        volts = rest + [0.01, 0.0, 0.0] + 1.15 * (one.volts - rest)
+        recordings.append(replace(one, name=f"{one.name}-higher", volts=volts))
+    table = pd.concat([fastest.assign(**{LASER: 7.0}), again])
+    return write_folder(tmp_path_factory.mktemp("heights") / "lab", folder.sensor, table, recordings)
+
+
+def mapped(lab: Folder) -> CalibratedMap:
+    cnn = default_config("cnn")
+    conditioning, config = replace(cnn.conditioning, delayed=0.1), replace(cnn.calibration, iterations=2)
+    return calibrated_map(recordings_to_learn_from(lab, True), None, conditioning, config, cnn.spread)
+
+
+def test_recordings_at_two_heights_make_one_map(lab: Folder) -> None:
+    found = mapped(lab)
+    assert found.slides == 35
+    assert found.response.height_mm == 7.0
+    here, there = (found.response.at_height(h).coefficients[0] for h in (7.0, 8.0))
+    assert (here * there).sum() / (here**2).sum() == pytest.approx(1.15, abs=0.04)
+    heights = np.array([found.told_mm[name] for name in found.folder.manifest.index])
+    np.testing.assert_allclose(heights, found.folder.manifest[HEIGHT], atol=0.2)
+
+
+def test_where_maps_of_each_height_are_better_the_main_one_is_taken(
+    lab: Folder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shares = {"map_over_heights": 0.02, "map_a_height": 0.01}
+    monkeypatch.setattr(select, "_shares_at_other_heights", lambda *given: shares)
+    found = mapped(lab)
+    assert (found.slides, found.heights, found.told_mm) == (28, None, {})
+    assert len(found.left_out) == 7
+    assert all("map of each height" in why for why in found.left_out.values())
