@@ -55,7 +55,7 @@ COMMAND_EXTRA = {
 PACKAGE_EXTRA = {
     **dict.fromkeys(("fastapi", "serial", "uvicorn", "websockets"), "live"),
     **dict.fromkeys(("dask", "distributed"), "cluster"),
-    "mlflow": "train",
+    **dict.fromkeys(("matplotlib", "mlflow", "numba"), "train"),
 }
 # A disk that is full, over its quota or read-only, and places that may not be written.
 NO_PLACE = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EPERM)

@@ -23,7 +23,8 @@ from pipeline.recordings.at_rest import conditioning_for
 from pipeline.recordings.folder import Folder, read_folder
 from pipeline.recordings.windows import labelled_windows
 from pipeline.sensor import read_sensor
-from pipeline.skin.lines import Line, skin_of, solve_line
+from pipeline.skin.lines import Line
+from pipeline.skin.solved_line import skin_of, solve_line
 from pipeline.synthesis.synthesize import synthesize
 from serve.localizer import Localizer
 

@@ -177,7 +177,8 @@ def test_a_failed_position_is_reported_and_left_out(quick, monkeypatch):
 
 
 def test_a_solved_atlas_answers_between_its_lines_as_the_solver_does(quick):
-    from pipeline.skin.lines import Line, skin_of, solve_line
+    from pipeline.skin.lines import Line
+    from pipeline.skin.solved_line import skin_of, solve_line
 
     sensor = quick_sensor()
     level = float(quick.pressure_mpa[0])
@@ -315,7 +316,7 @@ def test_default_atlas_gives_more_signal_with_more_pressure(default):
 )
 def test_default_atlas_answers_lines_it_was_not_solved_on(default, start, heading, depth, height):
     """Root mean square and largest error in g against the solver, between lines, depths and levels, at any angle."""
-    from pipeline.skin.lines import gravity, skin_of
+    from pipeline.skin.solved_line import gravity, skin_of
 
     sensor = read_sensor(DEFAULT_SENSOR)
     skin = skin_of(sensor)

@@ -14,7 +14,7 @@ from features.errors import InputError
 from pipeline.atlas.atlas import read_atlas
 from pipeline.recordings.folder import read_folder
 from pipeline.recordings.truth import COLUMNS, read_truth
-from pipeline.skin.lines import channels, skin_of
+from pipeline.skin.solved_line import channels, skin_of
 from pipeline.synthesis.distribution import Distribution
 from pipeline.synthesis.motion import Stroke
 from pipeline.synthesis.paths.contact_path import ContactPath, Timing

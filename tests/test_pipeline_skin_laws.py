@@ -12,8 +12,9 @@ from pipeline.sensor import Accelerometer, MeshSize, Sensor
 from pipeline.skin import material
 from pipeline.skin.anderson import AndersonMixing
 from pipeline.skin.linear import linear_solver
-from pipeline.skin.lines import Line, gravity, mirror, solve_line
+from pipeline.skin.lines import Line, mirror
 from pipeline.skin.mesh import Mesh, plate, skin_mesh
+from pipeline.skin.solved_line import gravity, solve_line
 from pipeline.skin.solver import NoEquilibrium, Skin
 from pipeline.skin.system import Load, Material, State, System
 

@@ -12,8 +12,9 @@ import numpy as np
 import pytest
 
 from pipeline.sensor import Accelerometer, Sensor
-from pipeline.skin.lines import Line, gravity, solve_line
+from pipeline.skin.lines import Line
 from pipeline.skin.mesh import skin_mesh
+from pipeline.skin.solved_line import gravity, solve_line
 from pipeline.skin.solver import Skin
 from pipeline.skin.system import Material
 

@@ -5,8 +5,8 @@ import pytest
 
 from experiments.bench.felupe_path import board_elements, felupe_path
 from pipeline.sensor import Accelerometer, MeshSize, Sensor
-from pipeline.skin.lines import gravity
 from pipeline.skin.mesh import skin_mesh
+from pipeline.skin.solved_line import gravity
 from pipeline.skin.solver import Skin
 from pipeline.skin.system import Material
 

@@ -19,7 +19,7 @@ from pipeline.checks.findings import examine
 from pipeline.checks.zone_signs import sign_agreement
 from pipeline.recordings.folder import Folder, read_folder
 from pipeline.sensor import Accelerometer, design_hash, design_of
-from pipeline.skin.lines import gravity
+from pipeline.skin.solved_line import gravity
 from pipeline.synthesis.board_gravity import in_tilted_sensor, upright
 from pipeline.synthesis.distribution import SCALE_MM, SPLITS, Distribution
 from pipeline.synthesis.motion import Stroke

@@ -17,7 +17,8 @@ import numpy as np
 from experiments.bench.felupe_path import felupe_path
 from pipeline.atlas.atlas import DEFAULT_SENSOR
 from pipeline.sensor import MeshSize, Sensor, read_sensor
-from pipeline.skin.lines import Line, skin_of, solve_line
+from pipeline.skin.lines import Line
+from pipeline.skin.solved_line import skin_of, solve_line
 
 # A line over the dome in steps of 1.25 mm, and its depth.
 ALONG_MM = np.arange(-30.0, 30.1, 1.25)

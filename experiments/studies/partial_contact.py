@@ -13,7 +13,7 @@ from scipy.optimize import least_squares, minimize_scalar
 
 from pipeline.atlas.atlas import Atlas, read_atlas
 from pipeline.sensor import Sensor
-from pipeline.skin.lines import channels, skin_of
+from pipeline.skin.solved_line import channels, skin_of
 from pipeline.synthesis.paths.partial_contact import (
     EXPONENT,
     FLATTER,

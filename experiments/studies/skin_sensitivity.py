@@ -19,7 +19,8 @@ import pandas as pd
 from experiments.tracking.study import tracked_study
 from pipeline.atlas.atlas import DEFAULT_SENSOR
 from pipeline.sensor import Sensor, read_sensor
-from pipeline.skin.lines import Line, skin_of, solve_line
+from pipeline.skin.lines import Line
+from pipeline.skin.solved_line import skin_of, solve_line
 from pipeline.skin.solver import NoEquilibrium
 
 STEP_MM = 1.25

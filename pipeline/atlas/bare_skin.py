@@ -128,7 +128,7 @@ class _Reader:
             self._weights[:, p, own] = np.linalg.pinv(basis)[1:]
 
     def tilts(self, skin: Skin, state: State) -> np.ndarray:
-        """(2 P,) g: each place's reading along x and y, with the signs of `pipeline.skin.lines.gravity`."""
+        """(2 P,) g: each place's reading along x and y, with the signs of `pipeline.skin.solved_line.gravity`."""
         axes = self._weights @ skin.system.places(state)[self._nodes]
         return -(axes[..., 2] / np.linalg.norm(axes, axis=-1)).T.ravel()
 

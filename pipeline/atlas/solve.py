@@ -15,17 +15,8 @@ from pipeline.atlas.atlas import DEFAULT_SENSOR, Atlas, write_atlas
 from pipeline.atlas.line_store import LineStore, Task
 from pipeline.progress import progress_bar
 from pipeline.sensor import Sensor, check_design, design_hash, design_of, read_sensor
-from pipeline.skin.lines import (
-    Line,
-    gravity,
-    join_families,
-    lines,
-    mirror,
-    reach_mm,
-    representative,
-    skin_of,
-    solve_line,
-)
+from pipeline.skin.lines import Line, join_families, lines, mirror, reach_mm, representative
+from pipeline.skin.solved_line import gravity, skin_of, solve_line
 from pipeline.skin.solver import TOLERANCE_N, NoEquilibrium, Statistics
 from pipeline.skin.system import State
 from pipeline.workers import results

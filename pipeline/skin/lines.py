@@ -1,4 +1,4 @@
-"""The indenter's lines of an atlas: which are needed, which follow by mirror symmetry, and the solution of one.
+"""The indenter's lines of an atlas: which are needed, which follow by mirror symmetry, and what all of them make.
 
 Results keep their positions in ascending order of the coordinate along the line, whatever the sense of
 motion.
@@ -6,15 +6,11 @@ motion.
 
 import math
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 from scipy.interpolate import make_interp_spline
 
 from pipeline.sensor import Sensor
-from pipeline.skin.mesh import skin_mesh
-from pipeline.skin.solver import Skin, Statistics
-from pipeline.skin.system import Material, State
 
 # What is kept of a board's posture, against the untouched inflated skin: gravity in its frame (g), its
 # centre's displacement (mm), its rotation about the skin's normal (rad). After the boards: the force on the
@@ -96,61 +92,6 @@ def mirror(values: np.ndarray, line: Line, axis: int, sensor: Sensor) -> np.ndar
         axis=1,
     )
     return result[::-1] if axis == line.axis else result
-
-
-@lru_cache(maxsize=1)
-def skin_of(sensor: Sensor) -> Skin:
-    """The skin of a design; a process keeps the last one, with its sparse pattern analysed."""
-    material = Material(
-        sensor.skin.shear_modulus_mpa,
-        sensor.skin.bulk_modulus_mpa,
-        sensor.skin.friction,
-        sensor.indenter_diameter_mm / 2,
-    )
-    return Skin(skin_mesh(sensor), material)
-
-
-def gravity(rotations: np.ndarray) -> np.ndarray:
-    """Gravity (boards, 3) g that accelerometers at these board rotations (boards, 3, 3) read.
-
-    The accelerometer's x and y point against the board's, so that pressing at x < x_ref, which lowers the
-    board's left side, lowers vx as in the article; z points out of the skin.
-    """
-    return rotations[:, 2, :] * np.array([-1.0, -1.0, 1.0])
-
-
-def solve_line(
-    sensor: Sensor, line: Line, along_mm: np.ndarray, depth_mm: float, pressure_mpa: float, inflated: State
-) -> tuple[np.ndarray, Statistics]:
-    """Slides the indenter once, `depth_mm` below the flat skin's upper face, over `along_mm` (n,) ascending.
-
-    Returns:
-        (n, channels) as `PER_BOARD` says, nan where no equilibrium was found; what it cost.
-    """
-    skin = skin_of(sensor)
-    skin.statistics = Statistics()
-    centres = np.empty((len(along_mm), 3))
-    centres[:, line.axis] = along_mm[:: line.sense]
-    centres[:, 1 - line.axis] = line.offset_mm
-    centres[:, 2] = sensor.skin_thickness_mm + sensor.indenter_diameter_mm / 2 - depth_mm
-    postures, forces = skin.slide(inflated, pressure_mpa, centres)
-    boards = len(sensor.accelerometers)
-    values = np.full((len(centres), PER_BOARD * boards + 3), np.nan)
-    for n, posture in enumerate(postures):
-        if posture is not None:
-            values[n] = np.concatenate([channels(skin, posture, inflated), forces[n]])
-    return values[:: line.sense], skin.statistics
-
-
-def channels(skin: Skin, posture: State, inflated: State) -> np.ndarray:
-    """One posture against the inflated skin's, (boards * PER_BOARD,)."""
-    rows = []
-    tilt = gravity(posture.rotations) - gravity(inflated.rotations)
-    for n, change in enumerate(tilt):
-        moved = (posture.unknowns - inflated.unknowns)[skin.system.board_slice(n)][:3]
-        yaw = [math.atan2(r[1, 0], r[0, 0]) for r in (posture.rotations[n], inflated.rotations[n])]
-        rows.append(np.array([*change, *moved, yaw[0] - yaw[1]]))
-    return np.concatenate(rows)
 
 
 def join_families(

@@ -15,7 +15,7 @@ def in_tilted_sensor(tilt_g: np.ndarray, yaw_rad: np.ndarray, up: np.ndarray) ->
     """Gravity (boards, 3, n) g that the boards read.
 
     A board's rotation R in the sensor is known from what it reads in a level one, r = S R^T e_z with
-    S = diag(-1, -1, 1) (see `pipeline.skin.lines.gravity`), and from its yaw about the skin's normal:
+    S = diag(-1, -1, 1) (see `pipeline.skin.solved_line.gravity`), and from its yaw about the skin's normal:
     R = Rz(yaw) Ry(p) Rx(q), sin p = r_x, sin q = -r_y / cos p. In a sensor where up is u it reads S R^T u.
 
     Args:

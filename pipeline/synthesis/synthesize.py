@@ -29,7 +29,6 @@ from pipeline.synthesis.paths.contact_path import ContactPath
 from pipeline.synthesis.paths.distribution import PathDistribution
 from pipeline.synthesis.paths.draw import draw_path
 from pipeline.synthesis.paths.response import path_response, path_truth
-from pipeline.synthesis.paths.solved import solved_response
 from pipeline.synthesis.protocol import article_slides
 from pipeline.synthesis.slide_plan import Slide
 from pipeline.synthesis.specimen import Specimen, draw_specimen
@@ -295,7 +294,12 @@ def synthesize(
             (path_plan(number, seed, atlas, sensor, distribution), noise_of(number, seed, _PATH_NOISE))
         )
     manifest = pd.DataFrame([each.labels() for each, _ in plans])
-    respond = partial(solved_response, sensor_of(atlas)) if solved else path_response
+    respond = path_response
+    if solved:
+        # The solver needs numba, which the io extra does not bring.
+        from pipeline.synthesis.paths.solved import solved_response
+
+        respond = partial(solved_response, sensor_of(atlas))
     recordings = (record(each, specimen, atlas, noise, respond) for each, noise in plans)
     origin = {
         "what": "synthetic slides, made by softslide synthesize; never measured on hardware",

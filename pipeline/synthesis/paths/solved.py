@@ -8,7 +8,7 @@ import numpy as np
 from features.errors import InputError
 from pipeline.atlas.atlas import Atlas
 from pipeline.sensor import Sensor
-from pipeline.skin.lines import channels, skin_of
+from pipeline.skin.solved_line import channels, skin_of
 from pipeline.synthesis.paths.contact_path import ContactPath
 
 # Way between two solved places, up and down included. With half of it outputs change by less than 0.1 % of the largest

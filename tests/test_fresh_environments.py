@@ -1,0 +1,130 @@
+"""A fresh environment for the base install and for each extra: every command works or names the extra it lacks."""
+
+import re
+import shutil
+import subprocess
+import sys
+import tomllib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import pandas as pd
+import pytest
+from lab_files import FORMATS, write_lab
+from small_bundle import write_small_bundle
+from test_front_door import CALLS
+
+from pipeline.recordings.folder import SAMPLE, read_folder
+
+pytestmark = pytest.mark.long
+HERE = Path(__file__).parents[1]
+EXTRAS = tomllib.loads((HERE / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+# A command that is still at work after this time lacks nothing: what it needs it imports first.
+AT_WORK_S = 20
+PATIENCE_S = 300
+
+
+@dataclass(frozen=True)
+class Environment:
+    """extras: the one installed, and those that it brings. softslide: the command there. lab: files to work on."""
+
+    extras: set[str]
+    softslide: Path
+    lab: Path
+
+    def run(self, *words: object, patience_s: float = PATIENCE_S) -> subprocess.CompletedProcess[str]:
+        command = [str(self.softslide), *map(str, words)]
+        return subprocess.run(
+            command, cwd=self.lab, capture_output=True, text=True, timeout=patience_s, check=False
+        )
+
+
+@pytest.fixture(scope="module")
+def tree(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The tracked files alone, as they are now: building a package writes beside them."""
+    copy = tmp_path_factory.mktemp("tree") / "softslide"
+    names = subprocess.run(["git", "ls-files", "-z"], cwd=HERE, capture_output=True, check=True).stdout
+    for name in filter(None, names.decode().split("\0")):
+        (copy / name).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(HERE / name, copy / name)
+    return copy
+
+
+@pytest.fixture(scope="module")
+def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A bundle, a recording as CSV and as Parquet, and a lab's own files with their map."""
+    root = tmp_path_factory.mktemp("lab")
+    folder = read_folder(SAMPLE)
+    write_small_bundle(root / "bundle", folder.sensor)
+    fastest = folder.load(str(folder.manifest["speed_mm_s"].idxmax()))
+    table = pd.DataFrame(fastest.volts, columns=list(folder.sensor.channels))
+    table.insert(0, "time_s", fastest.time_s)
+    table.to_csv(root / "slide.csv", index=False)
+    table.to_parquet(root / "slide.parquet")
+    write_lab(root / "theirs", FORMATS["csv"], ("one", "two"))
+    return root
+
+
+@pytest.fixture(scope="module", params=["", "io", "live", "train"], ids=lambda extra: extra or "base")
+def fresh(
+    request: pytest.FixtureRequest, tree: Path, lab: Path, tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[Environment]:
+    extra = request.param
+    folder = tmp_path_factory.mktemp(f"fresh-{extra or 'base'}")
+    subprocess.run([sys.executable, "-m", "venv", folder], check=True, timeout=PATIENCE_S)
+    what = f"{tree}[{extra}]" if extra else str(tree)
+    pip = [folder / "bin" / "python", "-m", "pip", "install", "--quiet", "-c", tree / "constraints.txt", what]
+    subprocess.run(pip, check=True, timeout=1800)
+    brought = set(re.findall(r"softslide\[(\w+)\]", " ".join(EXTRAS.get(extra, ()))))
+    yield Environment({extra, *brought}, folder / "bin" / "softslide", lab)
+    shutil.rmtree(folder)
+
+
+@pytest.mark.parametrize("command", sorted(CALLS))
+def test_it_works_or_names_its_extra(fresh: Environment, tmp_path: Path, command: str) -> None:
+    places = {
+        "BUNDLE": fresh.lab / "bundle",
+        "slide.parquet": fresh.lab / "slide.parquet",
+        "out": tmp_path / "out",
+    }
+    try:
+        done = fresh.run(command, *(places.get(w, w) for w in CALLS[command]), patience_s=AT_WORK_S)
+    except subprocess.TimeoutExpired:
+        return
+    assert "Traceback" not in done.stderr
+    assert "No module named" not in done.stderr
+    named = set(re.findall(r"needs softslide\[(\w+)\]", done.stderr))
+    assert not named & fresh.extras
+    assert not named or done.returncode == 2
+
+
+def test_what_an_extra_is_for_works(fresh: Environment, tmp_path: Path) -> None:
+    bundle, out = fresh.lab / "bundle", tmp_path
+    calls: list[list[object]] = [
+        ["predict", "--model", bundle, fresh.lab / "slide.csv"],
+        ["serve", "--model", bundle, "--source", fresh.lab / "slide.csv", "--fast"],
+    ]
+    if "live" in fresh.extras:
+        calls.append(
+            ["serve", "--model", bundle, "--source", fresh.lab / "slide.csv", "--fast", "--page", "0"]
+        )
+    if "io" in fresh.extras:
+        theirs = fresh.lab / "theirs"
+        calls += [
+            ["predict", "--model", bundle, fresh.lab / "slide.parquet"],
+            ["synthesize", "--slides", 2, "--seed", 1, "--out", out / "made"],
+            ["check", out / "made"],
+            ["import", theirs / "lab", "--map", theirs / "map.toml", "--out", out / "imported"],
+        ]
+    if "train" in fresh.extras:
+        calls += [
+            ["train", "--recordings", SAMPLE, "--model", "interpolation", "--out", out / "trained"],
+            ["export", "--model", out / "trained", "--to", "c", "--out", out / "c"],
+            ["evaluate", "--model", out / "trained", "--recordings", SAMPLE, "--out", out / "results"],
+        ]
+    for call in calls:
+        done = fresh.run(*call)
+        # 1: a bound that is not met.
+        assert done.returncode == 0 or (call[0] == "evaluate" and done.returncode == 1), (call, done.stderr)
+        assert "Traceback" not in done.stderr
