@@ -19,6 +19,10 @@ TOUCH_AXES = ("xy", "xyz")
 ONSETS = ("rim", "touch")
 
 
+# Far above any number of blocks, seconds or volts; above it, arithmetic overflows.
+LARGEST = 1e12
+
+
 @dataclass(frozen=True)
 class Conditioning:
     """Constants of the signal path; they travel in the model card. Figures in parentheses are of the defaults.
@@ -87,8 +91,8 @@ class Conditioning:
                 continue
             if isinstance(value, bool) or not isinstance(value, int if field.type is int else int | float):
                 raise ValueError(f"{field.name} is {value!r}, not a number of its kind")
-            if not 0 < value < math.inf and not (field.name == "delayed" and value == 0):
-                raise ValueError(f"{field.name} is {value}; it must be positive and finite")
+            if not 0 < value <= LARGEST and not (field.name == "delayed" and value == 0):
+                raise ValueError(f"{field.name} is {value}; it must be positive and at most {LARGEST:g}")
         if self.delayed >= 1:
             raise ValueError(f"delayed is {self.delayed}; it is a share, below 1")
         if self.release_v > self.trigger_v:

@@ -13,6 +13,7 @@ from models.classical.fit import feature_model
 from models.classical.regression import Regressor, regression_table
 from models.classical.taught import SharesConfig
 from models.graph.builder import GraphBuilder
+from models.ranges import SEED, check_ranges
 from pipeline.recordings.windows import LabelledWindows
 
 
@@ -26,6 +27,10 @@ class GpConfig:
     search_rows: int = 400
     least_noise: float = 1e-5
     seed: int = 0
+
+    def __post_init__(self) -> None:
+        # A search solves for its rows ten times over, with their third power.
+        check_ranges(self, search_rows=(10, 10_000), least_noise=(1e-12, 1.0), seed=SEED)
 
 
 @dataclass(frozen=True)

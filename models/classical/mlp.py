@@ -12,6 +12,7 @@ from models.classical.fit import feature_model
 from models.classical.regression import Regressor, regression_table
 from models.classical.taught import SharesConfig
 from models.graph.builder import GraphBuilder
+from models.ranges import SEED, SIZE, check_ranges
 from pipeline.recordings.windows import LabelledWindows
 
 
@@ -27,6 +28,13 @@ class MlpConfig:
     penalty: float = 0.03
     iterations: int = 150
     seed: int = 0
+
+    def __post_init__(self) -> None:
+        if not self.hidden:
+            raise ValueError("hidden is empty; give the width of at least one layer")
+        check_ranges(
+            self, members=(1, 100), hidden=(1, 4096), penalty=SIZE, iterations=(1, 1_000_000), seed=SEED
+        )
 
 
 @dataclass(frozen=True)

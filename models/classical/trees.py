@@ -22,6 +22,7 @@ from models.classical.regression import (
 )
 from models.classical.taught import SharesConfig
 from models.graph.builder import OPSET, OPSET_ML, GraphBuilder
+from models.ranges import SEED, check_ranges
 from pipeline.recordings.windows import LabelledWindows
 
 # Each forest's targets, and those of them that are taken from it. Direction and speed fare better alone: what splits
@@ -41,6 +42,9 @@ class TreesConfig:
     trees: int = 60
     least_leaf: int = 6
     seed: int = 0
+
+    def __post_init__(self) -> None:
+        check_ranges(self, trees=(1, 10_000), least_leaf=(1, 1_000_000), seed=SEED)
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ from torch.nn import functional as F
 
 from features.window import WINDOW_BINS
 from models.cnn.forward_model import BINS, PHASES, STATE, Prediction
+from models.ranges import POSITIVE, SHARE, SIZE, check_ranges
 from models.response_map.map import ResponseMap
 
 PEAK_SHARE = 0.003  # the map's residual, as a share of the slide's largest output
@@ -52,8 +53,8 @@ class RefinementConfig:
     lean_v: float = 0.0
 
     def __post_init__(self) -> None:
-        if self.steps < 1:
-            raise ValueError(f"steps is {self.steps}; take at least one")
+        check_ranges(self, steps=(1, 100), trust=POSITIVE, least_prior=POSITIVE, same_depth=SHARE)
+        check_ranges(self, depth_sd_mm=POSITIVE, askew=SIZE, lean_v=SIZE)
 
 
 class Refinement(nn.Module):

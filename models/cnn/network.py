@@ -17,6 +17,7 @@ from torch.nn import functional as F
 
 from features.window import WINDOW_BINS
 from models.cnn.gauss_newton import DEPTH, Refinement, RefinementConfig
+from models.ranges import check_ranges
 
 OUTPUTS = (
     "direction_cos",
@@ -44,6 +45,9 @@ class NetworkConfig:
     filters: tuple[int, int, int] = (24, 32, 40)
     hidden: tuple[int, int] = (96, 48)
     refinement: RefinementConfig = field(default_factory=RefinementConfig)
+
+    def __post_init__(self) -> None:
+        check_ranges(self, filters=(1, 1024), hidden=(1, 4096))
 
 
 class Proposal(nn.Module):

@@ -12,6 +12,7 @@ from torch.nn.utils import clip_grad_norm_
 from models.cnn.network import LENGTH_MM, NetworkConfig, Proposal
 from models.cnn.training_windows import WindowSource
 from models.graph.packing import rounded, rounded_weights
+from models.ranges import SEED, check_ranges
 
 
 @dataclass(frozen=True)
@@ -24,6 +25,16 @@ class TrainingConfig:
     rate: float = 3e-3
     average: float = 0.998
     seed: int = 0
+
+    def __post_init__(self) -> None:
+        check_ranges(
+            self,
+            steps=(1, 10_000_000),
+            batch=(2, 65_536),
+            rate=(1e-9, 1.0),
+            average=(0.0, 0.999999),
+            seed=SEED,
+        )
 
 
 def train_proposal(

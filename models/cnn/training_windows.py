@@ -15,6 +15,7 @@ from torch.nn import functional as F
 
 from features.window import WINDOW_BINS
 from models.cnn.gauss_newton import PEAK_SHARE
+from models.ranges import POSITIVE, SHARE, SIZE, check_ranges
 from models.response_map.map import ResponseMap
 from pipeline.recordings.windows import LabelledWindows
 
@@ -55,6 +56,14 @@ class SynthesisConfig:
     depth_mm: float = 0.2
     dead: float = 0.25
     channel_gain: float = 0.003
+
+    def __post_init__(self) -> None:
+        check_ranges(self, speed_mm_s=POSITIVE, trigger_v=POSITIVE, depth_mm=SIZE, channel_gain=SHARE)
+        check_ranges(self, complete=SHARE, paused=SHARE, midway=SHARE, dead=SHARE)
+        for name in ("speed_mm_s", "trigger_v"):
+            low, high = getattr(self, name)
+            if low > high:
+                raise ValueError(f"{name} begins at {low:g} and ends at {high:g}; give the lower bound first")
 
 
 @dataclass(frozen=True)

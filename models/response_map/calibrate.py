@@ -12,6 +12,7 @@ import numpy as np
 from scipy import sparse
 from scipy.linalg import solveh_banded
 
+from models.ranges import POSITIVE, check_ranges
 from models.response_map.map import MARGIN_MM, PARTS, SPACING_MM, ResponseMap, knots, splines_at
 from models.response_map.slides import LEAST_HEIGHTS_MM, CalibrationSlide, main_height_mm, several_heights
 from pipeline.sensor import Sensor
@@ -63,6 +64,10 @@ class CalibrationConfig:
     untimed_sd_mm: float = 2.0
     day_gain_sd: float = 0.15
     iterations: int = 4
+
+    def __post_init__(self) -> None:
+        sizes = ("smooth_mean", "smooth_friction", "near_prior", "gain_sd", "shift_sd_mm", "untimed_sd_mm")
+        check_ranges(self, **dict.fromkeys(sizes, POSITIVE), day_gain_sd=POSITIVE, iterations=(1, 1000))
 
     def stiffened(self, times: float) -> "CalibrationConfig":
         """The same with every penalty on the map so many times as large."""

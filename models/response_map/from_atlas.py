@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import least_squares
 
+from models.ranges import SIZE, check_ranges
 from models.response_map.map import MARGIN_MM, PARTS, ResponseMap, spline_coefficients
 from models.response_map.slides import LEAST_HEIGHTS_MM, CalibrationSlide, main_height_mm, several_heights
 from pipeline.atlas.atlas import Atlas
@@ -56,6 +57,10 @@ class SensorSpread:
     width: tuple[float, float] = (0.11, 0.05)
     misfit: float = 0.05
     depth_change: tuple[float, float] = (1.75, -0.07)
+
+    def __post_init__(self) -> None:
+        sizes = ("gain", "turn_rad", "place_mm", "friction", "lag_s", "misfit", "height_mm")
+        check_ranges(self, **dict.fromkeys(sizes, SIZE), width=(-100.0, 100.0), depth_change=(-1e6, 1e6))
 
 
 def design_map(atlas: Atlas, sensor: Sensor, height_mm: float, depth_mm: float) -> ResponseMap:
