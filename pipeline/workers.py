@@ -38,6 +38,8 @@ def results(
         own = {} if scheduler else {"initializer": end_with, "initargs": (os.getpid(),)}
         # One that fails ends the others, as it should.
         warnings.filterwarnings("ignore", r"\d+ tasks which were still being processed", UserWarning)
+        # A worker that has grown large is replaced between two calls; none is lost.
+        warnings.filterwarnings("ignore", "A worker stopped while some jobs were given", UserWarning)
         # Each call is long enough to travel alone.
         yield from Parallel(n_jobs=jobs, batch_size=1, return_as=kind, **own)(
             delayed(function)(*call) for call in calls
