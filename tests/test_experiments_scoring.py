@@ -255,6 +255,7 @@ def test_a_bound_is_met_just_within_it_and_missed_just_beyond(name: str, within:
         ("distance", {"direction_deg": 90.0, "offset_mm": 9.9}),
         ("distance, close by", {"direction_deg": 90.0, "offset_mm": 3.0}),
         ("position", {"direction_deg": 180.0, "travel_mm": 24.0}),
+        ("direction", {"split": "track-curve"}),
     ],
 )
 def test_a_slide_outside_a_bounds_conditions_does_not_test_it(name: str, slide: dict) -> None:

@@ -13,6 +13,7 @@ from experiments.pages.page import number
 from pipeline.toml_tables import from_table, read_toml
 
 BOUNDS = Path(__file__).parent / "bounds.toml"
+PATHS = "track"  # splits of contacts along any path begin with this
 ANY = (0.0, float("inf"))
 # The article's stroke over the inflated area, section 5.3.
 INFLATED_MM = 50.0
@@ -140,12 +141,14 @@ def check(bound: Bound, scored: pd.DataFrame, depths_mm: Sequence[float] = ()) -
 def _within(bound: Bound, scored: pd.DataFrame, depths_mm: Sequence[float]) -> pd.Series:
     """Which rows meet the bound's conditions, as booleans."""
     distance = scored["true_offset_mm"].abs()
+    # The article's bounds are of straight slides; the labels of another path do not describe it.
+    straight = ~scored["split"].str.startswith(PATHS)
     on_lines = pd.Series(False, index=scored.index)
     for axis, area in ((0, bound.x_offset_mm), (90, bound.y_offset_mm)):
         if area is not None:
             direction = scored["true_direction_deg"]
             along = near_deg(direction, axis) | near_deg(direction, axis + 180)
-            on_lines |= along & distance.between(*area)
+            on_lines |= along & distance.between(*area) & straight
     speed, depth = scored["true_speed_mm_s"], scored["true_depth_mm"]
     on_lines &= speed.isna() | speed.between(*bound.speed_mm_s)
     if depths_mm:

@@ -98,7 +98,7 @@ def answer(verdicts: Sequence[Verdict]) -> tuple[str, str]:
             f"Not within the article's bounds: {', '.join(missed)} missed, {met} of {len(verdicts)} met.",
         )
     if not met:
-        return "untested", "Nothing here tests the article's bounds: this report cannot say."
+        return "untested", "No straight slide tests the article's bounds here: figures, no verdict."
     if untested:
         return "untested", (
             f"As far as it was tested: {met} of {len(verdicts)} bounds met; not tested: {', '.join(untested)}."
