@@ -129,7 +129,9 @@ KINDS = {
     "train": _Kind(
         "bundle",
         ("model.onnx", "model.json"),
-        lambda folder, configuration: to_learn_from(folder, configuration["design_alone"]),
+        lambda folder, configuration: to_learn_from(
+            folder, configuration["model"], configuration["design_alone"]
+        ),
         _train_again,
     ),
     "evaluate": _Kind(

@@ -97,8 +97,7 @@ def train(
     out, atlas, init, config = Path(out), _path(atlas), _path(init), _path(config)
     roots = [Path(recordings)] if isinstance(recordings, str | Path) else [Path(root) for root in recordings]
     whole = read_folders(roots)
-    heights = takes_several_heights(model)
-    folder = to_learn_from(whole, design_alone, heights)
+    folder = to_learn_from(whole, model, design_alone)
     settings = configured(change(default_config(model)), config, model)
     start = None if init is None else _graph_of(init)
     check_replaceable(out, BUNDLE_FILES)
@@ -126,7 +125,7 @@ def train(
         fitted, losses = _fit(model, folder, settings, design, start, fresh)
         _warn_if_lost(fitted)
         if not design_alone:
-            report_use(whole.select(*LEARNT), folder, fitted, heights)
+            report_use(whole.select(*LEARNT), folder, fitted, takes_several_heights(model))
         windows = fitted.windows or labelled_windows(folder, fitted.conditioning)
         parity = write_bundle(fitted, folder.sensor, windows, provenance, out)
         run.model(out, model)
@@ -140,10 +139,10 @@ def train(
     return Training(out, fitted, run)
 
 
-def to_learn_from(whole: Folder, design_alone: bool, several_heights: bool = False) -> Folder:
+def to_learn_from(whole: Folder, model: str, design_alone: bool) -> Folder:
     """The recordings to learn from: of the splits LEARNT, those whose line is known.
 
-    several_heights: of the skin, those too that are not at the pressure of most.
+    A model that can learn from several heights of the skin takes those too that are not at the pressure of most.
 
     Raises:
         InputError: some have labels and none can be used.
@@ -151,7 +150,7 @@ def to_learn_from(whole: Folder, design_alone: bool, several_heights: bool = Fal
     chosen = whole.select(*LEARNT)
     if design_alone:
         return replace(chosen, manifest=chosen.manifest.iloc[:0])
-    folder = recordings_to_learn_from(chosen, several_heights)
+    folder = recordings_to_learn_from(chosen, takes_several_heights(model))
     some = chosen.manifest[list(LINE)].notna().any(axis=1)
     if not len(folder) and some.any():
         name, why = next(iter(why_not_labelled(with_derived_labels(chosen)).items()))

@@ -117,8 +117,9 @@ def _as_int8(card: Card, path: Path, out: Path) -> dict[str, Any]:
     windows = _sample(card, path)
     with tempfile.TemporaryDirectory() as scratch:
         target = Path(scratch) / "model.onnx"
-        # It recommends a preparation that changes nothing here.
+        # It recommends a preparation that changes nothing here, and warns of an input that need not be given.
         logging.disable(logging.WARNING)
+        ort.set_default_logger_severity(3)
         quantize_static(
             _named(graph),
             str(target),
@@ -132,6 +133,7 @@ def _as_int8(card: Card, path: Path, out: Path) -> dict[str, Any]:
             nodes_to_quantize=names,
         )
         logging.disable(logging.NOTSET)
+        ort.set_default_logger_severity(2)
         quantized = onnx.load_model_from_string(target.read_bytes())
         pack(quantized)
         small = quantized.SerializeToString()
