@@ -52,6 +52,13 @@ def train(parser: Parser) -> Run:
         "what to learn from; several folders of one sensor, or the option again, are pooled",
         nargs="+",
     )
+    parser.add_argument(
+        "--weight",
+        type=float,
+        action="append",
+        default=[],
+        help="how much a folder's slides count in the response map, once for each folder (default: 1, all alike)",
+    )
     arguments.atlas(parser, "the design's response atlas, from 'simulate'")
     arguments.existing(parser, "--init", "BUNDLE", "a bundle of the same model to start from (warm start)")
     parser.add_argument(
@@ -84,6 +91,7 @@ def train(parser: Parser) -> Run:
             given.recordings,
             given.out,
             given.model,
+            weights=given.weight,
             atlas=given.atlas,
             init=given.init,
             config=given.config,

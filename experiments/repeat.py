@@ -56,7 +56,9 @@ def repeat(
             raise InputError(f"run {identifier}: it holds no {missing[0]}; name a run that has finished")
         were = configuration["recordings"]
         source = recordings or (Path(were) if isinstance(were, str) else [Path(root) for root in were])
-        for line in _not_as_it_was(run, data_hashes(kind.data(read_folders(source), configuration))):
+        for line in _not_as_it_was(
+            run, data_hashes(kind.data(read_folders(source, configuration.get("weights", ())), configuration))
+        ):
             print(line, file=sys.stderr)
         made = out or Path(scratch) / "made"
         kind.again(run, configuration, source, made)
@@ -109,6 +111,7 @@ def _train_again(
         recordings,
         out,
         configuration["model"],
+        weights=configuration.get("weights", ()),
         atlas=_path(configuration["atlas"]),
         init=_path(configuration["init"]),
         change=lambda default: changed(default, settings, place),

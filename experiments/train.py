@@ -69,6 +69,7 @@ def train(
     out: str | Path,
     model: str = "cnn",
     *,
+    weights: Sequence[float] = (),
     atlas: str | Path | None = None,
     init: str | Path | None = None,
     config: str | Path | None = None,
@@ -81,7 +82,8 @@ def train(
 ) -> Training:
     """Fits one model to the splits that begin with `calibration` or `train`, and exports it.
 
-    recordings: a folder, or several of one sensor, which are pooled.
+    recordings: a folder, or several of one sensor, which are pooled. weights: how much each folder's count in the
+    response map; none: all alike.
     atlas: what the sensor's design says, from `softslide simulate`; without one, and without labelled
     recordings, the default sensor's. init: a bundle to start from (warm start). config: TOML over the model's defaults,
     or `configuration.json` of a run; change: applied to the defaults before it. design_alone: uses no recording.
@@ -96,7 +98,11 @@ def train(
     """
     out, atlas, init, config = Path(out), _path(atlas), _path(init), _path(config)
     roots = [Path(recordings)] if isinstance(recordings, str | Path) else [Path(root) for root in recordings]
-    whole = read_folders(roots)
+    if weights and not uses_design(model):
+        raise InputError(
+            f"not for {model}: it weighs slides in the response map, which {model} has not", "weight"
+        )
+    whole = read_folders(roots, weights)
     folder = to_learn_from(whole, model, design_alone)
     settings = configured(change(default_config(model)), config, model)
     start = None if init is None else _graph_of(init)
@@ -108,6 +114,7 @@ def train(
         "atlas": None if atlas is None else str(atlas),
         "init": None if init is None else str(init),
         "design_alone": design_alone,
+        "weights": list(weights),
         "settings": asdict(settings),
     }
     provenance: dict[str, Any] = {

@@ -189,3 +189,20 @@ def test_the_rim_stays_where_it_is_however_far_the_response_reaches():
         assert np.abs(beyond).max() < 0.02 * np.abs(inside).max()
         narrower = np.abs(plain.response(np.full(41, 18.0), along, 0.0, depth)).max()
         assert np.abs(wide.response(np.full(41, 18.0), along, 0.0, depth)).max() > 1.1 * narrower
+
+
+def test_slides_count_by_their_weight():
+    """Two sets of slides over maps of which one answers by a fifth more: the map is near that of the heavier set."""
+    truth = bump_map()
+    blank = replace(truth, coefficients=0 * truth.coefficients, depth_slope=0 * truth.depth_slope)
+    ones = np.ones(len(LINES))
+    sets = [slides_of(m, LINES, 3.0 * ones, ones, 1.4e-3) for m in (truth, truth.scaled(1.2))]
+    size = []
+    for weights in ((1.0, 0.01), (0.01, 1.0)):
+        slides = [replace(s, weight=w) for each, w in zip(sets, weights, strict=True) for s in each]
+        # Gains that are known: else each slide has its own.
+        found, _ = calibrate(slides, blank, False, CalibrationConfig(gain_sd=1e-4, iterations=1))
+        size.append(
+            (found.coefficients[0] * truth.coefficients[0]).sum() / (truth.coefficients[0] ** 2).sum()
+        )
+    assert size == pytest.approx([1.0, 1.2], abs=0.02)

@@ -9,7 +9,7 @@ from bump_slides import bump_folder, bump_sensor, lines
 from features.errors import InputError
 from pipeline.recordings.derived_labels import recordings_to_learn_from, why_not_labelled, with_derived_labels
 from pipeline.recordings.folder import Folder, write_folder
-from pipeline.recordings.pooled import read_folders
+from pipeline.recordings.pooled import WEIGHT, read_folders
 
 
 def renamed(folder: Folder, root, letter: str, sensor=None, **columns) -> Folder:
@@ -46,6 +46,16 @@ def test_folders_of_other_sensors_or_with_a_name_twice_are_refused(two, tmp_path
     renamed(first, tmp_path / "c", "c", sensor=replace(first.sensor, accelerometers=(moved,)))
     with pytest.raises(InputError, match="accelerometers is"):
         read_folders([first.root, tmp_path / "c"])
+
+
+def test_folders_have_weights(two):
+    first, second = two
+    pooled = read_folders([first.root, second.root], [1.0, 0.25])
+    assert list(pooled.manifest[WEIGHT]) == [1.0] * len(first) + [0.25] * len(second)
+    assert WEIGHT not in read_folders([first.root, second.root]).manifest
+    for wrong in ([1.0], [1.0, 0.0], [1.0, np.inf]):
+        with pytest.raises(InputError, match="for 2 folders"):
+            read_folders([first.root, second.root], wrong)
 
 
 def test_a_model_is_for_the_pressure_that_most_recordings_have(two):

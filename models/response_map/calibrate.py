@@ -288,7 +288,7 @@ def _fit_splines(
         place = slide.place(shift, response.lag_s)
         rows = tensor_splines(*place, response.half_mm, response.spacing_mm) * gain
         # One over the variance in units of one block's noise: of the averaged noise, and of the map's own residual.
-        weight = 1.0 / (1.0 / slide.blocks + MAP_VARIANCE)
+        weight = slide.weight / (1.0 / slide.blocks + MAP_VARIANCE)
         parts = part_weights(slide.direction_rad)
         off_depth = slide.depth_mm - response.depth_mm
         off = off_depth * depth_slope
@@ -348,7 +348,7 @@ def _fitted_change(
         known = without.at_height(slide.height_mm).response(*place, a, slide.depth_mm)
         rest = (slide.volts - gain * known) / noise
         rows = gain * off / noise * np.stack([part.response(*place, a).ravel() for part in parts], axis=1)
-        weight = 1.0 / (1.0 / slide.blocks + MAP_VARIANCE)
+        weight = slide.weight / (1.0 / slide.blocks + MAP_VARIANCE)
         normal += weight * rows.T @ rows
         right += weight * rows.T @ rest.ravel()
     factor, share = np.linalg.solve(normal, right)

@@ -121,7 +121,8 @@ def prior_map(
             design = family.design(p)
             errors = [np.ravel((_predicted(design, sensor, p, s) - s.volts)[:: _every(s)]) for s in slides]
             scale = spread.misfit * peak * np.sqrt(sum(len(v) for v in errors) / (PIECES * len(slides)))
-            return np.concatenate([*[v / scale for v in errors], (p - family.centre) / family.sd])
+            counted = [v * np.sqrt(s.weight) / scale for v, s in zip(errors, slides, strict=True)]
+            return np.concatenate([*counted, (p - family.centre) / family.sd])
 
         start = least_squares(residuals, start, x_scale=family.sd, method="trf", max_nfev=12).x
     moved = _with_depth_change(_warped(family.design(start), sensor, start), spread)

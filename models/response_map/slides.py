@@ -10,6 +10,7 @@ from features.angles import touch_channels
 from features.stream.conditioning import ONSETS, Conditioning, block_means, without_lag
 from pipeline.recordings.folder import Folder
 from pipeline.recordings.heights import HEIGHT
+from pipeline.recordings.pooled import WEIGHT
 from pipeline.recordings.stroke import stage_motion
 
 STRETCH_MM = 0.5  # a fifth of the splines' spacing: along a stretch the response is straight
@@ -37,6 +38,7 @@ class CalibrationSlide:
     blocks: how many blocks a stretch averages; step_s: the same as a time.
     rest_noise_v: (C,) V, standard deviation of one block's mean at rest.
     static_v: (2 A,) V, V_x and V_y at rest. height_mm: of the skin; NaN: that of all slides.
+    weight: how much it counts in a fit.
     timed: the labels tell where the contact was when; else the place along the line is a first guess.
     """
 
@@ -53,6 +55,7 @@ class CalibrationSlide:
     timed: bool = True
     static_v: np.ndarray = field(default_factory=lambda: np.zeros(0))
     height_mm: float = math.nan
+    weight: float = 1.0
 
     @property
     def line_offset_mm(self) -> float:
@@ -112,6 +115,7 @@ def _slide(folder: Folder, name: str, row: Any, conditioning: Conditioning) -> C
         rest_noise_v=np.diff(rest, axis=0).std(axis=0) / np.sqrt(2),
         static_v=rest.mean(axis=0),
         height_mm=float(row.get(HEIGHT, math.nan)),
+        weight=float(row.get(WEIGHT, 1.0)),
     )
 
 

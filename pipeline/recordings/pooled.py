@@ -1,5 +1,6 @@
 """Several folders of recordings of one sensor, read as one."""
 
+import math
 import os
 from collections.abc import Sequence
 from dataclasses import asdict, replace
@@ -11,22 +12,33 @@ from features.errors import InputError
 from pipeline.recordings.folder import Folder, read_folder
 
 # What may differ between folders of one sensor.
+WEIGHT = "calibration_weight"  # column of a pooled manifest: how much a recording counts
 OWN = ("name", "origin", "pressure_mpa", "mains_hz")
 
 
-def read_folders(roots: Path | Sequence[Path]) -> Folder:
+def read_folders(roots: Path | Sequence[Path], weights: Sequence[float] = ()) -> Folder:
     """The recordings of all folders, or of the one, with the first one's `sensor.toml`; its root is the first folder's.
+
+    weights: how much each folder's recordings count in a calibration (column WEIGHT); none: all alike.
 
     Raises:
         InputError: a folder is not as docs/format.md says, is of another sensor than the first, or repeats the name of
-            a recording.
+            a recording; or the weights are not one above 0 for each.
     """
     roots = [roots] if isinstance(roots, Path) else roots
+    if weights and (len(weights) != len(roots) or not all(0 < weight < math.inf for weight in weights)):
+        raise InputError(
+            f"{', '.join(f'{weight:g}' for weight in weights)} for {len(roots)} folders; name one above 0 for each",
+            "weight",
+        )
     folders = [read_folder(root) for root in roots]
     first = folders[0]
     for other in folders[1:]:
         _check_same_sensor(first, other)
-    manifest = pd.concat([_seen_from(first.root, folder) for folder in folders])
+    tables = [_seen_from(first.root, folder) for folder in folders]
+    if weights:
+        tables = [table.assign(**{WEIGHT: weight}) for table, weight in zip(tables, weights, strict=True)]
+    manifest = pd.concat(tables)
     if (again := manifest.index.duplicated()).any():
         raise InputError(
             f"{manifest.index[again][0]}: a recording of this name is in several of the folders "
