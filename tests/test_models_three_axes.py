@@ -12,12 +12,11 @@ from features.stream.conditioning import Conditioning
 from features.stream.tracker import SlideState, SlideTracker
 from models.cnn.cramer_rao import cramer_rao
 from models.cnn.forward_model import BINS
-from models.cnn.gauss_newton import FLOOR_SHARE, Refinement, RefinementConfig
+from models.cnn.gauss_newton import BIN_GAIN, PLACE_MM, Refinement, RefinementConfig
 from models.cnn.inversion import Inversion
 from models.cnn.training_windows import SynthesisConfig, WindowSource
 from models.held_out import signed_errors
 from models.response_map.calibrate import CalibrationConfig, blank_map, calibrate
-from models.response_map.map import ResponseMap
 from models.response_map.select import _by_cell
 from models.response_map.slides import CalibrationSlide
 from pipeline.sensor import Accelerometer, Sensor
@@ -130,6 +129,23 @@ def test_mixed_channels_are_as_if_map_and_signal_were_mixed() -> None:
     assert np.median(np.abs(refined(plain, batch.volts) - outside), axis=0).max() > 2e-3
 
 
+def test_errors_of_each_bins_place_and_gain_are_part_of_its_covariance() -> None:
+    """J' C^-1 J is what the whole covariance of a bin's channels gives, inverted as it stands."""
+    response = dome_map(2)
+    refinement = Refinement(response, BLOCK_S, RefinementConfig())
+    draw = torch.Generator().manual_seed(3)
+    rows = torch.randn(4, 2, 3, 7, BINS, generator=draw, dtype=torch.float64)
+    inverse = torch.rand(4, 2, 3, 1, 1, generator=draw, dtype=torch.float64) + 0.5
+    found = refinement._without_local_errors(rows, inverse)[:, 0, 0].numpy()
+    each = rows.permute(0, 4, 1, 2, 3).reshape(4, BINS, 6, 7).numpy()
+    local = each[..., 2:5] * np.array([PLACE_MM, PLACE_MM, BIN_GAIN])
+    noise = np.eye(6) / inverse.reshape(4, 1, 1, 6).numpy()
+    covariance = noise + local @ local.transpose(0, 1, 3, 2)
+    np.testing.assert_allclose(
+        found, (each.transpose(0, 1, 3, 2) @ np.linalg.inv(covariance) @ each).sum(1), rtol=1e-9, atol=1e-9
+    )
+
+
 def test_calibration_recovers_the_map_and_tells_how_its_residuals_hang_together() -> None:
     truth = dome_map()
     slides = slides_over(truth, 60, noise_v=2e-3)
@@ -200,9 +216,9 @@ def test_an_estimate_is_believed_only_where_a_further_step_would_not_move_it() -
     batch = WindowSource(response, BLOCK_S, config).draw(300, torch.Generator().manual_seed(7))
     start = batch.targets[:, :5] + torch.tensor([0.6, 0.6, 0.3, 3.0, 3.0])
 
-    def refined(steps: int, response: ResponseMap = response) -> tuple[np.ndarray, np.ndarray]:
+    def refined(steps: int, settled: bool = True) -> tuple[np.ndarray, np.ndarray]:
         """Direction (rad, from the start), log speed, offset; and their standard deviations."""
-        refinement = Refinement(response, BLOCK_S, RefinementConfig(steps=steps))
+        refinement = Refinement(response, BLOCK_S, RefinementConfig(steps=steps), settled)
         with torch.no_grad():
             _, state, variance, _ = refinement(
                 batch.volts[:, None], batch.elapsed_s, batch.weight, start, torch.zeros(len(start), 4)
@@ -214,8 +230,8 @@ def test_an_estimate_is_believed_only_where_a_further_step_would_not_move_it() -
     assert believed.sum() > 50
     moved = np.abs(further - state)
     assert (moved[believed] / sd[believed]).max() < 0.1
-    # Without the limit, which maps with a rim have not, estimates would be believed that are still on their way.
-    _, own_sd = refined(6, replace(response, rim=True, floor_v=response.floor_v / FLOOR_SHARE))
+    # Without the limit estimates would be believed that are still on their way.
+    _, own_sd = refined(6, settled=False)
     np.testing.assert_allclose(own_sd[believed], sd[believed], rtol=1e-6)
     wrong = (np.degrees(own_sd[:, 0]) < limit.direction_sd_deg) & (moved / own_sd > 1.0).any(axis=1)
     assert wrong.sum() > 5

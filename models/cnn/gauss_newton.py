@@ -19,6 +19,16 @@ from models.response_map.map import ResponseMap
 
 PEAK_SHARE = 0.003  # the map's residual, as a share of the slide's largest output
 FLOOR_SHARE = 0.6  # and of its residual in calibration, which the bins share (experiments/LOG.md)
+# Of maps without a rim, whose residuals grow with the response's slope and size: standard deviations of each bin's
+# place and gain, which all channels share, and the share of the calibration residual that is alike everywhere. Chosen
+# on assembled slides of a pass and of places that the map had not seen; half and twice these change errors by 3 %
+# (experiments/LOG.md).
+PLACE_MM, BIN_GAIN, LEVEL_SHARE = 0.2, 0.05, 0.5
+LOCAL = (
+    (2, PLACE_MM),
+    (3, PLACE_MM),
+    (4, BIN_GAIN),
+)  # of offset, along and gain: place in the state, deviation
 # Variance of the depth's error over the one that noise explains: 1 and 4 on two benches' held-out lines.
 DEPTH_VARIANCE = 2.0
 DEPTH = 5  # place of the depth in the state
@@ -64,7 +74,8 @@ class Refinement(nn.Module):
     floor for the map's own residual, the drift of each channel's zero, and V_z's coupling into V_x and V_y of a tilted
     board (the ripple of the pressure). The last two are rank-one parts of a channel's covariance. Where the map's
     residuals are correlated between channels (`ResponseMap.whitening`), these are mixed first, as long as no
-    accelerometer is dead.
+    accelerometer is dead. Maps without a rim have no drift, since a touch tells the static output just before it, but
+    in each bin errors of place and gain, three rank-one parts of the covariance of the bin's channels.
 
     settled: whether variances become huge where the steps have not converged (maps without a rim); a bound takes them
     as they are.
@@ -129,7 +140,8 @@ class Refinement(nn.Module):
         self.steps = config.steps
         self.leans = config.lean_v > 0
         # Held-out cells tell what the map leaves in full (models/response_map/select.py).
-        self.floor_share = FLOOR_SHARE if response.rim else 1.0
+        self.floor_share = FLOOR_SHARE if response.rim else LEVEL_SHARE
+        self.rim = response.rim
         # Splines of a small spacing and a gain that is hardly known: some early windows converge slowly.
         self.settled = settled and not response.rim
 
@@ -164,7 +176,10 @@ class Refinement(nn.Module):
                 rows = (mixing @ rows.reshape(-1, self.boards * self.axes, (STATE + 1) * BINS)).reshape(
                     -1, self.boards, self.axes, STATE + 1, BINS
                 )
-            gram = ((rows @ inverse) @ rows.transpose(3, 4)).sum((1, 2), keepdim=True)
+            if self.rim:
+                gram = ((rows @ inverse) @ rows.transpose(3, 4)).sum((1, 2), keepdim=True)
+            else:
+                gram = self._without_local_errors(rows, inverse)
             if self.leans:
                 gram = gram - self._leaning(rows, inverse)
             # The prior's part: it holds the state to the proposal.
@@ -195,6 +210,20 @@ class Refinement(nn.Module):
         leaning = (rows @ along).sum(1, keepdim=True)
         return (leaning @ (leaning / (1.0 + known)).transpose(3, 4)).sum(2, keepdim=True)
 
+    def _without_local_errors(self, rows: Tensor, inverse: Tensor) -> Tensor:
+        """The rows' products (B, 1, 1, 7, 7) where each bin's place and gain are off by errors of their own.
+
+        inverse: (B, A, X, 1, 1). Each error adds the square of a row to the covariance of a bin's channels, and takes
+        from its inverse what Sherman and Morrison's formula says.
+        """
+        channels = (rows * inverse.sqrt()).reshape(-1, self.boards * self.axes, STATE + 1, BINS)
+        bins = channels.permute(0, 3, 2, 1)
+        gram = bins @ bins.transpose(2, 3)
+        for k, sd in LOCAL:
+            column = gram[..., k : k + 1]
+            gram = gram - column @ column.transpose(2, 3) / (sd**-2 + column[:, :, k : k + 1])
+        return gram.sum(1)[:, None, None]
+
     def _same_depth(self, state: Tensor, covariance: Tensor, variance: Tensor) -> tuple[Tensor, Tensor]:
         """Averages two hypotheses: the calibration's depth, or one of its own. -> state, its variance.
 
@@ -216,7 +245,8 @@ class Refinement(nn.Module):
     def _inverse_covariance(
         self, touch: Tensor, ripple: Tensor | None, elapsed_s: Tensor, weight: Tensor
     ) -> Tensor:
-        """(B, A, X, 16, 16) 1/V^2 of each channel's residuals; zero for a dead accelerometer.
+        """(B, A, X, 16, 16) 1/V^2 of each channel's residuals; zero for a dead accelerometer. Without a rim all bins
+        are alike, (B, A, X, 1, 1).
 
         touch: (B, A, X, 1, 16) V. ripple: (B, A, 1, 1, 16) V, what each board's own V_z swings about its mean; None
         where V_z is among the X.
@@ -227,6 +257,8 @@ class Refinement(nn.Module):
             + (self.floor_share * self.floor_v) ** 2
         )
         variance = self.noise / blocks + floor
+        if not self.rim:
+            return weight / variance
         drifting = self.drift / (variance + BINS * self.drift)
         if ripple is None:
             return weight / variance * (self.whole - drifting)
