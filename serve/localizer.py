@@ -11,6 +11,7 @@ import onnxruntime as ort
 from features.angles import touch_channels
 from features.card import Card
 from features.contact.response_surface import ResponseSurface
+from features.contact.touch_down import TouchDownConfig, TouchDownTracker
 from features.contact.tracker import ContactTracker, Track, TrackingConfig
 from features.departure import held_at_rim
 from features.errors import InputError
@@ -21,7 +22,7 @@ from features.stream.conditioning import ONSETS, Blocks, LagUndone
 from features.stream.drift import UNKNOWN, DriftWatch, measures_gravity
 from features.stream.faults import BRIDGED_BLOCKS, SignalWatch
 from features.stream.tracker import SlideState, SlideTracker
-from features.track_estimate import TrackLimits, agrees, judged, with_track
+from features.track_estimate import TOUCH_LIMITS, TrackLimits, agrees, judged, with_track
 from features.vector.energy import energy_width_s
 from features.vector.feature_vector import feature_vector
 from features.window import WINDOW_BINS, Window
@@ -67,7 +68,7 @@ class Localizer:
         self._lag = LagUndone(card.conditioning, len(self._tracker.touch))
         self._contact = contact_tracker(card, self._lag.noise_gain, math.nan)
         self._contact_mm = math.nan
-        self._limits = TrackLimits()
+        self._limits = TOUCH_LIMITS if card.conditioning.onset == ONSETS[1] else TrackLimits()
         self._forces = None if card.force is None else ForceReader(card.force)
         self._inputs = {
             "volts": np.zeros((1, channels, WINDOW_BINS), np.float32),
@@ -192,7 +193,9 @@ class Localizer:
     def _chosen(self, straight: Estimate | None, time_s: float) -> Estimate:
         """The straight slide where it fits, else the track; what is common to both is added."""
         tracker, track = self._tracker, self._track
-        if track is None:
+        touch = self.card.conditioning.onset == ONSETS[1]
+        # Where contacts are lifted anywhere, the whole slide tells more than the track of it.
+        if track is None or (touch and straight is not None and tracker.state is not SlideState.SLIDE):
             estimate = straight or Estimate(time_s, tracker.state, reason=self._no_contact())
         else:
             assert self.card.contact is not None
@@ -205,7 +208,8 @@ class Localizer:
                 self._limits,
             )
             clear, at = self._clear or (track, self._count)
-            since_s = (self._count - at) * self.card.conditioning.block_s
+            # The window ends as a contact is lifted that comes down anywhere, and so does its track.
+            since_s = 0.0 if touch else (self._count - at) * self.card.conditioning.block_s
             if straight is not None and straight.valid and agrees(straight, clear, self._limits, since_s):
                 estimate = with_track(straight, estimate, self._limits.shared)
             elif straight is not None and straight.reason in _OF_THE_SIGNAL:
@@ -330,20 +334,29 @@ class Localizer:
         return volts, time_s
 
 
-def contact_tracker(card: Card, noise_gain: float, height_mm: float) -> ContactTracker | None:
+def contact_tracker(
+    card: Card, noise_gain: float, height_mm: float
+) -> ContactTracker | TouchDownTracker | None:
     """The tracker that a card describes; None for a bundle that knows straight slides alone.
 
     height_mm: of the skin, for a card over heights; NaN: the card's.
-
-    Where a slide begins with a touch it is None too: the tracker knows contacts that come over a rim or are pressed on
-    slowly, and loses those that are there from one block to the next.
     """
     contact = card.contact
-    if contact is None or card.conditioning.onset == ONSETS[1]:
+    if contact is None:
         return None
     splines = contact.splines()
     if card.heights is not None and not math.isnan(height_mm):
         splines[0] += (height_mm - card.heights.height_mm) * card.heights.splines()
+    if card.conditioning.onset == ONSETS[1]:
+        return TouchDownTracker(
+            surface=ResponseSurface(splines, contact.half_mm, contact.spacing_mm),
+            half_mm=(contact.chamber_mm[0] / 2, contact.chamber_mm[1] / 2),
+            block_s=card.conditioning.block_s,
+            floor_v=contact.floor_v,
+            gain_sd=contact.gain_sd,
+            release_v=card.conditioning.release_v,
+            config=TouchDownConfig(),
+        )
     return ContactTracker(
         surface=ResponseSurface(splines, contact.half_mm, contact.spacing_mm),
         half_mm=(contact.chamber_mm[0] / 2, contact.chamber_mm[1] / 2),

@@ -9,7 +9,7 @@ from features.angles import wrapped_deg
 from features.contact.tracker import Track
 from features.estimate import Contact, Estimate, Reason
 from features.stream.tracker import SlideState
-from features.track_estimate import TrackLimits, agrees, judged, with_track
+from features.track_estimate import TOUCH_LIMITS, TrackLimits, agrees, judged, with_track
 
 QUANTITIES = (("speed", "mm_s"), ("offset", "mm"), ("x", "mm"), ("y", "mm"), ("vx", "mm_s"), ("vy", "mm_s"))
 
@@ -63,6 +63,16 @@ def test_a_sharp_track_that_agrees_leaves_the_straight_slides_intervals() -> Non
     both = with_track(straight, estimate(30.0, 3.0, 1.0, 0.05), 0.5)
     for name, unit in (("direction", "deg"), ("speed", "mm_s"), ("offset", "mm")):
         assert interval(both, name, unit) == pytest.approx(interval(straight, name, unit))
+
+
+def test_a_blunt_track_from_a_touch_leaves_them_as_they_are() -> None:
+    straight = estimate(30.0, 20.0, 1.0, 0.5)
+    blunt = estimate(33.0, 21.0, 1.3, 5.0)
+    both = with_track(straight, blunt, TOUCH_LIMITS.shared)
+    for name, unit in (("direction", "deg"), ("speed", "mm_s"), ("offset", "mm")):
+        assert interval(both, name, unit) == interval(straight, name, unit)
+    # Along the line the place is as well known as the track knows it.
+    assert both.x_hi_mm - both.x_mm > 4.0
 
 
 @given(since_s=st.floats(0.0, 2.0), off_mm=st.floats(0.0, 3.0))

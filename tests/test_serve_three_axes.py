@@ -10,12 +10,13 @@ import pytest
 import torch
 from c_case import NEEDS_COMPILER, Case, compiled, difference
 from dome_map import dome_map
-from touched_skin import NOISE, RATE_HZ, SENSOR, UNIT, recorded, write_skin
+from touched_skin import NOISE, RATE_HZ, SENSOR, UNIT, ZERO, recorded, write_skin
 
 import softslide
 from features.angles import wrapped_deg
 from features.card import Interval, Validity, read_card
 from features.stream.conditioning import Conditioning
+from features.stream.tracker import SlideState
 from models.cnn.gauss_newton import Refinement, RefinementConfig
 from models.cnn.network import NetworkConfig, SlideNetwork
 from models.cnn.training import TrainingConfig, train_proposal
@@ -101,6 +102,31 @@ def test_a_stream_ends_in_the_slide_that_was_recorded(bundle: Path) -> None:
         pieces = [e for n in range(0, len(outputs), 7) for e in localizer.push(outputs[n : n + 7])]
         assert [repr(e) for e in pieces] == [repr(e) for e in whole]
         assert np.isnan([last.gain, last.turn_deg]).all()
+
+
+def test_a_circle_is_followed_and_no_slide(bundle: Path) -> None:
+    angle = np.arange(0, 2 * np.pi, 25.0 / RATE_HZ / 7.0)
+    place = 7.0 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    rest = int(RATE_HZ)
+    outputs = np.zeros((2 * rest + len(angle), 3))
+    outputs[rest : rest + len(angle)] = UNIT * dome_map().response(*place.T, 0.0)
+    outputs += ZERO + NOISE * np.random.default_rng(3).standard_normal(outputs.shape)
+    estimates = Localizer.load(bundle).push(outputs)
+    live = [
+        e
+        for e in estimates
+        if e.valid and e.state is SlideState.SLIDE and e.time_s < 1 + len(angle) / RATE_HZ
+    ]
+    assert len(live) > 0.4 * len(angle) / RATE_HZ / 0.02
+    at = np.interp([e.time_s for e in live], 1.0 + np.arange(len(angle)) / RATE_HZ, angle)
+    off = [
+        np.hypot(e.x_mm - 7.0 * np.cos(a), e.y_mm - 7.0 * np.sin(a)) for e, a in zip(live, at, strict=True)
+    ]
+    turned = [abs(wrapped_deg(e.direction_deg - np.degrees(a) - 90.0)) for e, a in zip(live, at, strict=True)]
+    assert np.median(off) < 0.5
+    assert np.median(turned) < 6.0
+    # The whole of it passes for no straight slide.
+    assert not estimates[-1].valid
 
 
 def test_the_command_streams_a_file_of_it(

@@ -8,7 +8,7 @@ the friction on the skin along x and y (1: as large as where the contact slides)
 """
 
 from dataclasses import dataclass, fields
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -164,12 +164,25 @@ def predict(bank: Hypotheses, elapsed_s: float, floor_v: float, partial_v: float
     bank.manoeuvres *= kept[:, 3]
 
 
+class LocalErrors(NamedTuple):
+    """Standard deviations of the place (mm) and the gain (1) at which a measurement is what the map shows, independent
+    from one measurement to the next."""
+
+    place_mm: float
+    gain: float
+
+
 def update(
-    bank: Hypotheses, volts: np.ndarray, variance: np.ndarray, surface: ResponseSurface, elapsed_s: float
+    bank: Hypotheses,
+    volts: np.ndarray,
+    variance: np.ndarray,
+    surface: ResponseSurface,
+    elapsed_s: float,
+    local: LocalErrors | None = None,
 ) -> float:
     """Corrects every hypothesis by one measurement and weighs it by its likelihood.
 
-    volts: (C,) V, subtracted; variance: (C,) V^2 of its noise, infinite for a dead channel.
+    volts: (C,) V, subtracted; variance: (C,) V^2 of its noise, infinite for a dead channel; local: further errors.
     -> the logarithm of the measurement's predicted density, less C/2 log(2 pi).
     """
     state, count = bank.state, len(bank)
@@ -179,6 +192,10 @@ def update(
     crossed = bank.covariance @ by_state.transpose(0, 2, 1)
     spread = by_state @ crossed
     spread.reshape(count, -1)[:, :: len(channels) + 1] += variance[channels]
+    if local is not None:
+        slopes = by_state[:, :, : Y + 1]
+        spread += local.place_mm**2 * (slopes @ slopes.transpose(0, 2, 1))
+        spread += local.gain**2 * shown[:, :, None] * shown[:, None]
     gap = (volts - shown)[:, :, None]
     inverse = np.linalg.inv(spread)
     pull = inverse @ gap

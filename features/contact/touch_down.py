@@ -1,0 +1,228 @@
+"""Tracks contacts that are there from one block to the next, anywhere on the skin, and are lifted as fast.
+
+Nothing is known of such a skin but its recordings. What its map leaves is white from block to block and grows with the
+response's slope and size: an error of place and one of gain that all channels share, and a part that is alike
+everywhere. The first blocks tell the place; each place gets a fan of headings and speeds, and the next steps decide
+between them.
+"""
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from features.contact.hypotheses import (
+    ACCELERATION,
+    CURVATURE,
+    FRICTION,
+    GAIN,
+    HEADING,
+    RESIDUAL,
+    SPEED,
+    Hypotheses,
+    LocalErrors,
+    MotionNoise,
+    X,
+    Y,
+    predict,
+    started,
+    update,
+)
+from features.contact.manoeuvres import Manoeuvres, branched, merged
+from features.contact.response_surface import ResponseSurface
+from features.contact.tracker import Track, read
+
+# A contact comes down and is lifted within a block, which then shows a part of it.
+PARTIAL_BLOCKS = 1
+START_BLOCKS = 2  # whole ones that tell the first place
+GRID_MM = 1.25
+PLACES = 16  # at most, and not less likely than the best by more than PLACE_ODDS
+PLACE_ODDS = 8.0
+HEADINGS = 8
+SPEEDS_MM_S = (8.0, 20.0, 45.0)
+SPEED_SHARE = 0.4  # standard deviation of each of these
+START_CURVATURE = 0.12  # 1/mm, standard deviation
+FIRST_STEPS = 12  # before there are branches
+BRANCH_STEPS = 3
+BEYOND_MM = 0.5  # of the chamber's edge; the map ends there
+TINY = 1e-9  # of what such a map does not know: friction, other depths, residuals along the way
+NEVER = 1e-9
+
+
+# Contacts bend and change speed, and no more: where presses stand for a motion, one that is held looks like a stop, and
+# hypotheses that stop, turn back or turn a corner follow these instead of the motion (experiments/LOG.md).
+SLIDING_ON = MotionNoise(
+    place=0.01, heading=0.01, speed=0.03, acceleration=TINY, curvature=0.01, gain=0.002, depth=TINY
+)
+BENDS = Manoeuvres(
+    steering=(0.2, 0.6, 0.2),
+    speed=0.3,
+    acceleration=TINY,
+    curvature=0.3,
+    stop=NEVER,
+    back=NEVER,
+    corner=NEVER,
+    restart=NEVER,
+    lift=NEVER,
+    lift_at_rest=NEVER,
+)
+
+
+@dataclass(frozen=True)
+class TouchDownConfig:
+    """local, level_share: what the map leaves of a block: errors of place and gain, and what is alike everywhere, as a
+    share of the variance in calibration. first, most: hypotheses kept after a touch and after a branching; parents:
+    that get children, within parent_odds. log_odds: of a hypothesis to the best, beyond which it is dropped. Chosen on
+    circles, S-curves and lines assembled from a pass and places that the map had not seen (experiments/LOG.md)."""
+
+    noise: MotionNoise = field(default_factory=lambda: SLIDING_ON)
+    manoeuvres: Manoeuvres = field(default_factory=lambda: BENDS)
+    local: LocalErrors = field(default_factory=lambda: LocalErrors(0.42, 0.07))
+    level_share: float = 1.0
+    first: int = 100
+    most: int = 24
+    parents: int = 4
+    parent_odds: float = 6.0
+    log_odds: float = 15.0
+
+
+class TouchDownTracker:
+    """One stream's tracker; it is pushed and read as `ContactTracker` is.
+
+    surface: the calibrated response. half_mm: half the chamber's sizes. floor_v: V, the map's residual. gain_sd: from
+    slide to slide. release_v: V, outputs that end a contact.
+    """
+
+    def __init__(
+        self,
+        surface: ResponseSurface,
+        half_mm: tuple[float, float],
+        block_s: float,
+        floor_v: float,
+        gain_sd: float,
+        release_v: float,
+        config: TouchDownConfig,
+    ) -> None:
+        self._surface, self._half, self._block_s, self._config = surface, half_mm, block_s, config
+        self._variance = np.full(surface.channels, config.level_share * floor_v**2)
+        self._gain_sd, self._release_v = gain_sd, release_v
+        self.reset()
+
+    def reset(self) -> None:
+        """Forgets the contact and the last blocks."""
+        self._bank: Hypotheses | None = None
+        self._track: Track | None = None
+        self._before: Track | None = None
+        self._blocks: list[np.ndarray] = []  # of the touch
+        self._touched = self._lifted = False
+        self._steps = 0
+
+    @property
+    def tracking(self) -> bool:
+        """Whether a contact is tracked."""
+        return self._bank is not None
+
+    def push(self, volts: np.ndarray, touched: bool, usable: np.ndarray | None = None) -> Track | None:
+        """One block: volts (C,) V, subtracted; touched: whether the output is off the static one; usable: (C,) bool.
+        -> the contact, once it is lifted as it was before; None if none is tracked."""
+        if not touched:
+            if not self._touched:
+                self.reset()
+            self._touched = False
+            return self._track
+        self._touched = True
+        if self._lifted:
+            return self._track
+        shown = volts if usable is None else volts[usable]
+        if np.abs(shown).max(initial=0.0) < self._release_v:
+            # The block before this one may have shown a part of a contact that was being lifted.
+            self._lifted, self._track = True, self._before
+            return self._track
+        self._before = self._track
+        if self._bank is not None:
+            self._step(volts, usable)
+            return self._track
+        self._blocks.append(volts)
+        if len(self._blocks) == PARTIAL_BLOCKS + START_BLOCKS:
+            self._start(usable)
+        return self._track
+
+    def _noise(self, usable: np.ndarray | None) -> np.ndarray:
+        return self._variance if usable is None else np.where(usable, self._variance, np.inf)
+
+    def _start(self, usable: np.ndarray | None) -> None:
+        volts = np.mean(self._blocks[PARTIAL_BLOCKS:], axis=0)
+        self._bank = at_touch_down(
+            volts, self._noise(usable), self._surface, self._half, self._gain_sd, self._config
+        )
+        self._steps = 0
+
+    def _step(self, volts: np.ndarray, usable: np.ndarray | None) -> None:
+        assert self._bank is not None
+        config = self._config
+        predict(self._bank, self._block_s, TINY, 0.0, config.noise)
+        update(self._bank, volts, self._noise(usable), self._surface, self._block_s, config.local)
+        bank = self._bank
+        outside = np.maximum(
+            np.abs(bank.state[:, X]) - self._half[0], np.abs(bank.state[:, Y]) - self._half[1]
+        )
+        bank.log_weight -= 0.5 * (np.maximum(outside - BEYOND_MM, 0.0) / BEYOND_MM) ** 2
+        sound = np.isfinite(bank.log_weight) & np.isfinite(bank.state).all(1)
+        if not sound.any():
+            self.reset()
+            return
+        bank = bank.take(sound)
+        bank.log_weight -= bank.log_weight.max()
+        self._steps += 1
+        if self._steps <= FIRST_STEPS:
+            bank = bank.likeliest(config.first)
+        if self._steps % BRANCH_STEPS == 0:
+            bank = merged(bank, config.most, 1, config.log_odds)
+            if self._steps > FIRST_STEPS:
+                bank = branched(bank, config.parents, config.parent_odds, self._gain_sd, config.manoeuvres)
+        self._bank = bank
+        # The state is that of the block's middle.
+        now = bank.take(slice(None))
+        predict(now, self._block_s / 2, TINY, 0.0, config.noise)
+        self._track = read(now)
+
+
+def at_touch_down(
+    volts: np.ndarray,
+    variance: np.ndarray,
+    surface: ResponseSurface,
+    half_mm: tuple[float, float],
+    gain_sd: float,
+    config: TouchDownConfig,
+) -> Hypotheses:
+    """The likeliest places, each with a fan of headings and speeds.
+
+    volts: (C,) V, what the touch shows; variance: (C,) V^2 of a step's residual, infinite for a dead channel.
+    """
+    axes = [np.arange(-h, h + GRID_MM / 2, GRID_MM) for h in half_mm]
+    x, y = (axis.ravel() for axis in np.meshgrid(*axes, indexing="ij"))
+    use = np.isfinite(variance)
+    response = surface.at(x, y)[:, :, 0][..., use]
+    shown, slopes = response[:, 0], response[:, 1:]
+    place = config.local.place_mm**2 + (GRID_MM / 2) ** 2
+    spread = np.diag(variance[use]) + place * (slopes.transpose(0, 2, 1) @ slopes)
+    spread = spread + gain_sd**2 * shown[:, :, None] * shown[:, None]
+    gap = volts[use] - shown
+    off = 0.5 * (
+        (gap * np.linalg.solve(spread, gap[..., None])[..., 0]).sum(1) + np.linalg.slogdet(spread)[1]
+    )
+    places = np.argsort(off, kind="stable")[:PLACES]
+    places = places[off[places] < off[places[0]] + PLACE_ODDS]
+    at, turn, speed = (
+        axis.ravel() for axis in np.meshgrid(places, np.arange(HEADINGS), SPEEDS_MM_S, indexing="ij")
+    )
+    heading = turn * 2 * np.pi / HEADINGS
+    state = np.zeros((len(at), RESIDUAL + surface.channels))
+    state[:, X], state[:, Y], state[:, HEADING], state[:, SPEED] = x[at], y[at], heading, speed
+    state[:, GAIN] = 1.0
+    state[:, FRICTION] = np.stack([np.cos(heading), np.sin(heading)], axis=1)
+    sd = np.full(state.shape, TINY)
+    sd[:, X] = sd[:, Y] = GRID_MM / 2
+    sd[:, HEADING], sd[:, SPEED] = math.pi / HEADINGS, SPEED_SHARE * speed
+    sd[:, ACCELERATION], sd[:, CURVATURE], sd[:, GAIN] = 0.01, START_CURVATURE, gain_sd
+    return started(state, sd, off[places[0]] - off[at], partial=False)

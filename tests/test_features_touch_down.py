@@ -1,0 +1,96 @@
+"""Contacts that come down and are lifted within a block, tracked along straight lines and circles."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from dome_map import dome_map
+
+from features.contact.hypotheses import LocalErrors, update
+from features.contact.response_surface import ResponseSurface
+from features.contact.touch_down import TouchDownConfig, TouchDownTracker, at_touch_down
+from features.contact.tracker import Track
+
+BLOCK_S = 0.02
+RADIUS_MM, SPEED_MM_S = 6.0, 25.0
+RESPONSE = dome_map(2, floor_v=4e-3)
+SURFACE = ResponseSurface(
+    np.concatenate([RESPONSE.coefficients, RESPONSE.depth_slope[None]]), RESPONSE.half_mm, RESPONSE.spacing_mm
+)
+USABLE = np.ones(6, dtype=bool)
+
+
+def tracker() -> TouchDownTracker:
+    return TouchDownTracker(SURFACE, (15.0, 15.0), BLOCK_S, RESPONSE.floor_v, 0.1, 3e-3, TouchDownConfig())
+
+
+def circle(count: int, gain: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
+    """Blocks (n, C) V of a circle, each off by its own place and gain as the tracker expects, and the truth at their
+    ends (n, 4): x, y, vx, vy."""
+    draw = np.random.default_rng(5)
+    angle = SPEED_MM_S / RADIUS_MM * BLOCK_S * np.arange(2 * count + 1) / 2
+    place = RADIUS_MM * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    velocity = SPEED_MM_S * np.stack([-np.sin(angle), np.cos(angle)], axis=1)
+    middle = place[1::2] + 0.2 * draw.standard_normal((count, 2))
+    volts = gain * SURFACE.at(*middle.T)[:, 0, 0] * (1 + 0.03 * draw.standard_normal((count, 1)))
+    return volts + 2e-3 * draw.standard_normal(volts.shape), np.hstack([place, velocity])[2::2]
+
+
+def followed(blocks: np.ndarray, usable: np.ndarray = USABLE) -> list[Track | None]:
+    one = tracker()
+    return [one.push(block, True, usable) for block in blocks]
+
+
+@pytest.mark.parametrize(("gain", "dead"), [(1.0, False), (1.15, False), (1.0, True)])
+def test_a_circle_is_followed_from_its_touch(gain: float, dead: bool) -> None:
+    """On another day's gain too, and with one of two sensing elements."""
+    blocks, truth = circle(80, gain)
+    usable = USABLE.copy()
+    if dead:
+        usable[3:], blocks[:, 3:] = False, 9.9
+    found = followed(blocks, usable)
+    assert found[1] is None
+    late = [(track.mean, true) for track, true in zip(found[30:], truth[30:], strict=True) if track]
+    assert len(late) == 50
+    said, true = np.array(late).transpose(1, 0, 2)
+    assert np.median(np.hypot(*(said - true)[:, :2].T)) < 0.5
+    heading = np.angle(np.exp(1j * (np.arctan2(*said[:, :1:-1].T) - np.arctan2(*true[:, :1:-1].T))))
+    assert np.median(np.abs(np.degrees(heading))) < 8.0
+    assert np.median(np.abs(np.hypot(*said[:, 2:].T) / SPEED_MM_S - 1)) < 0.08
+
+
+def test_a_lifted_contact_stays_where_it_was_before_its_last_block() -> None:
+    """The last block may show a part of it."""
+    blocks, _ = circle(60)
+    one = tracker()
+    tracks = [one.push(block, True, USABLE) for block in blocks]
+    one.push(0.4 * blocks[-1], True, USABLE)
+    after = [one.push(np.zeros(6), touched, USABLE) for touched in (True, True, False, False)]
+    assert all(track is tracks[-1] for track in after[:3])
+    assert after[3] is None
+    assert not one.tracking
+
+
+def test_errors_of_place_and_gain_add_their_own_covariance() -> None:
+    """One linear update, beside the Kalman gain with the whole covariance of the measurement."""
+    level = SURFACE.at(np.array([2.0]), np.array([-1.0]))[0, 0, 0]
+    variance, config = np.full(6, 1e-5), TouchDownConfig()
+    before = at_touch_down(level, variance, SURFACE, (15.0, 15.0), 0.1, config).take(slice(0, 1))
+    response = SURFACE.at(*before.state[:, :2].T)[0, :, 0]
+    shown, slopes = response[0], response[1:]
+    whole = np.diag(variance) + 0.3**2 * slopes.T @ slopes + 0.05**2 * np.outer(shown, shown)
+    prior = before.covariance[0, :2, :2]
+    after = before.take(slice(None))
+    after.covariance[:, 2:], after.covariance[:, :, 2:] = 0.0, 0.0
+    update(after, level, variance, SURFACE, BLOCK_S, LocalErrors(0.3, 0.05))
+    wanted = np.linalg.inv(np.linalg.inv(prior) + slopes @ np.linalg.inv(whole) @ slopes.T)
+    np.testing.assert_allclose(after.covariance[0, :2, :2], wanted, rtol=1e-6)
+
+
+def test_places_are_told_by_the_first_output_whatever_its_gain() -> None:
+    config = replace(TouchDownConfig(), level_share=1.0)
+    for place in ((8.0, -3.0), (-5.0, 10.0)):
+        level = 1.1 * SURFACE.at(*np.array([place]).T)[0, 0, 0]
+        bank = at_touch_down(level, np.full(6, 1e-5), SURFACE, (15.0, 15.0), 0.15, config)
+        assert np.hypot(*(bank.state[0, :2] - place)) < 1.0
+        assert len({tuple(heading) for heading in bank.state[:, 2:4]}) == 24
