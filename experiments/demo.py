@@ -8,11 +8,12 @@ from typing import Any
 
 from experiments.evaluate import Evaluation, evaluate
 from experiments.evaluation.scoring import QUANTITIES
-from experiments.pages.page import number
+from experiments.pages.page import number, render
 from experiments.train import train
 from pipeline.recordings.folder import SAMPLE
-from pipeline.staging import writing
+from pipeline.staging import whole, writing
 
+HERE = Path(__file__).parent
 DEMO_MODELS = ("interpolation", "trees", "cnn")
 # Enough for proposals that the refinement converges from; a full training takes four times as many.
 DEMO_BUDGET = {"steps": 2500, "batch": 128, "average": 0.99}
@@ -21,6 +22,8 @@ MEANS = {"direction_deg": "direction", "speed_percent": "speed", "offset_mm": "d
 
 def demo(out: Path) -> str:
     """Trains and evaluates each of DEMO_MODELS on the sample, below `out`; the table and the way to each result.
+
+    The same is kept as a page, `summary.html`.
 
     Raises:
         InputError: `out` cannot be written.
@@ -34,7 +37,11 @@ def demo(out: Path) -> str:
         done = train(SAMPLE, out / model / "bundle", model, change=_shortened, store=store)
         evaluation = evaluate(done.bundle, SAMPLE, None, out / model / "evaluation", store=store)
         evaluations[model] = evaluation
-    return "\n".join([*_table(evaluations), "", *_ways(out, store)])
+    table = _table(evaluations)
+    page = render(HERE / "pages" / "demo.html.j2", table="\n".join(table), models=DEMO_MODELS, out=out)
+    with whole(out / "summary.html") as scratch:
+        scratch.write_text(page, encoding="utf-8")
+    return "\n".join([*table, "", *_ways(out, store)])
 
 
 def _shortened(settings: Any) -> Any:
@@ -78,8 +85,8 @@ def _ways(out: Path, store: str) -> list[str]:
     here = os.path.relpath(Path(sys.executable).parent)
     slide = os.path.relpath(SAMPLE / "slides" / "a0120.parquet")
     return [
-        f"reports  {out}/*/evaluation/report.html",
-        f"         {here}/python -m webbrowser -t {(out / 'cnn/evaluation/report.html').resolve().as_uri()}",
+        f"summary  {out}/summary.html, with the way to each report",
+        f"         {here}/python -m webbrowser -t {(out / 'summary.html').resolve().as_uri()}",
         f"bundles  {out}/*/bundle",
         f"         {here}/softslide predict --model {out}/cnn/bundle {slide}",
         f"runs     {store}",

@@ -82,11 +82,16 @@ def staged(out: Path) -> Iterator[Path]:
 
 
 def check_replaceable(out: Path, names: Collection[str] | None = None) -> None:
-    """Sees that nothing would be lost if `out` became a folder of these names (of any, if None).
+    """Sees that `out` can be written, and that nothing would be lost if it became a folder of these names (of any, if
+    None). Long work asks this before it begins.
 
     Raises:
-        InputError: `out` is a file, or a folder that holds anything else: it was named by mistake.
+        InputError: `out` is where nothing can be written, a file, or a folder that holds anything else: it was named by
+            mistake.
     """
+    above = next(folder for folder in out.absolute().parents if folder.exists())
+    if not (above.is_dir() and os.access(above, os.W_OK)):
+        raise InputError(f"{out}: cannot be written; name another folder")
     try:
         # Looked at once: another process may replace it between two looks.
         folder = stat.S_ISDIR(out.stat().st_mode)

@@ -13,7 +13,6 @@ import pytest
 
 import softslide
 from experiments.configuration import configured
-from experiments.demo import DEMO_MODELS, _shortened
 from experiments.provenance import bundle_hash
 from experiments.tracking.store import find_run
 from features.stream.conditioning import Conditioning
@@ -254,13 +253,3 @@ def test_labels_of_which_none_can_be_used_are_refused(
     assert err.count("\n") == 1
     assert "no direction_deg" in err
     assert not (tmp_path / "out").exists()
-
-
-@pytest.mark.parametrize("model", DEMO_MODELS)
-def test_the_demo_shortens_what_trains_in_steps_alone(model: str) -> None:
-    default = default_config(model)
-    changed = _shortened(default)
-    if model == "cnn":
-        assert changed.training.steps < default.training.steps
-        default = replace(default, training=changed.training)
-    assert changed == default

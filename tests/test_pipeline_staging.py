@@ -1,6 +1,7 @@
 """An output appears whole or not at all, whenever its process is killed, and whoever writes it beside."""
 
 import itertools
+import shutil
 import signal
 import subprocess
 import sys
@@ -9,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from features.errors import InputError
-from pipeline.staging import alone, staged, whole
+from pipeline.staging import alone, check_replaceable, staged, whole
 
 HERE = Path(__file__).parents[1]
 PATIENCE_S = 120
@@ -17,7 +18,7 @@ PATIENCE_S = 120
 WRITER = """
 import os, signal, sys
 from pathlib import Path
-from pipeline.staging import alone, staged, whole
+from pipeline.staging import alone, check_replaceable, staged, whole
 out, text, times, number = Path(sys.argv[1]), sys.argv[2], int(sys.argv[3]), int(sys.argv[4])
 changes = 0
 def count(event, arguments):
@@ -140,3 +141,21 @@ def test_a_file_appears_whole_or_not_at_all(tmp_path: Path) -> None:
     with whole(tmp_path / "a.txt") as scratch:
         scratch.write_text("whole")
     assert [(path.name, path.read_text()) for path in tmp_path.iterdir()] == [("a.txt", "whole")]
+
+
+def test_a_place_that_cannot_be_written_is_found_before_the_work(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match="cannot be written; name another folder"):
+        check_replaceable(tmp_path / "file" / "below" / "out")
+    check_replaceable(tmp_path / "not" / "there" / "out")
+    if not sys.platform.startswith("linux") or not shutil.which("unshare"):
+        pytest.skip("no disk that is read alone can be mounted here")
+    asked = "from pathlib import Path; from pipeline.staging import check_replaceable\n"
+    asked += f"check_replaceable(Path({str(tmp_path)!r}) / 'out')"
+    mount = ["unshare", "-rm", "sh", "-c", 'mount -t tmpfs -o ro small "$0" && exec "$@"', str(tmp_path)]
+    done = subprocess.run(
+        [*mount, sys.executable, "-c", asked], cwd=HERE, capture_output=True, text=True, check=False
+    )
+    if "mount" in done.stderr:
+        pytest.skip("no disk can be mounted here")
+    assert "cannot be written; name another folder" in done.stderr
