@@ -1,6 +1,7 @@
 """The page runs beside the stream: whatever happens to it, the stream goes on; and what a viewer can ask for."""
 
 import http.client
+import json
 import os
 import signal
 import socket
@@ -20,6 +21,7 @@ from features.estimate import Contact, Estimate, Reason
 from features.stream.tracker import SlideState
 from serve.localizer import Localizer
 from serve.page.process import Page as Served
+from serve.predict import predict
 
 
 @pytest.fixture(scope="module")
@@ -37,10 +39,12 @@ def page_of(running: Serving) -> int:
     return page
 
 
-def asked(running: Serving, path: str, method: str = "GET", **headers: str) -> tuple[int, bytes]:
+def asked(
+    running: Serving, path: str, method: str = "GET", body: bytes | None = None, **headers: str
+) -> tuple[int, bytes]:
     place = urlsplit(running.address)
     with closing(http.client.HTTPConnection("127.0.0.1", place.port or 0, timeout=30)) as connection:
-        connection.request(method, path, headers=headers)
+        connection.request(method, path, body, headers)
         with connection.getresponse() as got:
             return got.status, got.read()
 
@@ -105,6 +109,31 @@ def test_what_was_estimated_can_be_downloaded(bundle: Path) -> None:
     assert float(last["a1_vx_subtracted_v"]) == pytest.approx(
         SLIDE[-20:, 3].mean() - REST[:, 3].mean(), abs=0.002
     )
+
+
+def test_a_recording_that_is_sent_is_answered_as_predict_does(bundle: Path, tmp_path: Path) -> None:
+    columns = ",".join(["time_s", *Localizer.load(bundle).card.channels])
+    volts = np.concatenate([REST, SLIDE])
+    table = np.column_stack([np.arange(len(volts)) / 1000, volts])
+    np.savetxt(tmp_path / "slide.csv", table, "%.6f", ",", header=columns, comments="")
+    (wanted,) = predict(bundle, [tmp_path / "slide.csv"])
+    with serving(bundle) as running:
+        status, told = asked(running, "/predict", "POST", body=(tmp_path / "slide.csv").read_bytes())
+        assert status == 200
+        assert (
+            json.loads(told).items()
+            == {k: v for k, v in wanted.items() if k not in ("recording", "file")}.items()
+        )
+        assert wanted["valid"]
+        for sent in (b"", b"time_s\n1\n2\n", b"\xff" * 100, columns.encode() + b"\n0,nan"):
+            status, told = asked(running, "/predict", "POST", body=sent)
+            assert status == 422
+            assert "recording: " in json.loads(told)["detail"]
+            assert "/tmp" not in told.decode()
+        status, told = asked(running, "/openapi.json")
+        assert status == 200
+        assert {"/predict", "/model", "/healthz"} <= set(json.loads(told)["paths"])
+        assert len(running.feed(REST)) == len(REST) // 20
 
 
 def test_the_static_output_is_learnt_anew_on_request(bundle: Path) -> None:
@@ -175,7 +204,7 @@ def test_the_page_shows_where_a_contact_may_be(bundle: Path, browser: Browser) -
         reason=Reason.AMBIGUOUS,
         places=(Place(-20, 10, 0.7), Place(15, -5, 0.25)),
     )
-    shown = Served("0", card, "-")
+    shown = Served("0", card, "-", bundle)
     try:
         with opened(browser, shown.address) as (page, _):
             shown.show(unclear._replace(time_s=0.5, places=()), np.zeros(len(card.channels)))

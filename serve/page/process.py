@@ -15,15 +15,20 @@ import socket
 import sys
 import threading
 from collections import deque
+from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
 from ipaddress import ip_address
 from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from features.card import Card
 from features.errors import InputError
 from features.estimate import Estimate
+from serve.page.answers import answer
 from serve.page.server import FAREWELL_S, Server, about, frame
 
 PLACE = "write PORT or HOST:PORT, port 0 for any that is free"
@@ -41,8 +46,11 @@ NICENESS = 5
 class Page:
     """Listens once it is made, serves until it is closed."""
 
-    def __init__(self, place: str, card: Card, source: str) -> None:
-        """place: [HOST:]PORT; without a host 127.0.0.1. source: the stream's name, to be shown.
+    def __init__(
+        self, place: str, card: Card, source: str, bundle: Path, height_mm: float | None = None
+    ) -> None:
+        """place: [HOST:]PORT; without a host 127.0.0.1. source: the stream's name, to be shown. bundle, height_mm: as
+        in `serve.predict`, for recordings that are sent to the page.
 
         Raises:
             InputError: no such address, or it is taken.
@@ -61,7 +69,15 @@ class Page:
         context = multiprocessing.get_context("spawn")
         self._pipe, theirs = context.Pipe()
         self._process = context.Process(
-            target=run_page, args=(theirs, listener, json.dumps(about(card, source)), token), daemon=True
+            target=run_page,
+            args=(
+                theirs,
+                listener,
+                json.dumps(about(card, source)),
+                token,
+                partial(answer, bundle, height_mm),
+            ),
+            daemon=True,
         )
         self._process.start()
         theirs.close()
@@ -133,7 +149,13 @@ class Page:
                 self._zero = True
 
 
-def run_page(pipe: Connection, listener: socket.socket, description: str, token: str | None) -> None:
+def run_page(
+    pipe: Connection,
+    listener: socket.socket,
+    description: str,
+    token: str | None,
+    predict: Callable[[bytes], dict[str, Any]],
+) -> None:
     """The page's process: shows the frames that come through the pipe, until an empty one, or the stream is gone."""
     # Ctrl-C ends the stream, and that the page.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -141,7 +163,7 @@ def run_page(pipe: Connection, listener: socket.socket, description: str, token:
         os.nice(NICENESS)
     # Whoever sends nonsense must not fill the terminal of the stream.
     logging.disable(logging.CRITICAL)
-    server = Server(listener, description, token, lambda: pipe.send_bytes(b"zero"))
+    server = Server(listener, description, token, lambda: pipe.send_bytes(b"zero"), predict)
     server.wait()
     try:
         pipe.send_bytes(b"ready")

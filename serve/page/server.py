@@ -21,8 +21,10 @@ import numpy as np
 
 from features.card import Card
 from features.contact.places import MOST_PLACES, Place
+from features.errors import InputError
 from features.estimate import Contact, Estimate, Reason
 from features.stream.tracker import SlideState
+from serve.page.answers import MOST_BYTES
 from serve.page.guard import HEADERS, Guard
 
 # Blocks come 50 times a second; a screen needs no more than this.
@@ -47,9 +49,17 @@ _FILES = Path(__file__).with_name("static")
 class Server:
     """Serves from a thread once it is made, until it is closed."""
 
-    def __init__(self, listener: Any, description: str, token: str | None, zero: Callable[[], None]) -> None:
-        """listener: a socket that listens. description: of `about`, as JSON. zero: asks for a new static output."""
-        self._about, self._zero = description, zero
+    def __init__(
+        self,
+        listener: Any,
+        description: str,
+        token: str | None,
+        zero: Callable[[], None],
+        predict: Callable[[bytes], dict[str, Any]],
+    ) -> None:
+        """listener: a socket that listens. description: of `about`, as JSON. zero: asks for a new static output.
+        predict: the estimate of a recording in CSV."""
+        self._about, self._zero, self._predict = description, zero, predict
         self._kept: deque[bytes] = deque(maxlen=KEPT)
         self._ended = False
         self._viewers = 0
@@ -82,10 +92,13 @@ class Server:
         self._thread.join(timeout=5.0)
 
     def _application(self) -> Any:
-        from fastapi import FastAPI, Response, WebSocket, WebSocketDisconnect
+        from fastapi import FastAPI, HTTPException, Request, Response, WebSocket, WebSocketDisconnect
+        from fastapi.concurrency import run_in_threadpool
         from fastapi.staticfiles import StaticFiles
 
-        application = FastAPI(openapi_url=None)
+        application = FastAPI(title="softslide", docs_url=None, redoc_url=None)
+        # One recording at a time is held in memory; viewers are served meanwhile.
+        one = asyncio.Lock()
 
         @application.websocket("/stream")
         async def stream(viewer: WebSocket) -> None:
@@ -122,6 +135,22 @@ class Server:
         def zero() -> dict[str, str]:
             self._zero()
             return {"status": "ok"}
+
+        @application.post(
+            "/predict", openapi_extra={"requestBody": {"content": {"text/csv": {}}, "required": True}}
+        )
+        async def predict(request: Request) -> dict[str, Any]:
+            """The estimate at the end of a recording: CSV with time_s (s) and each channel (V)."""
+            async with one:
+                sent = b""
+                async for part in request.stream():
+                    sent += part
+                    if len(sent) > MOST_BYTES:
+                        raise HTTPException(413, f"more than {MOST_BYTES >> 20} MB")
+                try:
+                    return await run_in_threadpool(self._predict, sent)
+                except InputError as error:
+                    raise HTTPException(422, str(error)) from None
 
         application.mount("/", StaticFiles(directory=_FILES, html=True))
         return application

@@ -44,7 +44,9 @@ def serve(
     with _stoppable() as stopped, ExitStack() as held:
         opened = [held.enter_context(closing(open_sink(name))) for name in sinks]
         shown = (
-            None if page is None else held.enter_context(closing(Page(page, localizer.card, _name(source))))
+            None
+            if page is None
+            else held.enter_context(closing(Page(page, localizer.card, _name(source), bundle, height_mm)))
         )
         chunks = open_source(source, localizer.card, form, fast)
         if shown is not None:
