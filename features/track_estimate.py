@@ -52,9 +52,8 @@ class TrackLimits:
 
 
 # Of a track from a touch anywhere, which is several times less sharp than the straight slide: its intervals would widen
-# those until 98 % hold. Tracks with a wider heading were wrong at sharp bends. Another day doubles the straight slide's
-# misfit (experiments/LOG.md).
-TOUCH_LIMITS = TrackLimits(heading_sd_deg=13.0, straight_misfit=3.3, shared=None)
+# those until 98 % hold. Tracks with a wider heading were wrong at sharp bends (experiments/LOG.md).
+TOUCH_LIMITS = TrackLimits(heading_sd_deg=13.0, shared=None)
 
 
 PARTIAL_UNKNOWNS = 3  # of a contact that is being pressed on or lifted: its place and its gain
