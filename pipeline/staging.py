@@ -89,7 +89,7 @@ def check_replaceable(out: Path, names: Collection[str] | None = None) -> None:
         InputError: `out` is where nothing can be written, a file, or a folder that holds anything else: it was named by
             mistake.
     """
-    above = next(folder for folder in out.absolute().parents if folder.exists())
+    above = next((folder for folder in out.absolute().parents if folder.exists()), out)
     if not (above.is_dir() and os.access(above, os.W_OK)):
         raise InputError(f"{out}: cannot be written; name another folder")
     try:

@@ -148,6 +148,8 @@ def test_a_place_that_cannot_be_written_is_found_before_the_work(tmp_path: Path)
     with pytest.raises(InputError, match="cannot be written; name another folder"):
         check_replaceable(tmp_path / "file" / "below" / "out")
     check_replaceable(tmp_path / "not" / "there" / "out")
+    with pytest.raises(InputError):
+        check_replaceable(Path("/"), {"model.onnx"})
     if not sys.platform.startswith("linux") or not shutil.which("unshare"):
         pytest.skip("no disk that is read alone can be mounted here")
     asked = "from pathlib import Path; from pipeline.staging import check_replaceable\n"
