@@ -142,13 +142,13 @@ class Server:
         async def predict(request: Request) -> dict[str, Any]:
             """The estimate at the end of a recording: CSV with time_s (s) and each channel (V)."""
             async with one:
-                sent = b""
+                sent = bytearray()
                 async for part in request.stream():
                     sent += part
                     if len(sent) > MOST_BYTES:
                         raise HTTPException(413, f"more than {MOST_BYTES >> 20} MB")
                 try:
-                    return await run_in_threadpool(self._predict, sent)
+                    return await run_in_threadpool(self._predict, bytes(sent))
                 except InputError as error:
                     raise HTTPException(422, str(error)) from None
 
