@@ -29,10 +29,11 @@ from models.response_map import select
 from models.response_map.calibrate import CalibrationConfig, calibrate
 from models.response_map.contact_card import contact_calibration
 from models.response_map.from_atlas import SensorSpread
+from models.response_map.gains import fit_gains, labelled_contacts
 from models.response_map.heights import calibrated_heights, with_gains
 from models.response_map.map import ResponseMap
 from models.response_map.select import CalibratedMap, _shares_at_other_heights, calibrated_map
-from models.response_map.slides import CalibrationSlide
+from models.response_map.slides import CalibrationSlide, calibration_slides
 from pipeline.recordings.derived_labels import recordings_to_learn_from, why_not_labelled
 from pipeline.recordings.folder import SAMPLE, Folder, read_folder, write_folder
 from pipeline.recordings.heights import HEIGHT, LASER, with_heights
@@ -213,6 +214,35 @@ def test_a_stream_is_read_at_the_height_it_tells_or_is_given(bundle: Path) -> No
         Localizer.load(bundle, 5.0)
 
 
+def test_a_tracker_does_not_depend_on_an_earlier_stream(bundle: Path) -> None:
+    fresh, used = Localizer.load(bundle), Localizer.load(bundle)
+    for height_mm in (7.04, 7.01):
+        used._take_height(height_mm)
+    used.reset()
+    for localizer in (fresh, used):
+        localizer._take_height(7.035)
+    x, y = np.array([3.0]), np.array([4.0])
+    one, other = (each._contact._surface.at(x, y) for each in (fresh, used) if each._contact is not None)
+    np.testing.assert_array_equal(one, other)
+
+
+def test_no_column_of_a_lab_is_taken_for_a_height_or_a_weight() -> None:
+    """Synthetic recordings have `height_mm`; it is what was drawn, and not told to a calibration."""
+    folder = read_folder(SAMPLE).select("calibration")
+    table = folder.manifest.iloc[:2].assign(height_mm=["6.0", "8.0"], calibration_weight="none")
+    learnt = recordings_to_learn_from(replace(folder, manifest=table), True)
+    slides = calibration_slides(learnt, Conditioning())
+    assert [slide.weight for slide in slides] == [1.0, 1.0]
+    assert all(math.isnan(slide.height_mm) for slide in slides)
+
+
+def test_a_reading_that_is_no_height_counts_as_none() -> None:
+    folder = read_folder(SAMPLE)
+    table = folder.manifest.iloc[:3].assign(pressure_mpa=[0.035, 0.035, 0.028], **{LASER: ["7.1", "0", "-1"]})
+    heights = with_heights(replace(folder, manifest=table)).manifest[HEIGHT]
+    np.testing.assert_allclose(heights, 7.1 * np.cbrt(table["pressure_mpa"] / 0.035))
+
+
 def test_heights_follow_from_readings_and_pressures() -> None:
     folder = read_folder(SAMPLE)
     table = folder.manifest.iloc[:4].assign(pressure_mpa=[0.035, 0.035, 0.028, 0.044])
@@ -287,6 +317,11 @@ def test_recordings_at_two_heights_make_one_map(lab: Folder) -> None:
     assert (here * there).sum() / (here**2).sum() == pytest.approx(1.15, abs=0.04)
     heights = np.array([found.told_mm[name] for name in found.folder.manifest.index])
     np.testing.assert_allclose(heights, found.folder.manifest[HEIGHT], atol=0.2)
+    # Strokes of another day at the other height show no other gains.
+    again = replace(lab, manifest=lab.manifest[lab.manifest[LASER].astype(float) == 8.0])
+    strokes, _, _ = labelled_contacts(again, found.conditioning, found.heights)
+    gains = fit_gains(found.response, strokes, []).gain
+    np.testing.assert_allclose(gains, 1.0, atol=0.03)
 
 
 def test_where_maps_of_each_height_are_better_the_main_one_is_taken(

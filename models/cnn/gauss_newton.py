@@ -24,11 +24,8 @@ FLOOR_SHARE = 0.6  # and of its residual in calibration, which the bins share (e
 # on assembled slides of a pass and of places that the map had not seen; half and twice these change errors by 3 %
 # (experiments/LOG.md).
 PLACE_MM, BIN_GAIN, LEVEL_SHARE = 0.2, 0.05, 0.5
-LOCAL = (
-    (2, PLACE_MM),
-    (3, PLACE_MM),
-    (4, BIN_GAIN),
-)  # of offset, along and gain: place in the state, deviation
+# Of offset, along and gain: index in the state, deviation.
+LOCAL = ((2, PLACE_MM), (3, PLACE_MM), (4, BIN_GAIN))
 # Variance of the depth's error over the one that noise explains: 1 and 4 on two benches' held-out lines.
 DEPTH_VARIANCE = 2.0
 DEPTH = 5  # place of the depth in the state

@@ -43,7 +43,7 @@ def recalibrate(bundle: Path, folder: Folder, out: Path, data: dict[str, str]) -
             f"{folder.root / 'sensor.toml'}: channels are {', '.join(folder.sensor.channels)}, the bundle's "
             f"{', '.join(card.channels)}; record with the bundle's sensor"
         )
-    slides, presses, left_out = labelled_contacts(folder, card.conditioning)
+    slides, presses, left_out = labelled_contacts(folder, card.conditioning, card.heights)
     if not slides and not presses:
         raise InputError(
             f"{folder.root / 'manifest.csv'}: no stroke with all its labels after a rest, and no press with its "
@@ -76,12 +76,7 @@ def _with_gains(graph: onnx.ModelProto, gains: Gains, path: Path) -> onnx.ModelP
 
 
 def _renewed(card: Card, gains: Gains, graph: bytes, found: dict[str, Any]) -> Card:
-    response = response_of(card)
-    response = replace(
-        response,
-        coefficients=gains.gain * response.coefficients,
-        depth_slope=gains.gain * response.depth_slope,
-    )
+    response = response_of(card).scaled(gains.gain)
     session = session_of(graph)
     inputs = {name: np.array(value, np.float32) for name, value in card.golden["inputs"].items()}
     return replace(

@@ -20,9 +20,8 @@ from pipeline.sensor import Sensor
 # Variance of the map's own residual, which no averaging lessens, in units of a block's noise variance: on bench-a the
 # residual is 0.86 mV beside a noise of 1.35 mV (residual_v in the card of a bundle), 0.4.
 MAP_VARIANCE = 0.5
-LEAST_RESIDUAL_V = (
-    5e-4  # so much of a stretch's output is never explained: one step of the article's converter
-)
+# So much of a stretch's output is never explained: one step of the article's converter.
+LEAST_RESIDUAL_V = 5e-4
 LEAST_DRIFT_V = 5e-4  # likewise the static output is never known better
 RIM_MM = 1.5  # from this far beyond the chamber's edge on, the skin lies on the base and shows nothing
 RIM_WEIGHT = 3.0  # of a rim point, one each mm; a stretch of 0.5 mm weighs at most 2

@@ -1,5 +1,7 @@
 """The calibrated response map as the model card's section `contact`, and back."""
 
+from typing import Any
+
 import numpy as np
 
 from features.card import Card
@@ -49,4 +51,17 @@ def response_of(card: Card) -> ResponseMap:
         axes=len(card.conditioning.touch_axes),
         rim=card.conditioning.onset == ONSETS[0],
         spacing_mm=contact.spacing_mm,
+        **_heights(card),
     )
+
+
+def _heights(card: Card) -> dict[str, Any]:
+    """What a map has of the heights of the skin that a card is for."""
+    heights = card.heights
+    if heights is None:
+        return {}
+    return {
+        "height_mm": heights.height_mm,
+        "height_slope": heights.splines(),
+        "height_range_mm": (heights.lowest_mm, heights.highest_mm),
+    }

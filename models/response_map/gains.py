@@ -4,12 +4,14 @@ Each channel's gain is fitted by linear least squares with a Gaussian prior: a p
 smaller one of each. A stroke's own shift along its line is fitted in turn with them.
 """
 
+import math
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from features.angles import touch_channels
+from features.height import HeightCalibration
 from features.stream.conditioning import Conditioning, block_means
 from models.response_map.calibrate import CalibrationConfig, fit_slide
 from models.response_map.map import ResponseMap
@@ -27,11 +29,13 @@ PRESS_LABELS = ("start_x_mm", "start_y_mm", "motion_start_s", "motion_end_s")
 
 @dataclass(frozen=True)
 class Press:
-    """A contact that stood still. place_mm: x, y; depth_mm: NaN if unknown; volts: (C,) V, subtracted."""
+    """A contact that stood still. place_mm: x, y; depth_mm: NaN if unknown; volts: (C,) V, subtracted; height_mm: of
+    the skin, NaN if not known."""
 
     place_mm: tuple[float, float]
     depth_mm: float
     volts: np.ndarray
+    height_mm: float = math.nan
 
 
 @dataclass(frozen=True)
@@ -72,17 +76,18 @@ def _evidence(
 
     gain: with which each slide's shift is fitted.
     """
-    scaled, config = replace(response, coefficients=gain * response.coefficients), CalibrationConfig()
+    scaled, config = response.scaled(gain), CalibrationConfig()
     parts = []
     for slide in slides:
         x, y = slide.place(fit_slide(slide, scaled, config).shift_mm, response.lag_s)
-        shown = response.response(x, y, slide.direction_rad, slide.depth_mm)
+        shown = response.at_height(slide.height_mm).response(x, y, slide.direction_rad, slide.depth_mm)
         parts.append((shown, slide.volts, np.full(len(x), 1.0 / ALIKE)))
     for press in presses:
         x, y = (np.array([place]) for place in press.place_mm)
         depth_mm = None if np.isnan(press.depth_mm) else press.depth_mm
         # Opposite directions: what a contact that stands shows has no friction.
-        there, back = (response.response(x, y, a, depth_mm) for a in (0.0, np.pi))
+        own = response.at_height(press.height_mm)
+        there, back = (own.response(x, y, a, depth_mm) for a in (0.0, np.pi))
         shown = (there + back) / 2
         parts.append((shown, press.volts[None], np.ones(1)))
     shown, volts, weight = (np.concatenate(column) for column in zip(*parts, strict=True))
@@ -90,23 +95,30 @@ def _evidence(
 
 
 def labelled_contacts(
-    folder: Folder, conditioning: Conditioning
+    folder: Folder, conditioning: Conditioning, heights: HeightCalibration | None
 ) -> tuple[list[CalibrationSlide], list[Press], list[str]]:
-    """The folder's labelled strokes and presses, and the names of the recordings that are neither."""
+    """The folder's labelled strokes and presses, and the names of the recordings that are neither.
+
+    heights: of the skin; what the static output tells of them goes with each stroke and press. None: there is one.
+    """
     speed = folder.manifest["speed_mm_s"]
     standing = folder.manifest[list(PRESS_LABELS)].notna().all(axis=1) & ~(speed > 0)
     moving = replace(folder, manifest=folder.manifest[~standing])
     slides = calibration_slides(moving, conditioning)
+    if heights is not None:
+        slides = [replace(slide, height_mm=heights.told(slide.static_v)) for slide in slides]
     presses = {
         name: press
         for name in map(str, folder.manifest.index[standing])
-        if (press := _press(folder, name, conditioning)) is not None
+        if (press := _press(folder, name, conditioning, heights)) is not None
     }
     used = {slide.recording for slide in slides} | set(presses)
     return slides, list(presses.values()), [str(n) for n in folder.manifest.index if str(n) not in used]
 
 
-def _press(folder: Folder, name: str, conditioning: Conditioning) -> Press | None:
+def _press(
+    folder: Folder, name: str, conditioning: Conditioning, heights: HeightCalibration | None
+) -> Press | None:
     """The press of one recording; None if its rest or the press itself is too short."""
     recording = folder.load(name)
     row: Any = folder.manifest.loc[name]
@@ -118,5 +130,6 @@ def _press(folder: Folder, name: str, conditioning: Conditioning) -> Press | Non
     pressed = blocks[(middle_s > row.motion_start_s + half_s) & (middle_s < row.motion_end_s - half_s)]
     if len(rest) < LEAST_REST_BLOCKS or not len(pressed):
         return None
-    place = float(row.start_x_mm), float(row.start_y_mm)
-    return Press(place, float(row.depth_mm), pressed.mean(axis=0) - rest.mean(axis=0))
+    place, static_v = (float(row.start_x_mm), float(row.start_y_mm)), rest.mean(axis=0)
+    height_mm = math.nan if heights is None else heights.told(static_v)
+    return Press(place, float(row.depth_mm), pressed.mean(axis=0) - static_v, height_mm)

@@ -107,8 +107,8 @@ class ResponseMap:
         coefficients = np.concatenate([still[None], self.coefficients[1:]])
         return replace(self, coefficients=coefficients, height_mm=height_mm, height_slope=None)
 
-    def scaled(self, gain: float) -> "ResponseMap":
-        """The same map with every response times `gain`."""
+    def scaled(self, gain: float | np.ndarray) -> "ResponseMap":
+        """The same map with every response times `gain`, one for all channels or (C,)."""
         return replace(
             self,
             coefficients=self.coefficients * gain,

@@ -37,7 +37,7 @@ class CalibrationSlide:
     volts: (m, C) V, subtracted, C channels that answer to a touch, a0_vx, a0_vy, a1_vx, ...
     blocks: how many blocks a stretch averages; step_s: the same as a time.
     rest_noise_v: (C,) V, standard deviation of one block's mean at rest.
-    static_v: (2 A,) V, V_x and V_y at rest. height_mm: of the skin; NaN: that of all slides.
+    static_v: (C,) V, the same channels at rest. height_mm: of the skin; NaN: that of all slides.
     weight: how much it counts in a fit.
     timed: the labels tell where the contact was when; else the place along the line is a first guess.
     """

@@ -11,7 +11,8 @@ import pandas as pd
 
 from pipeline.recordings.folder import Folder
 
-HEIGHT = "height_mm"  # column of a manifest: the skin's height, in mm
+# Column of a manifest in memory: the skin's height, in mm. No file has it: synthetic recordings have a `height_mm`.
+HEIGHT = "derived.height_mm"
 LASER = "skin_height_mm"  # a laser's reading of it
 # Relative: what a regulator holds a pressure by. The skin's height goes with its cube root.
 SAME_PRESSURE = 0.02
@@ -31,10 +32,11 @@ def is_other(pressures_mpa: pd.Series, pressure_mpa: float) -> pd.Series:
 
 
 def laser_readings_mm(folder: Folder) -> pd.Series:
-    """A laser's reading at each recording, NaN where there is none."""
+    """A laser's reading at each recording, NaN where there is none or it is no height above zero."""
     if LASER not in folder.manifest:
         return pd.Series(np.nan, folder.manifest.index)
-    return pd.to_numeric(folder.manifest[LASER], errors="coerce").astype(float)
+    read = pd.to_numeric(folder.manifest[LASER], errors="coerce").astype(float)
+    return read.where((read > 0) & np.isfinite(read))
 
 
 def told_heights(folder: Folder) -> str:

@@ -11,8 +11,9 @@ import pandas as pd
 from features.errors import InputError
 from pipeline.recordings.folder import Folder, read_folder
 
+# Column of a pooled manifest, in no file: how much a recording counts.
+WEIGHT = "derived.weight"
 # What may differ between folders of one sensor.
-WEIGHT = "calibration_weight"  # column of a pooled manifest: how much a recording counts
 OWN = ("name", "origin", "pressure_mpa", "mains_hz")
 
 
