@@ -135,7 +135,8 @@ class Refinement(nn.Module):
         self.same_depth = 0.0 if response.depth_sd_mm else config.same_depth
         self.knows_depth = bool(np.any(response.depth_slope))
         self.steps = config.steps
-        self.leans = config.lean_v > 0
+        # Of elements that measure gravity; the others' maps have no rim.
+        self.leans = config.lean_v > 0 and response.rim
         # Held-out cells tell what the map leaves in full (models/response_map/select.py).
         self.floor_share = FLOOR_SHARE if response.rim else LEVEL_SHARE
         self.rim = response.rim
