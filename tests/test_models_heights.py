@@ -33,7 +33,7 @@ from models.response_map.gains import fit_gains, labelled_contacts
 from models.response_map.heights import calibrated_heights, with_gains
 from models.response_map.map import ResponseMap
 from models.response_map.select import CalibratedMap, _shares_at_other_heights, calibrated_map
-from models.response_map.slides import CalibrationSlide, calibration_slides
+from models.response_map.slides import CalibrationSlide, calibration_slides, main_height_mm
 from pipeline.recordings.derived_labels import recordings_to_learn_from, why_not_labelled
 from pipeline.recordings.folder import SAMPLE, Folder, read_folder, write_folder
 from pipeline.recordings.heights import HEIGHT, LASER, with_heights
@@ -86,6 +86,13 @@ def test_a_map_over_heights_is_that_of_each(calibrated: ResponseMap) -> None:
         assert np.sqrt(np.mean(error**2)) < 1.5e-3
         if height_mm != 7.4:
             assert np.sqrt(np.mean((wanted - without) ** 2)) > 3e-3
+
+
+def test_the_main_height_is_that_of_most_slides_however_a_laser_reads_it() -> None:
+    read_mm = [6.41, 6.43, *np.linspace(6.98, 7.02, 5), 7.71, 7.72]
+    ones = np.ones(len(read_mm))
+    slides = slides_of(over_heights(), LINES[: len(read_mm)], 3.0 * ones, ones, heights_mm=np.array(read_mm))
+    assert main_height_mm(slides) == pytest.approx(7.0)
 
 
 def test_slides_of_one_height_are_fitted_as_if_none_were_known(slides: list[CalibrationSlide]) -> None:
@@ -331,5 +338,6 @@ def test_where_maps_of_each_height_are_better_the_main_one_is_taken(
     monkeypatch.setattr(select, "_shares_at_other_heights", lambda *given: shares)
     found = mapped(lab)
     assert (found.slides, found.heights, found.told_mm) == (28, None, {})
+    assert found.summary["slides"] == 28
     assert len(found.left_out) == 7
     assert all("map of each height" in why for why in found.left_out.values())

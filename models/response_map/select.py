@@ -103,7 +103,8 @@ def calibrated_map(
     lag = {"delayed": read.delayed, "tau_s": read.tau_s}
     if response.height_slope is not None:
         shares = _shares_at_other_heights(slides, held_out, atlas, sensor, spread, calibration)
-        summary |= {f"heldout_residual_{name}": share for name, share in shares.items()}
+        told = {f"heldout_residual_{name}": share for name, share in shares.items()}
+        summary |= told
         if shares and shares["map_a_height"] < shares["map_over_heights"]:
             others = _names_at_other_heights(slides)
             alone = replace(folder, manifest=folder.manifest.drop(index=others))
@@ -111,7 +112,7 @@ def calibrated_map(
             why = dict.fromkeys(
                 others, "a map of each height predicts held-out lines better; train one for it"
             )
-            return replace(found, summary=found.summary | summary, left_out=found.left_out | left_out | why)
+            return replace(found, summary=found.summary | told, left_out=found.left_out | why)
     untimed = [slide for slide in slides if not slide.timed]
     shifts = {slide.recording: fit_slide(slide, response, calibration).shift_mm for slide in untimed}
     placed = moved(onsets.folder, shifts)
