@@ -127,18 +127,20 @@ def _packed(found: CalibratedMap) -> Arrays:
     }
     return {
         **{name: np.ascontiguousarray(values) for name, values in arrays.items()},
+        "recordings": found.folder.manifest.index.to_numpy(str),
         "motion": found.folder.manifest[list(LABELS)].to_numpy(float),
         "rest": np.array(json.dumps(rest)),
     }
 
 
 def _unpacked(arrays: Arrays, folder: Folder) -> CalibratedMap:
-    """folder: the recordings that the map was calibrated on; their motion is the one that was kept."""
+    """folder: the recordings to calibrate on; those that the map is of have the motion that was kept."""
     rest = json.loads(str(arrays["rest"]))
     maps = []
     for n, numbers in enumerate(rest["maps"]):
         own = {k.removeprefix(f"map.{n}."): v for k, v in arrays.items() if k.startswith(f"map.{n}.")}
         maps.append(ResponseMap(**(own | _tuples(numbers))))
+    table = folder.manifest.loc[arrays["recordings"]]
     motion = dict(zip(LABELS, arrays["motion"].T, strict=True))
     return CalibratedMap(
         response=maps[0],
@@ -146,7 +148,7 @@ def _unpacked(arrays: Arrays, folder: Folder) -> CalibratedMap:
         conditioning=Conditioning(**rest["conditioning"]),
         slides=rest["slides"],
         summary=rest["summary"],
-        folder=replace(folder, manifest=folder.manifest.assign(**motion)),
+        folder=replace(folder, manifest=table.assign(**motion)),
         untimed=rest["untimed"],
         left_out=rest["left_out"],
         heights=None if rest["heights"] is None else HeightCalibration(**_tuples(rest["heights"])),

@@ -5,6 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from experiments import kept_map as module
@@ -12,9 +13,11 @@ from experiments.kept_map import kept_map
 from experiments.train import train
 from features.errors import InputError
 from models.registry import default_config
+from models.response_map import select
 from models.response_map.calibrate import CalibrationConfig
 from models.response_map.select import CalibratedMap
 from pipeline.recordings.folder import SAMPLE, Folder, Recording, read_folder, write_folder
+from pipeline.recordings.heights import HEIGHT
 
 CONFIG = """
 calibration.iterations = 1
@@ -66,7 +69,26 @@ def assert_same(a: CalibratedMap, b: CalibratedMap) -> None:
         np.testing.assert_array_equal(x, y)
     assert (a.conditioning, a.slides, a.summary) == (b.conditioning, b.slides, b.summary)
     assert (a.untimed, a.left_out) == (b.untimed, b.left_out)
+    assert (a.heights, a.told_mm) == (b.heights, b.told_mm)
     assert a.folder.manifest.equals(b.folder.manifest)
+
+
+@pytest.mark.parametrize("apart", [False, True])
+def test_a_map_over_heights_is_kept_too(
+    lab: Folder, cache: Path, monkeypatch: pytest.MonkeyPatch, apart: bool
+) -> None:
+    """apart: a map of the main height is better, and the others' recordings are left out."""
+    shares = {"map_over_heights": 0.02, "map_a_height": 0.01 if apart else 0.03}
+    monkeypatch.setattr(select, "_shares_at_other_heights", lambda *given: shares)
+    again = lab.manifest.iloc[:4].rename(index="{}-higher".format)
+    table = pd.concat([lab.manifest, again])
+    table[HEIGHT] = np.where(np.arange(len(table)) < COUNT, 7.0, 8.0)
+    folder = replace(lab, manifest=table)
+    first, second = found(folder), found(folder)
+    assert second[1]
+    assert_same(first[0], second[0])
+    assert (first[0].heights is None) is apart
+    assert len(first[0].folder) == len(table) - 4 * apart
 
 
 def test_a_second_call_takes_what_the_first_kept(lab: Folder, cache: Path) -> None:
