@@ -88,7 +88,8 @@ def given_height(heights: HeightCalibration | None, height_mm: float | None) -> 
         return math.nan
     if heights is None:
         raise InputError(
-            "not asked for: the bundle is for one height of the skin; train one at several", "height"
+            "has no effect: the bundle is for one height of the skin; leave it out, or train one at several",
+            "height",
         )
     low, high = heights.lowest_mm, heights.highest_mm
     if not low - MARGIN_MM <= height_mm <= high + MARGIN_MM:

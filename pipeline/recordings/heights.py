@@ -17,7 +17,9 @@ LASER = "skin_height_mm"  # a laser's reading of it
 # Relative: what a regulator holds a pressure by. The skin's height goes with its cube root.
 SAME_PRESSURE = 0.02
 POWER = 1 / 3
-USUAL_MM = 7.5  # where no laser tells; what follows from it is a height over the main pressure's, times this
+USUAL_MM = (
+    7.5  # at the main pressure where no laser tells: between two benches' 7.2 and 8.1 mm (docs/method.md)
+)
 
 
 def main_pressure_mpa(folder: Folder) -> float:
