@@ -49,18 +49,20 @@ class ForceReader:
         read = self._surface.at(x, y)[0]
         each = weights(direction, depth_mm - self._map.depth_mm, 1)[0]
         force, along_x, along_y = np.einsum("p,kpc->kc", each, read)
-        half_widths = (
-            (estimate.x_hi_mm - estimate.x_lo_mm) / 2,
-            (estimate.y_hi_mm - estimate.y_lo_mm) / 2,
-            (estimate.depth_hi_mm - estimate.depth_lo_mm) / 2,
+        widths = (
+            estimate.x_hi_mm - estimate.x_lo_mm,
+            estimate.y_hi_mm - estimate.y_lo_mm,
+            estimate.depth_hi_mm - estimate.depth_lo_mm,
         )
+        # What has no interval adds nothing to that of the force.
+        half_widths = np.array([width / 2 if math.isfinite(width) else 0.0 for width in widths])
         normal, tangential = max(float(force[2]), 0.0), math.hypot(force[0], force[1])
         slopes = np.stack([along_x, along_y, read[0, 3]])
         # Of the tangential force that of its size.
         in_plane = slopes[:, :2] @ force[:2] / max(tangential, 1e-9)
         common = HALF_WIDTH_SD * self._map.relative_sd
         normal_half, tangential_half = (
-            math.hypot(common * size, *np.nan_to_num(slope * half_widths).tolist())
+            math.hypot(common * size, *(slope * half_widths).tolist())
             for size, slope in ((normal, slopes[:, 2]), (tangential, in_plane))
         )
         return estimate._replace(
