@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from features.contact.calibration import check_map, decoded
+from features.contact.calibration import LARGEST, check_map, decoded
 from features.errors import InputError
 
 # A graph's input that need not be given: the skin's height less height_mm, mm.
@@ -49,9 +49,11 @@ class HeightCalibration:
         check_map("heights", numbers, self.knots, self.coefficients)
         if not self.lowest_mm < self.highest_mm:
             raise ValueError(f"heights: {self.lowest_mm:g} to {self.highest_mm:g} mm do not rise")
+        if not self.lowest_mm <= self.height_mm <= self.highest_mm:
+            raise ValueError(f"heights: height_mm {self.height_mm:g} is not among them")
         static = np.array([self.static_v, self.static_v_per_mm, self.static_sd_v], dtype=float)
-        if not np.isfinite(static).all():
-            raise ValueError("heights: a static output is not finite")
+        if not (np.abs(static) <= LARGEST).all():
+            raise ValueError(f"heights: a static output is not finite or beyond {LARGEST:g}")
         self.splines()
 
     def splines(self) -> np.ndarray:

@@ -12,6 +12,7 @@ from onnxruntime.capi.onnxruntime_pybind11_state import NotImplemented as Missin
 from features.card import Card, read_card
 from features.digest import sha256
 from features.errors import InputError
+from features.height import HEIGHT_INPUT
 from features.regular_file import read_regular
 from features.vector.feature_vector import feature_names
 from features.window import WINDOW_BINS
@@ -106,6 +107,9 @@ def _check_shapes(card: Card, session: ort.InferenceSession, path: Path) -> None
     found = {node.name: node for node in session.get_inputs()}
     if set(found) != set(wanted):
         raise InputError(f"{path}: inputs are {', '.join(found)}, not {', '.join(wanted)}; export again")
+    optional = [node.name for node in session.get_overridable_initializers()]
+    if card.heights is not None and HEIGHT_INPUT not in optional:
+        raise InputError(f"{path}: takes no height of the skin, its card has several; export again")
     outputs = session.get_outputs()
     if [node.name for node in outputs] != ["estimate"]:
         names = ", ".join(node.name for node in outputs)

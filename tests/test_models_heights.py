@@ -1,5 +1,6 @@
 """One map over heights of the skin: what slides tell of it, the graph that takes a height, and what tells one."""
 
+import json
 import math
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -38,6 +39,7 @@ from pipeline.recordings.derived_labels import recordings_to_learn_from, why_not
 from pipeline.recordings.folder import SAMPLE, Folder, read_folder, write_folder
 from pipeline.recordings.heights import HEIGHT, LASER, with_heights
 from pipeline.sensor import Accelerometer, Sensor
+from serve.bundle import open_bundle
 from serve.localizer import Localizer
 
 SENSOR = Sensor(
@@ -203,6 +205,33 @@ def resting(height_mm: float) -> np.ndarray:
     """Three seconds at rest, the skin at a height."""
     signal = at_rest(SENSOR, 3.0) + np.array([0.05 + height_mm * STATIC_V_PER_MM[0], 0.0, 0.0])
     return as_recorded(SENSOR, signal, seed=3)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"height_mm": 9.0}, "not among"),
+        ({"lowest_mm": 8.0}, "do not rise"),
+        ({"static_v_per_mm": [1e300, 0.0]}, "static output"),
+    ],
+)
+def test_a_card_of_impossible_heights_is_refused(
+    bundle: Path, change: dict[str, object], message: str
+) -> None:
+    card = json.loads((bundle / "model.json").read_text())
+    del card["card_sha256"]
+    (bundle / "model.json").write_text(json.dumps(card | {"heights": card["heights"] | change}))
+    with pytest.raises(InputError, match=message):
+        read_card(bundle / "model.json")
+
+
+def test_a_graph_that_takes_no_height_is_refused_where_its_card_has_several(bundle: Path) -> None:
+    graph = export_graph(network(over_heights()), 1).SerializeToString()
+    (bundle / "model.onnx").write_bytes(graph)
+    card = replace(read_card(bundle / "model.json"), graph_sha256=sha256(graph).hexdigest())
+    write_card(card, bundle / "model.json")
+    with pytest.raises(InputError, match="takes no height"):
+        open_bundle(bundle)
 
 
 def test_a_stream_is_read_at_the_height_it_tells_or_is_given(bundle: Path) -> None:
