@@ -6,6 +6,8 @@ import math
 import shutil
 import tempfile
 from collections import defaultdict
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -117,23 +119,19 @@ def _as_int8(card: Card, path: Path, out: Path) -> dict[str, Any]:
     windows = _sample(card, path)
     with tempfile.TemporaryDirectory() as scratch:
         target = Path(scratch) / "model.onnx"
-        # It recommends a preparation that changes nothing here, and warns of an input that need not be given.
-        logging.disable(logging.WARNING)
-        ort.set_default_logger_severity(3)
-        quantize_static(
-            _named(graph),
-            str(target),
-            _Calibration(graph_inputs(card.input, windows.volts, windows.elapsed_s)),
-            quant_format=QuantFormat.QDQ,
-            activation_type=QuantType.QUInt8,
-            weight_type=QuantType.QInt8,
-            per_channel=True,
-            # Weights of 7 bits: processors without VNNI add products of 8 bits in 16, and saturate.
-            reduce_range=True,
-            nodes_to_quantize=names,
-        )
-        logging.disable(logging.NOTSET)
-        ort.set_default_logger_severity(2)
+        with _quiet():
+            quantize_static(
+                _named(graph),
+                str(target),
+                _Calibration(graph_inputs(card.input, windows.volts, windows.elapsed_s)),
+                quant_format=QuantFormat.QDQ,
+                activation_type=QuantType.QUInt8,
+                weight_type=QuantType.QInt8,
+                per_channel=True,
+                # Weights of 7 bits: processors without VNNI add products of 8 bits in 16, and saturate.
+                reduce_range=True,
+                nodes_to_quantize=names,
+            )
         quantized = onnx.load_model_from_string(target.read_bytes())
         pack(quantized)
         small = quantized.SerializeToString()
@@ -148,6 +146,19 @@ def _as_int8(card: Card, path: Path, out: Path) -> dict[str, Any]:
         (folder / "model.onnx").write_bytes(small)
         _write_card(card, small, folder, {"int8": figures})
     return {"shape": "int8", "model_kb": len(small) / 1e3, "errors": figures}
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Says nothing of the preparation that the quantizer recommends, which changes nothing here, nor of an input that
+    need not be given."""
+    logging.disable(logging.WARNING)
+    ort.set_default_logger_severity(3)
+    try:
+        yield
+    finally:
+        logging.disable(logging.NOTSET)
+        ort.set_default_logger_severity(2)
 
 
 class _Calibration(CalibrationDataReader):
