@@ -34,7 +34,7 @@ BRIDGED_SHARE = 0.05
 # Blocks, 1 s, between two readings of the drift at rest; the static output's memory is 30 s.
 DRIFT_BLOCKS = 50
 # The tracker's map is of the skin's height rounded to this, 0.3 % of the response, and mixed anew for another one.
-HEIGHT_STEP_MM = 0.03
+MAP_STEP_MM = 0.03
 _OUTPUT = ["estimate"]
 # What forbids any estimate from the signal, not only that of a straight slide.
 _OF_THE_SIGNAL = (Reason.DEAD_CHANNEL, Reason.DRIFT, Reason.TOO_EARLY)
@@ -67,7 +67,7 @@ class Localizer:
         self._drift = DriftWatch(accelerometers, card.conditioning.touch_axes, card.conditioning.scale)
         self._lag = LagUndone(card.conditioning, len(self._tracker.touch))
         self._contact = contact_tracker(card, self._lag.noise_gain, math.nan)
-        self._contact_step = 0  # of the height that it is for, HEIGHT_STEP_MM off the card's
+        self._contact_step = 0  # of the height that it is for, MAP_STEP_MM off the card's
         self._limits = TOUCH_LIMITS if card.conditioning.onset == ONSETS[1] else TrackLimits()
         self._forces = None if card.force is None else ForceReader(card.force)
         self._inputs = {
@@ -278,9 +278,9 @@ class Localizer:
             self._inputs[HEIGHT_INPUT][0] = used_mm - heights.height_mm
         # The map is mixed anew for the tracker, which takes a millisecond: not in mid-contact, and not for nothing.
         # Which height it is of must not depend on what was told before the stream began anew.
-        step = round((used_mm - heights.height_mm) / HEIGHT_STEP_MM)
+        step = round((used_mm - heights.height_mm) / MAP_STEP_MM)
         if self._track is None and step != self._contact_step:
-            contact_mm = heights.height_mm + step * HEIGHT_STEP_MM
+            contact_mm = heights.height_mm + step * MAP_STEP_MM
             self._contact = contact_tracker(self.card, self._lag.noise_gain, contact_mm)
             self._contact_step = step
 

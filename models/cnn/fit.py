@@ -56,7 +56,7 @@ LOST_DEG = 20.0
 EARLY = 0.35  # share of the stroke before which slides that differ look alike
 # Rows (n, K) of the network, and the windows that they are of.
 Held = tuple[np.ndarray, LabelledWindows]
-HEIGHT_STEP_MM = 0.02  # held-out windows within it share a network; the response changes by 0.2 %
+SHARED_HEIGHT_MM = 0.02  # held-out windows within it share a network; the response changes by 0.2 %
 LEAST_WINDOWS = 20  # to set intervals on: with fewer a 90 % quantile is the largest error
 
 
@@ -202,7 +202,7 @@ def _held_out(folder: Folder, found: CalibratedMap, proposal: Proposal, config: 
     windows = labelled_windows(folder, config.conditioning)
     main_mm = found.response.height_mm if found.heights is not None else 0.0
     told_mm = [found.told_mm.get(name, main_mm) for name in windows.recording]
-    heights_mm = HEIGHT_STEP_MM * np.round(np.where(np.isnan(told_mm), main_mm, told_mm) / HEIGHT_STEP_MM)
+    heights_mm = SHARED_HEIGHT_MM * np.round(np.where(np.isnan(told_mm), main_mm, told_mm) / SHARED_HEIGHT_MM)
     columns = _network(proposal, found.response, config).outputs
     rows = np.full((len(windows), len(columns)), np.nan, dtype=np.float32)
     for response, unseen in found.held_out:
