@@ -79,7 +79,8 @@ class FewSlides(WindowSource):
 
 
 def a_network() -> Case:
-    """On windows that are valid: elsewhere rounding decides between two minima."""
+    """On windows that tell the speed to 5 %: those that tell less hand on more of the rounding, and where an estimate
+    is not valid it decides between two minima."""
     torch.set_num_threads(1)
     config = NetworkConfig()
     whole = SynthesisConfig(complete=1.0, paused=0.0, midway=0.0, depth_mm=0.0)
@@ -93,7 +94,7 @@ def a_network() -> Case:
     inputs = {"volts": volts, "elapsed_s": drawn.elapsed_s, "weight": drawn.weight}
     with torch.no_grad():
         column = dict(zip(OUTPUTS, network(**inputs).T, strict=False))
-    stands = (column["misfit"] < 5) & (column["direction_sd_deg"] < 8) & (column["log_speed_sd"] < 0.15)
+    stands = (column["misfit"] < 5) & (column["direction_sd_deg"] < 8) & (column["log_speed_sd"] < 0.05)
     assert stands.sum() >= 50
     return Case(export_graph(network, 1), {k: v[stands].numpy() for k, v in inputs.items()})
 
