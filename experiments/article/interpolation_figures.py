@@ -10,7 +10,6 @@ from experiments.article.scoring import Scored
 from experiments.article.section import Section
 from experiments.article.slide_figures import Whole
 from experiments.pages.figures import COLOURS, INK, Panel, inline, panel
-from models.classical.interpolation import Polynomials
 
 # The one fit that the article still shows, of X-sliding: v in mm/s of t_max in s, coefficients in rising powers.
 PUBLISHED_CHI = (7.4336, -0.4331, 0.008)
@@ -73,17 +72,8 @@ def _speed_panel(rows: pd.DataFrame, published: Method, best: Method, kind: int)
         longest = float((rows[["low_mm", "high_mm"]].max(axis=1) / rows["speed_mm_s"]).max())
         for e, name in enumerate(("low", "high")):
             times = rows[f"{name}_mm"] / rows["speed_mm_s"]
-            ax.plot(
-                times,
-                rows["speed_mm_s"],
-                "o",
-                markersize=3,
-                alpha=0.6,
-                color=COLOURS[e],
-                label=f"t of the {WORDS[e]}",
-            )
-            low, high = best.times_s[kind, e]
-            _curve(ax, best.speed, kind, e, low, high, "-", COLOURS[e])
+            curve = best.speed.coefficients[kind, e]
+            _fitted(ax, e, "t", times, rows["speed_mm_s"], curve, best.times_s[kind, e])
         if kind == 0:
             t = np.linspace(5, max(longest, 30.0), 200)
             ax.plot(
@@ -106,32 +96,30 @@ def _speed_panel(rows: pd.DataFrame, published: Method, best: Method, kind: int)
 def _distance_panel(rows: pd.DataFrame, best: Method, kind: int) -> Panel:
     with panel() as (figure, ax):
         for e, name in enumerate(("low", "high")):
-            ax.plot(
-                1000 * rows[f"{name}_v"],
-                rows["distance_mm"],
-                "o",
-                markersize=3,
-                alpha=0.6,
-                color=COLOURS[e],
-                label=f"V of the {WORDS[e]}",
-            )
-            low, high = best.volts[kind, e]
-            if np.isfinite([low, high]).all():
-                v = np.linspace(low, high, 100)
-                ax.plot(
-                    1000 * v,
-                    np.polynomial.Polynomial(best.distance.coefficients[kind, e])(v),
-                    color=COLOURS[e],
-                )
+            curve = best.distance.coefficients[kind, e]
+            _fitted(ax, e, "V", rows[f"{name}_v"], rows["distance_mm"], curve, best.volts[kind, e], 1000)
         ax.set(xlabel="extreme value, mV", ylabel="distance, mm", title="distance", ylim=(-1, 26))
         ax.legend(fontsize=8)
         text = f"Distance of the line against the extreme values in {KINDS[kind]} calibration slides; lines: cubics."
         return Panel(inline(figure, text), text)
 
 
-def _curve(
-    ax: Axes, polynomials: Polynomials, kind: int, e: int, low: float, high: float, style: str, colour: str
+def _fitted(
+    ax: Axes,
+    e: int,
+    letter: str,
+    x: pd.Series,
+    y: pd.Series,
+    coefficients: np.ndarray,
+    fitted_over: np.ndarray,
+    scale: float = 1.0,
 ) -> None:
+    """The slides as points and the polynomial fitted to them, of the extreme e (0 minimum, 1 maximum).
+
+    letter: what x is. fitted_over: (2,), the least and largest x of the fit. scale: of the axis, over x.
+    """
+    ax.plot(scale * x, y, "o", markersize=3, alpha=0.6, color=COLOURS[e], label=f"{letter} of the {WORDS[e]}")
+    low, high = fitted_over
     if np.isfinite([low, high]).all():
-        t = np.linspace(low, high, 100)
-        ax.plot(t, np.polynomial.Polynomial(polynomials.coefficients[kind, e])(t), style, color=colour)
+        along = np.linspace(low, high, 100)
+        ax.plot(scale * along, np.polynomial.Polynomial(coefficients)(along), color=COLOURS[e])
