@@ -220,7 +220,7 @@ class Localizer:
                 misfit=math.nan if straight is None else straight.misfit,
                 accelerometers=tracker.usable.tolist().count(True) if straight is not None else 0,
             )
-        if self.card.conditioning.onset == ONSETS[0]:
+        if not touch:
             chamber, ball = self.card.sensor["chamber_mm"], self.card.sensor.get("indenter_diameter_mm", 0.0)
             estimate = held_at_rim(estimate, chamber, ball)
         if self._forces is not None:
@@ -350,10 +350,12 @@ def contact_tracker(
     splines = contact.splines()
     if card.heights is not None and not math.isnan(height_mm):
         splines[0] += (height_mm - card.heights.height_mm) * card.heights.splines()
+    surface = ResponseSurface(splines, contact.half_mm, contact.spacing_mm)
+    half_mm = (contact.chamber_mm[0] / 2, contact.chamber_mm[1] / 2)
     if card.conditioning.onset == ONSETS[1]:
         return TouchDownTracker(
-            surface=ResponseSurface(splines, contact.half_mm, contact.spacing_mm),
-            half_mm=(contact.chamber_mm[0] / 2, contact.chamber_mm[1] / 2),
+            surface=surface,
+            half_mm=half_mm,
             block_s=card.conditioning.block_s,
             floor_v=contact.floor_v,
             gain_sd=contact.gain_sd,
@@ -361,8 +363,8 @@ def contact_tracker(
             config=TouchDownConfig(),
         )
     return ContactTracker(
-        surface=ResponseSurface(splines, contact.half_mm, contact.spacing_mm),
-        half_mm=(contact.chamber_mm[0] / 2, contact.chamber_mm[1] / 2),
+        surface=surface,
+        half_mm=half_mm,
         block_s=card.conditioning.block_s,
         noise_v=noise_gain * np.array(contact.noise_v),
         floor_v=contact.floor_v,

@@ -84,6 +84,15 @@ class Hypotheses:
         return self.take(np.argsort(-self.log_weight, kind="stable")[:most])
 
     @property
+    def sound(self) -> np.ndarray:
+        """(N,) bool: whose weight and state are finite."""
+        return np.isfinite(self.log_weight) & np.isfinite(self.state).all(1)
+
+    def beyond_mm(self, half_mm: tuple[float, float]) -> np.ndarray:
+        """(N,) mm: how far outside the chamber, of half the sizes half_mm, each place is; negative inside."""
+        return np.maximum(np.abs(self.state[:, X]) - half_mm[0], np.abs(self.state[:, Y]) - half_mm[1])
+
+    @property
     def weight(self) -> np.ndarray:
         """(N,), the sum is 1."""
         weight = np.exp(self.log_weight - self.log_weight.max())

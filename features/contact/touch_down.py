@@ -48,7 +48,6 @@ BEYOND_MM = 0.5  # of the chamber's edge; the map ends there
 TINY = 1e-9  # of what such a map does not know: friction, other depths, residuals along the way
 NEVER = 1e-9
 
-
 # Contacts bend and change speed, and no more: where presses stand for a motion, one that is held looks like a stop, and
 # hypotheses that stop, turn back or turn a corner follow these instead of the motion (experiments/LOG.md).
 SLIDING_ON = MotionNoise(
@@ -163,11 +162,9 @@ class TouchDownTracker:
         predict(self._bank, self._block_s, TINY, 0.0, config.noise)
         update(self._bank, volts, self._noise(usable), self._surface, self._block_s, config.local)
         bank = self._bank
-        outside = np.maximum(
-            np.abs(bank.state[:, X]) - self._half[0], np.abs(bank.state[:, Y]) - self._half[1]
-        )
-        bank.log_weight -= 0.5 * (np.maximum(outside - BEYOND_MM, 0.0) / BEYOND_MM) ** 2
-        sound = np.isfinite(bank.log_weight) & np.isfinite(bank.state).all(1)
+        outside_mm = np.maximum(bank.beyond_mm(self._half) - BEYOND_MM, 0.0)
+        bank.log_weight -= 0.5 * (outside_mm / BEYOND_MM) ** 2
+        sound = bank.sound
         if not sound.any():
             self.reset()
             return

@@ -207,7 +207,7 @@ class ContactTracker:
         simple = self._smooth.push(volts)
         # The alternatives know no channel that is left out.
         gained = gained - simple if whole else 0.0
-        sound = np.isfinite(self._bank.log_weight) & np.isfinite(self._bank.state).all(1)
+        sound = self._bank.sound
         if not sound.all():
             # A signal that no contact makes can drive a covariance out of the positive definite.
             if not sound.any():
@@ -258,10 +258,9 @@ class ContactTracker:
     def _leave_skin(self) -> None:
         """A place far off the chamber, or a gain beyond reason, is unlikely."""
         assert self._bank is not None
-        state = self._bank.state
-        beyond = np.maximum(np.abs(state[:, X]) - self._half[0], np.abs(state[:, Y]) - self._half[1])
-        unlikely = 0.3 * np.maximum(beyond - 4.0, 0.0) + 10.0 * np.maximum(state[:, GAIN] - 1.15, 0.0) ** 2
-        self._bank.log_weight -= unlikely + 0.5 * (state[:, GAIN] < 0.0)
+        gain, beyond_mm = self._bank.state[:, GAIN], self._bank.beyond_mm(self._half)
+        unlikely = 0.3 * np.maximum(beyond_mm - 4.0, 0.0) + 10.0 * np.maximum(gain - 1.15, 0.0) ** 2
+        self._bank.log_weight -= unlikely + 0.5 * (gain < 0.0)
         self._bank.log_weight -= self._bank.log_weight.max()
 
 

@@ -17,9 +17,8 @@ LASER = "skin_height_mm"  # a laser's reading of it
 # Relative: what a regulator holds a pressure by. The skin's height goes with its cube root.
 SAME_PRESSURE = 0.02
 POWER = 1 / 3
-USUAL_MM = (
-    7.5  # at the main pressure where no laser tells: between two benches' 7.2 and 8.1 mm (docs/method.md)
-)
+# At the main pressure, where no laser tells: between two benches' 7.2 and 8.1 mm (docs/method.md).
+USUAL_MM = 7.5
 
 
 def main_pressure_mpa(folder: Folder) -> float:
