@@ -9,16 +9,17 @@ import numpy as np
 import onnx
 from onnx import TensorProto, helper, numpy_helper
 
+from features.contact.response_surface import PARTS
 from features.height import HEIGHT_INPUT
 from models.cnn.forward_model import TABLE, patch_table
 from models.graph.packing import pack, rounded, unpack
 from models.response_map.map import ResponseMap
 
-# Constants of the graph: (cells, C) V/mm, the change of the table's M with height; (C, 4 C), where it is in a row.
+# Constants of the graph: (cells, C) V/mm, the change of the table's M with height; (C, 4 C), where it is in a row, in
+# which the PARTS of a channel lie side by side.
 SLOPE = "refinement.predicted.height_slope"
 _PLACES = "refinement.predicted.height_places"
 _AT_HEIGHT = "table_at_height"
-_PARTS = 4  # of a channel, side by side: M, Fx, Fy, D
 
 
 def with_height(graph: onnx.ModelProto, response: ResponseMap) -> onnx.ModelProto:
@@ -28,8 +29,8 @@ def with_height(graph: onnx.ModelProto, response: ResponseMap) -> onnx.ModelProt
     assert response.height_slope is not None
     table, _ = patch_table(response.height_slope[None])
     slope = rounded(torch.tensor(table, dtype=torch.float32)).numpy()
-    places = np.zeros((response.channels, _PARTS * response.channels), np.float32)
-    places[np.arange(response.channels), _PARTS * np.arange(response.channels)] = 1.0
+    places = np.zeros((response.channels, PARTS * response.channels), np.float32)
+    places[np.arange(response.channels), PARTS * np.arange(response.channels)] = 1.0
     given = onnx.ModelProto()
     given.CopyFrom(graph)
     unpack(given)

@@ -54,13 +54,13 @@ def write_bundle(
     original = fitted.original(inputs)
     # Where the model abstains (too little of the stroke to tell one line from another), its iteration may end in
     # either of two minima, and rounding decides: such rows are no estimates and nothing to compare.
-    stands = believed(original, fitted)
+    stands, also_stands = believed(original, fitted), believed(exported, fitted)
     if fitted.validity.misfit == 0.0:
         # Too few slides to say what is usual (models/misfit_limit.py): none is believed, the rows are compared still.
         stands = np.isfinite(original).all(axis=1)
-    elif np.mean(believed(exported, fitted) != stands) <= AT_LIMIT:
+    elif np.mean(also_stands != stands) <= AT_LIMIT:
         # Rounding decides on a window at one of the limits.
-        stands &= believed(exported, fitted)
+        stands &= also_stands
     if not stands.any():
         raise ParityError(
             f"the trained {fitted.name} answers none of the windows it was given; nothing was written"

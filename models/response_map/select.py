@@ -140,7 +140,8 @@ def _shares_at_other_heights(
     """What a map over heights (held_out) and what a map of each height leave of held-out lines at other heights than
     that of most: the median residual as a share of a slide's largest output. Empty where no height has enough slides.
     """
-    others = [slide for slide in slides if slide.recording in set(_names_at_other_heights(slides))]
+    names = set(_names_at_other_heights(slides))
+    others = [slide for slide in slides if slide.recording in names]
     others.sort(key=lambda slide: slide.height_mm)
     gaps = np.flatnonzero(np.diff([slide.height_mm for slide in others]) > LEAST_HEIGHTS_MM) + 1
     shared: list[float] = []
