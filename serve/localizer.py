@@ -10,9 +10,7 @@ import onnxruntime as ort
 
 from features.angles import touch_channels
 from features.card import Card
-from features.contact.response_surface import ResponseSurface
-from features.contact.touch_down import TouchDownConfig, TouchDownTracker
-from features.contact.tracker import ContactTracker, Track, TrackingConfig
+from features.contact.tracker import Track
 from features.departure import held_at_rim
 from features.errors import InputError
 from features.estimate import Estimate, Reason, decode
@@ -27,6 +25,7 @@ from features.vector.energy import energy_width_s
 from features.vector.feature_vector import feature_vector
 from features.window import WINDOW_BINS, Window
 from serve.bundle import open_bundle
+from serve.contact_tracker import contact_tracker
 from serve.sample_slots import SampleClock
 
 # Largest share of a slide's blocks whose means may be old ones (features/stream/faults.py); above it none is valid.
@@ -335,44 +334,6 @@ class Localizer:
                 f"time_s of shape {time_s.shape} for {len(volts)} samples; push a finite time in s for each"
             )
         return volts, time_s
-
-
-def contact_tracker(
-    card: Card, noise_gain: float, height_mm: float
-) -> ContactTracker | TouchDownTracker | None:
-    """The tracker that a card describes; None for a bundle that knows straight slides alone.
-
-    height_mm: of the skin, for a card over heights; NaN: the card's.
-    """
-    contact = card.contact
-    if contact is None:
-        return None
-    splines = contact.splines()
-    if card.heights is not None and not math.isnan(height_mm):
-        splines[0] += (height_mm - card.heights.height_mm) * card.heights.splines()
-    surface = ResponseSurface(splines, contact.half_mm, contact.spacing_mm)
-    half_mm = (contact.chamber_mm[0] / 2, contact.chamber_mm[1] / 2)
-    if card.conditioning.onset == ONSETS[1]:
-        return TouchDownTracker(
-            surface=surface,
-            half_mm=half_mm,
-            block_s=card.conditioning.block_s,
-            floor_v=contact.floor_v,
-            gain_sd=contact.gain_sd,
-            release_v=card.conditioning.release_v,
-            config=TouchDownConfig(),
-        )
-    return ContactTracker(
-        surface=surface,
-        half_mm=half_mm,
-        block_s=card.conditioning.block_s,
-        noise_v=noise_gain * np.array(contact.noise_v),
-        floor_v=contact.floor_v,
-        gain_sd=contact.gain_sd,
-        trigger_v=card.conditioning.trigger_v,
-        release_v=card.conditioning.release_v,
-        config=TrackingConfig(depth_sd_mm=contact.depth_sd_mm),
-    )
 
 
 def output_range(elements: Sequence[Mapping[str, Any]]) -> tuple[np.ndarray, np.ndarray]:

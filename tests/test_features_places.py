@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from test_features_contact import followed, line, noisy_map
+from tracked_map import followed, line, noisy_map
 
 from features.contact.places import LEAST_WEIGHT, MOST_PLACES, likeliest_places
 

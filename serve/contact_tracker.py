@@ -1,0 +1,54 @@
+"""The tracker of contacts that a model card describes."""
+
+import math
+
+import numpy as np
+
+from features.card import Card
+from features.contact.replay import ReplayingTracker
+from features.contact.response_surface import ResponseSurface
+from features.contact.touch_down import TouchDownConfig, TouchDownTracker
+from features.contact.tracker import ContactTracker, TrackingConfig
+from features.stream.conditioning import ONSETS
+
+
+def contact_tracker(
+    card: Card, noise_gain: float, height_mm: float
+) -> ContactTracker | TouchDownTracker | ReplayingTracker | None:
+    """The tracker that a card describes; None for a bundle that knows straight slides alone.
+
+    height_mm: of the skin, for a card over heights; NaN: the card's.
+    """
+    contact = card.contact
+    if contact is None:
+        return None
+    splines = contact.splines()
+    if card.heights is not None and not math.isnan(height_mm):
+        splines[0] += (height_mm - card.heights.height_mm) * card.heights.splines()
+    surface = ResponseSurface(splines, contact.half_mm, contact.spacing_mm)
+    half_mm = (contact.chamber_mm[0] / 2, contact.chamber_mm[1] / 2)
+    tracker: ContactTracker | TouchDownTracker
+    if card.conditioning.onset == ONSETS[1]:
+        tracker = TouchDownTracker(
+            surface=surface,
+            half_mm=half_mm,
+            block_s=card.conditioning.block_s,
+            floor_v=contact.floor_v,
+            gain_sd=contact.gain_sd,
+            release_v=card.conditioning.release_v,
+            config=TouchDownConfig(),
+        )
+    else:
+        tracker = ContactTracker(
+            surface=surface,
+            half_mm=half_mm,
+            block_s=card.conditioning.block_s,
+            noise_v=noise_gain * np.array(contact.noise_v),
+            floor_v=contact.floor_v,
+            gain_sd=contact.gain_sd,
+            trigger_v=card.conditioning.trigger_v,
+            release_v=card.conditioning.release_v,
+            config=TrackingConfig(depth_sd_mm=contact.depth_sd_mm),
+        )
+    # Where the only accelerometer fails, nothing is left to track with.
+    return tracker if len(card.channels) == 3 else ReplayingTracker(tracker)

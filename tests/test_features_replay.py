@@ -1,0 +1,95 @@
+"""What an accelerometer shows while it is not yet known to be faulty is taken back."""
+
+import numpy as np
+import pytest
+from tracked_map import line, noisy_map, tracker, volts_along
+
+from features.contact.replay import ReplayingTracker
+from features.contact.tracker import Track
+from features.stream.faults import FROZEN_BLOCKS
+
+TWO_BOARDS = noisy_map(places=((-4.0, 0.0), (4.0, 0.0)))
+FIRST_ALONE = np.array([True, True, False, False])
+SPEED_MM_S = 6.0
+
+
+def replaying() -> ReplayingTracker:
+    return ReplayingTracker(tracker(TWO_BOARDS))
+
+
+def slide_that_loses_a_board(failed: int) -> np.ndarray:
+    """Blocks (m, 4) V along a line; from block `failed` on the second board's output stands 0.4 V off."""
+    volts = volts_along(TWO_BOARDS, line(SPEED_MM_S, half_mm=27.0))
+    volts[failed:, 2:] = -0.4
+    return volts
+
+
+def tracks(tracked, volts: np.ndarray, found: int) -> list[Track | None]:
+    """The second board is left out from block `found` on."""
+    usable = [np.ones(4, dtype=bool)] * found + [FIRST_ALONE] * (len(volts) - found)
+    level = np.array([np.abs(volts[max(0, n - 4) : n + 1, :2].mean(axis=0)).max() for n in range(len(volts))])
+    return [
+        tracked.push(block, bool(touched), use)
+        for block, touched, use in zip(volts, level > 0.005, usable, strict=True)
+    ]
+
+
+@pytest.mark.parametrize("failed", [130, 163, 240])
+def test_a_fault_found_late_costs_nothing_but_the_time_until_then(failed: int) -> None:
+    volts = slide_that_loses_a_board(failed)
+    found = failed + FROZEN_BLOCKS
+    told = tracks(replaying(), volts, found)[found]
+    ideal = tracks(tracker(TWO_BOARDS), volts, failed)[found]
+    assert told is not None
+    assert ideal is not None
+    # The copy is of up to 2 FROZEN_BLOCKS before, and the second board is left out since then.
+    assert told.mean[:2] == pytest.approx(ideal.mean[:2], abs=0.5)
+    assert told.mean[2:] == pytest.approx([SPEED_MM_S, 0.0], abs=1.5)
+    assert told.misfit < 2.0
+
+
+def test_without_replay_the_track_is_lost() -> None:
+    """The same fault for a tracker that goes on from where the fault led it: what the replay is for."""
+    failed = 163
+    found = failed + FROZEN_BLOCKS
+    told = tracks(tracker(TWO_BOARDS), slide_that_loses_a_board(failed), found)[found]
+    assert told is not None
+    assert np.abs(told.mean[2:] - [SPEED_MM_S, 0.0]).max() > 3.0
+
+
+def test_after_a_fault_it_is_a_tracker_that_never_read_the_board_since_the_copy() -> None:
+    failed = 4 * FROZEN_BLOCKS + 7
+    found = failed + FROZEN_BLOCKS
+    volts = slide_that_loses_a_board(failed)
+    told = tracks(replaying(), volts, found)
+    # Copies are made after each FROZEN_BLOCKS; the last but one before the fault was found is gone back to.
+    copied = (found - 1) // FROZEN_BLOCKS * FROZEN_BLOCKS - FROZEN_BLOCKS
+    assert found - copied >= FROZEN_BLOCKS
+    ideal = tracks(tracker(TWO_BOARDS), volts, copied)
+    for mine, its in zip(told[found:], ideal[found:], strict=True):
+        assert (mine is None) == (its is None)
+        if mine is not None:
+            assert np.array_equal(mine.mean, its.mean)
+
+
+def test_without_a_fault_it_is_the_tracker_that_it_holds() -> None:
+    volts = volts_along(TWO_BOARDS, line(SPEED_MM_S, half_mm=27.0))
+    never = len(volts)
+    for mine, its in zip(
+        tracks(replaying(), volts, never), tracks(tracker(TWO_BOARDS), volts, never), strict=True
+    ):
+        assert (mine is None) == (its is None)
+        if mine is not None:
+            assert np.array_equal(mine.mean, its.mean)
+
+
+def test_a_stream_begun_anew_goes_back_to_nothing_before() -> None:
+    """A fault right after a reset must not bring back the contact of before it."""
+    tracked = replaying()
+    volts = volts_along(TWO_BOARDS, line(SPEED_MM_S, half_mm=27.0))[:200]
+    tracks(tracked, volts, len(volts))
+    assert tracked.tracking
+    tracked.reset()
+    tracked.push(np.zeros(4), False, np.ones(4, dtype=bool))
+    assert tracked.push(np.zeros(4), False, FIRST_ALONE) is None
+    assert not tracked.tracking

@@ -1,0 +1,68 @@
+"""A calibrated response map with noise, its tracker, and what paths over it show."""
+
+from dataclasses import replace
+
+import numpy as np
+from bump_map import bump_map
+
+from features.contact.tracker import ContactTracker, Track, TrackingConfig
+from models.response_map.contact_card import contact_calibration
+from models.response_map.map import ResponseMap
+
+BLOCK_S = 0.02
+FRICTION_MM = 0.35
+
+
+def noisy_map(**changes) -> ResponseMap:
+    response = bump_map(**changes)
+    channels = response.channels
+    return replace(
+        response, noise_v=np.full(channels, 1e-3), drift_v=np.full(channels, 5e-4), floor_v=5e-4, gain_sd=0.02
+    )
+
+
+def tracker(response: ResponseMap) -> ContactTracker:
+    card = contact_calibration(response)
+    return ContactTracker(
+        surface=card.surface(),
+        half_mm=(card.chamber_mm[0] / 2, card.chamber_mm[1] / 2),
+        block_s=BLOCK_S,
+        noise_v=np.array(card.noise_v),
+        floor_v=card.floor_v,
+        gain_sd=card.gain_sd,
+        trigger_v=0.005,
+        release_v=0.0035,
+        config=TrackingConfig(),
+    )
+
+
+def volts_along(response: ResponseMap, path_mm: np.ndarray, seed: int = 0) -> np.ndarray:
+    """Blocks (m, C) V of a contact at (m, 2) mm; friction follows the motion over FRICTION_MM of way."""
+    steps = np.diff(path_mm, axis=0, prepend=path_mm[:1])
+    friction, blocks = np.zeros(2), []
+    for place, step in zip(path_mm, steps, strict=True):
+        way = float(np.hypot(*step))
+        if way:
+            friction += (1 - np.exp(-way / FRICTION_MM)) * (step / way - friction)
+        length = float(np.hypot(*friction))
+        at = (place[:1], place[1:], float(np.arctan2(friction[1], friction[0])))
+        still = (response.response(*at) + response.response(at[0], at[1], at[2] + np.pi)) / 2
+        blocks.append((still + length * (response.response(*at) - still))[0])
+    noise = np.random.default_rng(seed).normal(0.0, response.noise_v, (len(path_mm), response.channels))
+    return np.array(blocks) + noise
+
+
+def followed(response: ResponseMap, path_mm: np.ndarray, seed: int = 0) -> list[Track | None]:
+    return tracks_of(response, volts_along(response, path_mm, seed))
+
+
+def tracks_of(response: ResponseMap, volts: np.ndarray) -> list[Track | None]:
+    """What is told of blocks (m, C) V; 5 mV are a touch."""
+    tracked = tracker(response)
+    level = np.array([np.abs(volts[max(0, n - 4) : n + 1].mean(axis=0)).max() for n in range(len(volts))])
+    return [tracked.push(v, bool(touched)) for v, touched in zip(volts, level > 0.005, strict=True)]
+
+
+def line(speed_mm_s: float, y_mm: float = 6.0, half_mm: float = 29.0) -> np.ndarray:
+    x = np.arange(-half_mm, half_mm, speed_mm_s * BLOCK_S)
+    return np.stack([x, np.full_like(x, y_mm)], axis=1)
