@@ -20,7 +20,7 @@ import numpy as np
 from experiments.provenance import data_hashes, machine, source_hash
 from features.height import HeightCalibration
 from features.stream.conditioning import Conditioning
-from models.response_map.calibrate import CalibrationConfig
+from models.response_map.config import CalibrationConfig
 from models.response_map.from_atlas import SensorSpread
 from models.response_map.map import ResponseMap
 from models.response_map.select import CalibratedMap, calibrated_map

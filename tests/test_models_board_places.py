@@ -73,8 +73,8 @@ def test_information_falls_with_the_noise_and_adds_up(told: np.ndarray, field: T
 def test_the_bound_is_the_scatter_of_least_squares(field: TiltField, sensor: Sensor, lines: Lines) -> None:
     """One line, one board right beside it; noise drawn; offset and direction fitted with all else by Gauss-Newton."""
     from models.response_map.board_places import _response, _slopes
-    from models.response_map.calibrate import MAP_VARIANCE
     from models.response_map.from_atlas import DESIGN_DRIFT_V
+    from models.response_map.spline_fit import MAP_VARIANCE
 
     response, board = _response(field, sensor), 4
     line = Lines(np.array([0.3]), np.array([3.0]), [])

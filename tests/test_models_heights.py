@@ -27,7 +27,8 @@ from models.export.c99.program import program
 from models.graph.from_torch import export_graph
 from models.registry import default_config
 from models.response_map import select
-from models.response_map.calibrate import CalibrationConfig, calibrate
+from models.response_map.calibrate import calibrate
+from models.response_map.config import CalibrationConfig
 from models.response_map.contact_card import contact_calibration
 from models.response_map.from_atlas import SensorSpread
 from models.response_map.gains import fit_gains, labelled_contacts

@@ -10,7 +10,7 @@ from scipy.optimize import least_squares
 
 import softslide
 from experiments.acquisition.plan_file import read_plan
-from models.response_map.calibrate import CalibrationConfig
+from models.response_map.config import CalibrationConfig
 from models.response_map.from_atlas import SensorSpread
 from models.response_map.plan import (
     GAIN_SD,

@@ -9,9 +9,11 @@ from calibration_slides import slides_of
 from hypothesis import given
 from hypothesis import strategies as st
 
-from models.response_map.calibrate import MAP_VARIANCE, RIM_MM, CalibrationConfig, calibrate
+from models.response_map.calibrate import calibrate
+from models.response_map.config import CalibrationConfig
 from models.response_map.from_atlas import SensorSpread, prior_map
 from models.response_map.map import spline_basis, spline_coefficients
+from models.response_map.spline_fit import MAP_VARIANCE, RIM_MM
 from pipeline.atlas.atlas import DEFAULT_SENSOR, read_atlas
 from pipeline.sensor import read_sensor
 

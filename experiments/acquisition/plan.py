@@ -9,7 +9,7 @@ import pandas as pd
 
 from experiments.acquisition.plan_file import NEEDED
 from features.errors import InputError
-from models.response_map.calibrate import CalibrationConfig
+from models.response_map.config import CalibrationConfig
 from models.response_map.from_atlas import SensorSpread
 from models.response_map.plan import Plan, plan_slides
 from pipeline.atlas.library import atlas_of

@@ -21,7 +21,7 @@ from models.graph.packing import unpack
 from models.held_out import WHOLE, offset_reach_mm, signed_errors
 from models.intervals import conformal_interval
 from models.misfit_limit import misfit_limit
-from models.response_map.calibrate import CalibrationConfig
+from models.response_map.config import CalibrationConfig
 from models.response_map.contact_card import contact_calibration
 from models.response_map.forces import calibrated_forces
 from models.response_map.from_atlas import SensorSpread

@@ -12,10 +12,10 @@ import numpy as np
 from scipy.interpolate import RegularGridInterpolator
 
 from features.errors import InputError
-from models.response_map.calibrate import MAP_VARIANCE
 from models.response_map.from_atlas import DESIGN_DRIFT_V, DESIGN_NOISE_V, GRID_MM, SAMPLE_MM
 from models.response_map.map import MARGIN_MM, PARTS, ResponseMap, spline_coefficients
 from models.response_map.plan import BLOCK_S, GAIN_SD, LEAST_CHORD_MM, LINE_SPEED_MM_S, STEPS
+from models.response_map.spline_fit import MAP_VARIANCE
 from pipeline.atlas.bare_skin import TiltField
 from pipeline.sensor import Sensor
 

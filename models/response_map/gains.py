@@ -13,8 +13,9 @@ import numpy as np
 from features.angles import touch_channels
 from features.height import HeightCalibration
 from features.stream.conditioning import Conditioning, block_means
-from models.response_map.calibrate import CalibrationConfig, fit_slide
+from models.response_map.config import CalibrationConfig
 from models.response_map.map import ResponseMap
+from models.response_map.slide_fit import fit_slide
 from models.response_map.slides import LEAST_REST_BLOCKS, CalibrationSlide, calibration_slides
 from pipeline.recordings.folder import Folder
 

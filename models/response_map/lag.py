@@ -11,8 +11,9 @@ from dataclasses import replace
 import numpy as np
 
 from features.stream.conditioning import Conditioning
-from models.response_map.calibrate import CalibrationConfig, fit_slide
+from models.response_map.config import CalibrationConfig
 from models.response_map.map import ResponseMap
+from models.response_map.slide_fit import fit_slide
 from models.response_map.slides import CalibrationSlide
 from pipeline.synthesis.viscoelastic_lag import standard_solid
 

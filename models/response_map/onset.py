@@ -14,9 +14,10 @@ import pandas as pd
 
 from features.angles import tilt_channels
 from features.stream.conditioning import Conditioning, block_means
-from models.response_map.calibrate import CalibrationConfig, fit_slide
+from models.response_map.config import CalibrationConfig
 from models.response_map.from_atlas import SensorSpread, prior_map
 from models.response_map.map import ResponseMap
+from models.response_map.slide_fit import fit_slide
 from models.response_map.slides import LABELS, calibration_slides, means, stretch_blocks
 from pipeline.atlas.atlas import Atlas
 from pipeline.recordings.folder import Folder, Recording

@@ -16,20 +16,20 @@ import numpy as np
 import pandas as pd
 from scipy.linalg import cho_factor, cho_solve
 
-from models.response_map.calibrate import (
+from models.response_map.config import CalibrationConfig
+from models.response_map.from_atlas import SAMPLE_MM, SensorSpread, prior_deviations
+from models.response_map.map import PARTS, ResponseMap, knots
+from models.response_map.slides import STRETCH_MM
+from models.response_map.spline_fit import (
     MAP_VARIANCE,
     PENALTY_NOISE_V,
     RIDGE,
     RIM_WEIGHT,
-    CalibrationConfig,
     part_weights,
     rim_gram,
     roughness,
     tensor_splines,
 )
-from models.response_map.from_atlas import SAMPLE_MM, SensorSpread, prior_deviations
-from models.response_map.map import PARTS, ResponseMap, knots
-from models.response_map.slides import STRETCH_MM
 from pipeline.atlas.atlas import Atlas
 from pipeline.sensor import Sensor
 

@@ -17,12 +17,14 @@ from features.errors import InputError
 from features.height import HeightCalibration
 from features.stream.conditioning import Conditioning
 from models.held_out import line_folds
-from models.response_map.calibrate import CalibrationConfig, blank_map, calibrate, fit_slide
+from models.response_map.calibrate import blank_map, calibrate
+from models.response_map.config import CalibrationConfig
 from models.response_map.from_atlas import SensorSpread, prior_map
 from models.response_map.heights import calibrated_heights
 from models.response_map.lag import with_lag
 from models.response_map.map import SPACING_MM, ResponseMap
 from models.response_map.onset import Onsets, moved, with_onsets
+from models.response_map.slide_fit import fit_slide
 from models.response_map.slides import LEAST_HEIGHTS_MM, CalibrationSlide, calibration_slides, main_height_mm
 from pipeline.atlas.atlas import Atlas
 from pipeline.recordings.derived_labels import USUAL_DEPTH_MM
