@@ -19,10 +19,17 @@ def predict(parser: Parser) -> Run:
 
         softslide predict --model my-model slide.csv
         softslide predict --model my-model --track path.csv > path.jsonl
+        softslide predict --model my-model --whole-contact curve.csv > curve.jsonl
     """
     arguments.model(parser)
     parser.add_argument(
         "--track", action="store_true", help="every estimate of each recording, one a block (20 ms)"
+    )
+    parser.add_argument(
+        "--whole-contact",
+        action="store_true",
+        help="as --track, but each moment's estimate is from its whole contact, what comes after it included: "
+        "sharper on curves; with a cnn of a skin that is touched anywhere, as of magnetometers",
     )
     arguments.skin_height(parser)
     arguments.existing(
@@ -37,7 +44,9 @@ def predict(parser: Parser) -> Run:
         from serve.predict import predict
 
         bad: list[InputError] = []
-        for line in predict(given.model, given.files, given.track, bad.append, given.height):
+        for line in predict(
+            given.model, given.files, given.track, bad.append, given.height, given.whole_contact
+        ):
             print(json.dumps(line, allow_nan=False), flush=True)
         for error in bad[:-1]:
             print(f"softslide predict: {error}", file=sys.stderr)

@@ -22,10 +22,7 @@ def contact_tracker(
     contact = card.contact
     if contact is None:
         return None
-    splines = contact.splines()
-    if card.heights is not None and not math.isnan(height_mm):
-        splines[0] += (height_mm - card.heights.height_mm) * card.heights.splines()
-    surface = ResponseSurface(splines, contact.half_mm, contact.spacing_mm)
+    surface = response_surface(card, height_mm)
     half_mm = (contact.chamber_mm[0] / 2, contact.chamber_mm[1] / 2)
     tracker: ContactTracker | TouchDownTracker
     if card.conditioning.onset == ONSETS[1]:
@@ -52,3 +49,13 @@ def contact_tracker(
         )
     # Where the only accelerometer fails, nothing is left to track with.
     return tracker if len(card.channels) == 3 else ReplayingTracker(tracker)
+
+
+def response_surface(card: Card, height_mm: float = math.nan) -> ResponseSurface:
+    """The calibrated response of a card that has one. height_mm: as in `contact_tracker`."""
+    contact = card.contact
+    assert contact is not None
+    splines = contact.splines()
+    if card.heights is not None and not math.isnan(height_mm):
+        splines[0] += (height_mm - card.heights.height_mm) * card.heights.splines()
+    return ResponseSurface(splines, contact.half_mm, contact.spacing_mm)

@@ -103,6 +103,7 @@ class Localizer:
         self._slide_blocks = 0
         self._whole = True
         self._healthy = np.ones(len(self.card.channels) // 3, dtype=bool)
+        self._bridging = ~self._healthy
         self._held: tuple[Window, Estimate] | None = None
         self._last_drift = UNKNOWN
 
@@ -148,6 +149,11 @@ class Localizer:
         """(C,) V: the last block's mean less the static output; NaN where the static output is not known."""
         known = np.repeat(self._tracker.known & self._healthy, 3)
         return np.where(known, self._tracker.subtracted / self.card.conditioning.scale, np.nan)
+
+    @property
+    def measured(self) -> bool:
+        """Whether the last block's mean is of its own samples in every accelerometer, none of them faulty."""
+        return bool((self._healthy & ~self._bridging).all())
 
     def window(self) -> Window | None:
         """The window of the slide so far, or else of the last one."""
@@ -296,7 +302,7 @@ class Localizer:
         block = self._watch.push(samples, shares)
         tracker.push(self.card.conditioning.scale * block.mean, block.healthy)
         self._count += 1
-        self._healthy = block.healthy
+        self._healthy, self._bridging = block.healthy, block.bridged
         self._follow_contact()
         if not self._drift.complete:
             self._drift.note(tracker.static, tracker.known)

@@ -8,6 +8,7 @@ from features.errors import InputError
 from serve.files import read_recording
 from serve.localizer import Localizer
 from serve.records import record
+from serve.whole_contacts import whole_contacts
 
 
 def predict(
@@ -16,14 +17,17 @@ def predict(
     track: bool = False,
     refused: Callable[[InputError], None] | None = None,
     height_mm: float | None = None,
+    whole_contact: bool = False,
 ) -> Iterator[dict[str, Any]]:
     """The estimate at the end of each recording, ready for JSON; None: not estimated.
 
-    track: every estimate, one a block. refused: is told why a file could not be read, and the others go on; None: the
+    track: every estimate, one a block. whole_contact: the same, but each moment's from its whole contact, what comes
+    after it included (`whole_contacts`). refused: is told why a file could not be read, and the others go on; None: the
     first ends it. height_mm: the skin's, for a bundle over heights; None: what the static output tells.
 
     Raises:
-        InputError: the bundle or a file is missing, damaged, or of another format.
+        InputError: the bundle or a file is missing, damaged, or of another format, or the bundle knows no whole
+            contacts.
     """
     localizer = Localizer.load(bundle, height_mm)
     card = localizer.card
@@ -37,7 +41,9 @@ def predict(
             continue
         localizer.reset()
         name = {"recording": path.stem, "file": str(path)}
-        if track:
+        if whole_contact:
+            yield from ({**name, **record(estimate)} for estimate in whole_contacts(localizer, volts))
+        elif track:
             yield from ({**name, **record(estimate)} for estimate in localizer.push(volts))
         else:
             localizer.feed(volts)

@@ -13,6 +13,7 @@ import onnxruntime as ort
 from onnx import TensorProto, helper, numpy_helper
 
 from features.card import Card, Interval, Validity, card_hash, write_card
+from features.contact.calibration import ContactCalibration
 from features.stream.conditioning import Conditioning
 from features.window import WINDOW_BINS
 from pipeline.sensor import Sensor
@@ -30,6 +31,8 @@ def write_small_bundle(
     offset_mm_per_v: float = 0.0,
     along_mm: float = 0.0,
     outputs: tuple[str, ...] = OUTPUTS,
+    conditioning: Conditioning = Conditioning(),  # noqa: B008
+    contact: ContactCalibration | None = None,
 ) -> Path:
     """Always the same direction and speed; the offset grows with the mean of the first channel's window."""
     size = len(sensor.channels) * WINDOW_BINS
@@ -78,7 +81,8 @@ def write_small_bundle(
         channels=sensor.channels,
         sample_rate_hz=sensor.sample_rate_hz,
         reference_mm=sensor.reference_mm,
-        conditioning=Conditioning(),
+        conditioning=conditioning,
+        contact=contact,
         intervals={
             "direction_deg": Interval(1.0, 2.0),
             "log_speed": Interval(1.0, 0.1),
