@@ -36,7 +36,9 @@ from pipeline.progress import progress_bar
 from pipeline.recordings.folder import Folder, read_folder
 from pipeline.recordings.taught import taught_depths_mm, taught_lines
 from pipeline.staging import alone, staged
+from serve.whole_contacts import has_whole_contacts
 
+WHOLE = "from whole contacts"
 # A verdict as a run's tag.
 WORDS = {True: "met", False: "missed", None: "not tested"}
 
@@ -60,7 +62,10 @@ class Evaluation:
     def lines(self) -> list[str]:
         """Each bound's verdict, then each split's tracks, in a line."""
         told = [line(split, row) for split, row in self.metrics.get("tracks", {}).items()]
-        return [verdict.line() for verdict in self.verdicts] + told
+        whole = [
+            line(f"{split}, {WHOLE}", row) for split, row in self.metrics.get("whole_contacts", {}).items()
+        ]
+        return [verdict.line() for verdict in self.verdicts] + told + whole
 
 
 def evaluate(
@@ -123,6 +128,8 @@ def _figures(metrics: dict[str, Any]) -> dict[str, float]:
             figures |= {f"{split}.{name}": value for name, value in flattened(by_fraction["1.0"]).items()}
     for split, row in metrics.get("tracks", {}).items():
         figures |= {f"{split}.tracked.{name}": value for name, value in flattened(row).items()}
+    for split, row in metrics.get("whole_contacts", {}).items():
+        figures |= {f"{split}.whole_contacts.{name}": value for name, value in flattened(row).items()}
     return {name: value for name, value in figures.items() if isinstance(value, int | float)}
 
 
@@ -135,7 +142,7 @@ def _evaluated(
         rows = predictions(bundle, folder, archive)
         table = pd.concat(_watched(f"localizing with {bundle.name}", rows, len(folder)), ignore_index=True)
         write_predictions(scratch / "predictions.csv", table)
-        followed = _followed(bundle, folder, archive)
+        followed, whole_paths = _followed(bundle, folder, archive)
         least = list(bounds_of(bundle, folder, archive))
         scored = score(table, folder.manifest, folder.sensor)
         taught = scored["recording"].map(taught_lines(whole.manifest)) != ""
@@ -146,6 +153,8 @@ def _evaluated(
         metrics["over_bound"] = over_bound(unseen, pd.concat(least)) if least else None
         if followed:
             metrics["tracks"] = by_split(followed)
+        if whole_paths:
+            metrics["whole_contacts"] = by_split(whole_paths)
         text = json.dumps(_finite(metrics), indent=1, allow_nan=False)
         (scratch / "metrics.json").write_text(text + "\n", encoding="utf-8")
         if report:
@@ -167,14 +176,19 @@ def _watched(what: str, tables: Iterator[pd.DataFrame], recordings: int) -> Iter
             bar.update(table["recording"].nunique())
 
 
-def _followed(bundle: Path, folder: Folder, archive: Archive) -> list[Track]:
-    """Every recording that has its truth beside it, followed; says which of the chosen have none, if some have."""
+def _followed(bundle: Path, folder: Folder, archive: Archive) -> tuple[list[Track], list[Track]]:
+    """Every recording that has its truth beside it, followed live, and from whole contacts where the bundle knows
+    these; says which of the chosen have no truth, if some have."""
     names = with_truth(folder)
     if names and len(names) < len(folder):
         left_out = f"{len(folder) - len(names)} of {len(folder)} recordings have no truth beside them"
         print(f"softslide evaluate: {left_out}; these are not followed over time", file=sys.stderr)
-    rows = tracks(bundle, folder, archive)
-    return list(progress_bar(f"following with {bundle.name}", "recording", rows, len(names)))
+    live = tracks(bundle, folder, archive)
+    followed = list(progress_bar(f"following with {bundle.name}", "recording", live, len(names)))
+    if not has_whole_contacts(open_localizer(bundle).card):
+        return followed, []
+    whole = tracks(bundle, folder, archive, whole=True)
+    return followed, list(progress_bar(WHOLE, "recording", whole, len(names)))
 
 
 def _apart(scored: pd.DataFrame) -> dict[str, Any]:

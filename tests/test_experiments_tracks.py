@@ -8,12 +8,14 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+import touched_bundle
+import touched_skin
 from small_bundle import write_small_bundle
 
 import softslide
 from experiments.evaluation.tracks import estimate_table, judge, summarize
 from pipeline.atlas.atlas import read_atlas
-from pipeline.recordings.folder import Folder, write_folder
+from pipeline.recordings.folder import Folder, Recording, write_folder
 from pipeline.synthesis.paths.distribution import PathDistribution
 from pipeline.synthesis.synthesize import sensor_of, synthetic_paths
 
@@ -195,6 +197,34 @@ def paths(tmp_path_factory: pytest.TempPathFactory) -> Folder:
     return write_folder(root, sensor_of(read_atlas()), pd.DataFrame(rows), recordings)
 
 
+def test_evaluate_scores_whole_contacts_beside_the_live_ones(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """On a skin that is touched anywhere."""
+    volts = touched_bundle.outputs(
+        touched_bundle.at_rest(1.5), touched_bundle.circle(), touched_bundle.at_rest(1.0)
+    )
+    time = np.arange(len(volts)) / touched_skin.RATE_HZ
+    touching = (time >= 1.5) & (time < time[-1] - 1.0)
+    motion = np.where(touching[:, None], touched_bundle.on_the_circle(time - 1.5), 0.0)
+    truth = pd.DataFrame(motion, columns=["x_mm", "y_mm", "vx_mm_s", "vy_mm_s"]).assign(
+        time_s=time, contact=touching.astype(int), depth_mm=0.5
+    )
+    rows = pd.DataFrame([{"recording": "round", "split": "track-circle"}])
+    folder = write_folder(tmp_path / "d", touched_skin.SENSOR, rows, [Recording("round", time, volts, truth)])
+    bundle, out = touched_bundle.write_touched_bundle(tmp_path / "m"), tmp_path / "out"
+    command = ["evaluate", "--model", str(bundle), "--recordings", str(folder.root), "--jobs", "1"]
+    options = ["--split", "track-circle", "--out", str(out), "--allow-untested"]
+    assert softslide.main([*command, *options]) == 0
+    metrics = json.loads((out / "metrics.json").read_text())
+    live, whole = metrics["tracks"]["track-circle"], metrics["whole_contacts"]["track-circle"]
+    assert whole["valid_share"] > max(live["valid_share"], 0.9)
+    assert whole["position"]["median"] < live["position"]["median"]
+    assert whole["direction"]["median"] < live["direction"]["median"]
+    assert "track-circle, from whole contacts: valid" in capsys.readouterr().out
+    assert "--whole-contact" in (out / "report.html").read_text()
+
+
 def test_evaluate_scores_tracks(paths: Folder, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     bundle = write_small_bundle(tmp_path / "bundle", replace(paths.sensor, name="trial"))
     common = ["evaluate", "--model", str(bundle), "--recordings", str(paths.root), "--jobs", "1"]
@@ -215,6 +245,7 @@ def test_evaluate_scores_tracks(paths: Folder, tmp_path: Path, capsys: pytest.Ca
     assert "Contacts followed" in report
     said = capsys.readouterr()
     assert "track-curve: valid" in said.out
+    assert "whole_contacts" not in metrics
     assert "1 of 3 recordings have no truth" in said.err
 
     softslide.main([*common, "--split", "test", "--out", str(tmp_path / "lines")])

@@ -78,6 +78,7 @@ def write_report(
         worst=worst(scored, folder),
         silent=_silent(end),
         tracks=metrics.get("tracks", {}),
+        whole_contacts=metrics.get("whole_contacts", {}),
         tracked=tracks.QUANTITIES,
         covered=tracks.COVERED,
         track_panels=track_figures.along_the_contact(followed) if followed else [],

@@ -15,9 +15,12 @@ import pandas as pd
 from experiments.evaluation.archive import Archive
 from experiments.evaluation.readout import open_localizer
 from features.angles import wrapped_deg
+from features.estimate import Estimate
 from pipeline.recordings.folder import Folder
 from pipeline.recordings.truth import read_truth, truth_path
+from serve.localizer import Localizer
 from serve.records import record
+from serve.whole_contacts import whole_contacts
 
 # Below this speed a contact counts as standing, without a direction.
 MOVING_MM_S = 0.2
@@ -56,14 +59,17 @@ def with_truth(folder: Folder) -> list[str]:
     return [str(n) for n, file in folder.manifest["file"].items() if truth_path(folder.root / file).is_file()]
 
 
-def tracks(bundle: Path, folder: Folder, archive: Archive) -> Iterator[Track]:
+def tracks(bundle: Path, folder: Folder, archive: Archive, whole: bool = False) -> Iterator[Track]:
     """Every recording that has its truth, in the manifest's order.
+
+    whole: the estimates are those of `serve.whole_contacts`, not the live ones.
 
     Raises:
         InputError: a recording or its truth is not what the contract says.
     """
     names = with_truth(folder)
-    for table in archive.tables("tracks", _judged, bundle, folder, names):
+    what, make = ("whole contacts", _judged_whole) if whole else ("tracks", _judged_live)
+    for table in archive.tables(what, make, bundle, folder, names):
         for name, judged in table.groupby("recording", sort=False):
             row = folder.manifest.loc[str(name)]
             truth = read_truth(truth_path(folder.root / row["file"]))
@@ -72,17 +78,26 @@ def tracks(bundle: Path, folder: Folder, archive: Archive) -> Iterator[Track]:
             )
 
 
-def _judged(bundle: Path, folder: Folder, names: list[str]) -> pd.DataFrame:
-    return pd.concat([_track(bundle, folder, name).assign(recording=name) for name in names])
+def _judged_live(bundle: Path, folder: Folder, names: list[str]) -> pd.DataFrame:
+    def live(localizer: Localizer, volts: np.ndarray) -> list[Estimate]:
+        localizer.reset()
+        return localizer.push(volts)
+
+    return pd.concat([_judged(bundle, folder, name, live) for name in names])
 
 
-def _track(bundle: Path, folder: Folder, name: str) -> pd.DataFrame:
+def _judged_whole(bundle: Path, folder: Folder, names: list[str]) -> pd.DataFrame:
+    return pd.concat([_judged(bundle, folder, name, whole_contacts) for name in names])
+
+
+def _judged(
+    bundle: Path, folder: Folder, name: str, estimates: Callable[[Localizer, np.ndarray], list[Estimate]]
+) -> pd.DataFrame:
     localizer, recording = open_localizer(bundle), folder.load(name)
     assert recording.truth is not None
-    localizer.reset()
-    said = estimate_table([record(estimate) for estimate in localizer.push(recording.volts)])
+    said = estimate_table([record(estimate) for estimate in estimates(localizer, recording.volts)])
     said["time_s"] += recording.time_s[0]
-    return judge(said, recording.truth, folder.sensor.reference_mm)
+    return judge(said, recording.truth, folder.sensor.reference_mm).assign(recording=name)
 
 
 def estimate_table(records: Sequence[dict[str, Any]]) -> pd.DataFrame:
