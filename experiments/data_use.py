@@ -7,6 +7,7 @@ import numpy as np
 
 from features.height import HeightCalibration
 from models.fitted_model import FittedModel
+from models.response_map.changes import LEAST_DEPTHS_MM
 from pipeline.recordings.derived_labels import why_not_labelled, with_derived_labels
 from pipeline.recordings.folder import Folder
 
@@ -69,7 +70,7 @@ def _assumed(chosen: Folder, folder: Folder, fitted: FittedModel) -> list[str]:
     if fitted.heights is not None:
         lines.append(_over_heights(fitted.heights, fitted.summary))
     contact = folder.manifest["depth_mm"]
-    if contact.nunique() > 1:
+    if np.ptp(contact) > LEAST_DEPTHS_MM:
         lines.append(
             f"depth_mm from {contact.min():g} to {contact.max():g}: any depth between them is expected"
         )

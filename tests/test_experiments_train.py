@@ -244,6 +244,17 @@ def test_it_says_what_it_did_not_use_and_what_it_took_for_granted(
     assert f"left out 1: {why} ({names[3]})" in lines
 
 
+@pytest.mark.parametrize(("depth_mm", "several"), [("0.58", False), ("0.9", True)])
+def test_depths_that_hardly_differ_are_one_depth(
+    lab: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], depth_mm: str, several: bool
+) -> None:
+    folder = _relabelled(lab, tmp_path / "lab", depth_mm=depth_mm)
+    command = ["train", "--recordings", folder, "--model", "interpolation", "--out", tmp_path / "out"]
+    assert softslide.main([str(word) for word in command]) == 0
+    said = f"depth_mm from 0.5 to {depth_mm}: any depth between them is expected"
+    assert (said in capsys.readouterr().err.splitlines()) == several
+
+
 def test_labels_of_which_none_can_be_used_are_refused(
     lab: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
