@@ -8,6 +8,7 @@ import numpy as np
 from features.height import HeightCalibration
 from models.fitted_model import FittedModel
 from models.response_map.changes import LEAST_DEPTHS_MM
+from pipeline.recordings.base_motion import moved_and_left
 from pipeline.recordings.derived_labels import why_not_labelled, with_derived_labels
 from pipeline.recordings.folder import Folder
 
@@ -46,6 +47,18 @@ def report_use(chosen: Folder, folder: Folder, fitted: FittedModel, several_heig
     print(f"learnt from {len(chosen) - len(left_out)} of {len(chosen)} recordings", file=sys.stderr)
     for line in (*_left_out(left_out), *_assumed(chosen, folder, fitted)):
         print(line, file=sys.stderr)
+
+
+def report_base(whole: Folder) -> None:
+    """Says how far the base moved in the recordings that tell what the skin follows it by, and what is left."""
+    if whole.base_motion is None:
+        return
+    moved_g, before_v, left_v = moved_and_left(whole)
+    print(
+        f"the base moved by {', '.join(f'{g:.2f}' for g in moved_g[::-1])} g rms along three axes; of the "
+        f"{1e3 * before_v:.0f} mV that the skin followed it by {1e3 * left_v:.1f} mV are left",
+        file=sys.stderr,
+    )
 
 
 def _left_out(left_out: dict[str, str]) -> list[str]:

@@ -1,10 +1,12 @@
 """What a result was made from: hashes of recordings and bundle, the code, the packages, the computer."""
 
 import hashlib
+import json
 import os
 import platform
 import subprocess
 from collections.abc import Iterable
+from dataclasses import asdict
 from importlib.metadata import distributions
 from pathlib import Path
 from typing import Any
@@ -13,11 +15,17 @@ from pipeline.recordings.folder import Folder
 
 
 def data_hashes(folder: Folder) -> dict[str, str]:
-    """SHA-256 of what a folder's recordings hold: sensor, labels as used, and all slides in their order."""
+    """SHA-256 of what a folder's recordings hold: sensor, labels as used, and all slides in their order.
+
+    Where the base's motion is taken out of them, of how, too.
+    """
     slides = hashlib.sha256()
     for file in folder.manifest["file"]:
         slides.update(hashlib.sha256((folder.root / file).read_bytes()).digest())
+    motion = folder.base_motion
+    base = {} if motion is None else {"base": hashlib.sha256(json.dumps(asdict(motion)).encode()).hexdigest()}
     return {
+        **base,
         "sensor": hashlib.sha256((folder.root / "sensor.toml").read_bytes()).hexdigest(),
         "manifest": hashlib.sha256(folder.manifest.to_csv().encode()).hexdigest(),
         "slides": slides.hexdigest(),

@@ -15,6 +15,7 @@ from experiments.tracking.run import flattened
 from experiments.tracking.store import LoggedRun, logged_run
 from experiments.train import to_learn_from, train
 from features.errors import InputError
+from pipeline.recordings.base_motion import without_base_motion
 from pipeline.recordings.folder import Folder
 from pipeline.recordings.pooled import read_folders
 from pipeline.toml_tables import changed
@@ -133,7 +134,7 @@ KINDS = {
         "bundle",
         ("model.onnx", "model.json"),
         lambda folder, configuration: to_learn_from(
-            folder, configuration["model"], configuration["design_alone"]
+            without_base_motion(folder), configuration["model"], configuration["design_alone"]
         ),
         _train_again,
     ),

@@ -12,7 +12,7 @@ import onnx
 import pandas as pd
 
 from experiments.configuration import configured
-from experiments.data_use import report_plan, report_use
+from experiments.data_use import report_base, report_plan, report_use
 from experiments.evaluation import figures
 from experiments.evaluation.archive import Archive
 from experiments.evaluation.readout import predictions
@@ -37,6 +37,7 @@ from models.registry import (
 from pipeline.atlas.atlas import Atlas, atlas_hash
 from pipeline.atlas.library import atlas_at_hand, atlas_of
 from pipeline.progress import progress_bar
+from pipeline.recordings.base_motion import without_base_motion
 from pipeline.recordings.derived_labels import (
     LINE,
     recordings_to_learn_from,
@@ -102,7 +103,7 @@ def train(
         raise InputError(
             f"not for {model}: it weighs slides in the response map, which {model} has not", "weight"
         )
-    whole = read_folders(roots, weights)
+    whole = without_base_motion(read_folders(roots, weights))
     folder = to_learn_from(whole, model, design_alone)
     settings = configured(change(default_config(model)), config, model)
     start = None if init is None else _graph_of(init)
@@ -126,6 +127,7 @@ def train(
         provenance["atlas"] = atlas_hash(design)
     if init is not None:
         provenance["init"] = read_card(init / "model.json").graph_sha256
+    report_base(whole)
     last_s = last_duration_s({"command": "train", "model": model}, store) if track else None
     report_plan(model, whole.select(*LEARNT), folder, design is not None, last_s)
     with _logged(out, folder, provenance, store) if track else nullcontext(UNTRACKED) as run:
@@ -134,7 +136,7 @@ def train(
         if not design_alone:
             report_use(whole.select(*LEARNT), folder, fitted, takes_several_heights(model))
         windows = fitted.windows or labelled_windows(folder, fitted.conditioning)
-        parity = write_bundle(fitted, folder.sensor, windows, provenance, out)
+        parity = write_bundle(fitted, folder.sensor, windows, provenance, out, folder.base_motion)
         run.model(out, model)
         run.tags({"bundle": bundle_hash(out)})
         run.losses(losses)
@@ -271,7 +273,8 @@ def design_of(folder: Folder, atlas: Path | None) -> Atlas | None:
 
 def _log_fit(run: Run, bundle: Path, folder: Folder) -> None:
     """Errors of the exported bundle on the recordings that it was fitted to; `evaluate` scores it on others."""
-    table = pd.concat(predictions(bundle, folder, Archive()), ignore_index=True)
+    recorded = replace(folder, base_motion=None)
+    table = pd.concat(predictions(bundle, recorded, Archive()), ignore_index=True)
     scored = score(table, folder.manifest, folder.sensor)
     for name, error in summary(scored[scored["stroke_fraction"] == 1.0]).items():
         if isinstance(error, dict) and "mean" in error:

@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
+from features.base_motion import BASE_COLUMNS, BaseMotion
 from features.card_fields import check_fields
 from features.contact.calibration import ContactCalibration
 from features.contact.force_map import ForceMap
@@ -82,7 +83,7 @@ class Card:
     offset_mm, depth_mm). provenance: what the model was trained from. golden: one worked example, the graph's inputs
     by name and its row for them. graph_sha256: of the graph's file. contact: what contacts are tracked with, None:
     straight slides alone. force: of a contact by its place, None: not known. heights: of the skin, None: it is a
-    model for one.
+    model for one. base: how the outputs follow the base's, None: no base is read.
 
     Raises:
         ValueError: an unknown input or output, channels that are no whole number of accelerometers, or a field of
@@ -105,6 +106,7 @@ class Card:
     contact: ContactCalibration | None = None
     force: ForceMap | None = None
     heights: HeightCalibration | None = None
+    base: BaseMotion | None = None
 
     def __post_init__(self) -> None:
         if self.input not in INPUTS:
@@ -114,6 +116,11 @@ class Card:
         if not self.channels or len(self.channels) % 3:
             raise ValueError(f"{len(self.channels)} channels; each accelerometer has three")
         check_fields(self)
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Of a sample, in order: the channels, and base_vx, base_vy, base_vz where a base is read."""
+        return self.channels if self.base is None else self.channels + BASE_COLUMNS
 
     @property
     def block_samples(self) -> float:
@@ -161,8 +168,8 @@ def read_card(path: Path) -> Card:
             f"{path}: card version {version!r:.40}, this release reads {VERSION}; export the bundle again"
         )
     table.pop("units", None)
-    # Bundles made before contacts were tracked, or forces or heights known, have no such section.
-    for section in ("contact", "force", "heights"):
+    # Bundles made before contacts were tracked, or forces, heights or a base known, have no such section.
+    for section in ("contact", "force", "heights", "base"):
         table.setdefault(section, None)
     if odd := sorted(set(table) ^ {f.name for f in fields(Card)}):
         raise InputError(f"{path}: key {odd[0]!r:.60} is missing or unknown; export the bundle again")
@@ -218,6 +225,7 @@ def _card(table: dict[str, Any]) -> Card:
             "force": None if table["force"] is None else _force(table["force"]),
             "heights": None if table["heights"] is None else _heights(table["heights"]),
             "contact": None if table["contact"] is None else _contact(table["contact"]),
+            "base": None if table["base"] is None else _base(table["base"]),
         }
     )
 
@@ -235,6 +243,12 @@ def _contact(table: dict[str, Any]) -> ContactCalibration:
 def _heights(table: dict[str, Any]) -> HeightCalibration:
     lists = ("static_v", "static_v_per_mm", "static_sd_v")
     return HeightCalibration(**{**table, **{name: tuple(table[name]) for name in lists}})
+
+
+def _base(table: dict[str, Any]) -> BaseMotion:
+    gains = tuple(tuple(row) for row in table["gains"])
+    lists = ("base_v", "static_v", "gravity_v")
+    return BaseMotion(**{**table, "gains": gains, **{name: tuple(table[name]) for name in lists}})
 
 
 def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

@@ -56,6 +56,7 @@ def check_fields(card: "Card") -> None:
         or card.heights.knots != card.contact.knots
     ):
         raise ValueError("heights: its map is not like the one of contact")
+    _base(card)
     table(card.provenance, "provenance")
     _golden(table(card.golden, "golden"))
 
@@ -87,6 +88,21 @@ def _sensor(sensor: Any) -> None:
         text(accelerometer.get("kind", "accelerometer"), f"{place}: kind")
         for key in ("zero_g_v", "sensitivity_v_per_g") if measures_gravity(accelerometer) else ():
             number(accelerometer.get(key), f"{place}: {key}", 0.0, MOST_VOLTS, above=True)
+
+
+def _base(card: "Card") -> None:
+    if card.base is None:
+        return
+    channels = len(card.channels)
+    if len(card.base.gains) != channels:
+        raise ValueError(f"base: {len(card.base.gains)} rows of gains for {channels} channels")
+    for row in card.base.gains:
+        numbers(row, "base: gains", 3, -LARGEST, LARGEST)
+    numbers(card.base.base_v, "base: base_v", 3, -MOST_VOLTS, MOST_VOLTS)
+    numbers(card.base.static_v, "base: static_v", channels, -LARGEST, LARGEST)
+    numbers(card.base.gravity_v, "base: gravity_v", channels // 3, -MOST_VOLTS, MOST_VOLTS)
+    base = table(card.sensor.get("base"), "sensor: base")
+    number(base.get("zero_g_v"), "sensor: base: zero_g_v", 0.0, MOST_VOLTS, above=True)
 
 
 def _conditioning(card: "Card") -> None:

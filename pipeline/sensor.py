@@ -17,6 +17,7 @@ from pipeline.toml_tables import from_table, read_toml
 
 # Noise density of an accelerometer by its data sheet, g / sqrt(Hz). MMA7361L: Freescale, rev. 0, 350 ug / sqrt(Hz).
 NOISE_G_RTHZ = {"MMA7361L": 350e-6}
+BASE = "base"
 STANDARD_GRAVITY = 9.80665  # m/s2
 # Skin left between a board and the clamped rim, and between two boards: less would be a sliver of an element.
 _RIM_MM = 0.5
@@ -64,6 +65,24 @@ class Accelerometer:
     def measures_gravity(self) -> bool:
         """Whether it reads 1 g at rest."""
         return self.kind == KINDS[0]
+
+
+@dataclass(frozen=True)
+class Base:
+    """`[base]`: an accelerometer, of an IMU for instance, on what the skin is mounted on: it tells how that moves."""
+
+    sensitivity_v_per_g: float = 0.8
+    zero_g_v: float = 1.65
+
+    def __post_init__(self) -> None:
+        for name in ("sensitivity_v_per_g", "zero_g_v"):
+            if not getattr(self, name) > 0:
+                raise ValueError(f"{name} is {getattr(self, name)}; it must be positive")
+
+    @property
+    def name(self) -> str:
+        """What its columns begin with."""
+        return BASE
 
 
 @dataclass(frozen=True)
@@ -155,6 +174,8 @@ class Sensor:
     # Of the place where it is used, in Hz; None: found in the recordings at rest.
     mains_hz: float | None = None
     origin: str = ""
+    # None: the recordings have no columns of it.
+    base: Base | None = None
 
     def __post_init__(self) -> None:
         if self.mains_hz not in (None, 50.0, 60.0):
@@ -171,6 +192,10 @@ class Sensor:
         if not self.accelerometers:
             raise ValueError("no [[accelerometer]] is given; a sensor has at least one")
         names = [a.name for a in self.accelerometers]
+        if BASE in names:
+            raise ValueError(
+                f"an accelerometer of the skin is named '{BASE}', as the robot's under [base]; rename it"
+            )
         if len(set(names)) != len(names):
             raise ValueError(f"two accelerometers share a name ({', '.join(names)}); name each differently")
         if len({(a.touch_axes, a.unit) for a in self.accelerometers}) > 1:
@@ -184,6 +209,16 @@ class Sensor:
     def channels(self) -> tuple[str, ...]:
         """Column names of the voltages in order: a0_vx, a0_vy, a0_vz, a1_vx, ..."""
         return tuple(f"{a.name}_v{axis}" for a in self.accelerometers for axis in "xyz")
+
+    @property
+    def parts(self) -> tuple["Accelerometer | Base", ...]:
+        """The sensing elements, and the base where there is one: each with three of `columns`."""
+        return self.accelerometers if self.base is None else (*self.accelerometers, self.base)
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Column names of all that is recorded: the channels, and base_vx, base_vy, base_vz where there is a base."""
+        return tuple(f"{part.name}_v{axis}" for part in self.parts for axis in "xyz")
 
     def scaled(self, scale: float) -> "Sensor":
         """The sensor whose volts are `scale` times as many: `scale` of features/stream/conditioning.py is applied."""

@@ -18,7 +18,7 @@ from features.force import ForceReader
 from features.height import HEIGHT_INPUT, given_height
 from features.stream.conditioning import ONSETS, Blocks, LagUndone
 from features.stream.drift import UNKNOWN, DriftWatch, measures_gravity
-from features.stream.faults import BRIDGED_BLOCKS, SignalWatch
+from features.stream.faults import BRIDGED_BLOCKS, Judged, SignalWatch
 from features.stream.tracker import SlideState, SlideTracker
 from features.track_estimate import TOUCH_LIMITS, TrackLimits, agrees, judged, with_track
 from features.vector.energy import energy_width_s
@@ -57,11 +57,14 @@ class Localizer:
         self._given_mm = given_height(card.heights, height_mm)
         self._session = session
         channels, accelerometers = len(card.channels), card.sensor["accelerometers"]
-        self._blocks = Blocks(channels, card.block_samples)
+        self._blocks = Blocks(len(card.columns), card.block_samples)
         self._clock = SampleClock(card.sample_rate_hz, round((BRIDGED_BLOCKS + 2) * card.block_samples))
-        read = np.full(channels, card.input == "features")
+        read = np.full(len(card.columns), card.input == "features")
         read[touch_channels(channels, card.conditioning.touch_axes)] = True
-        self._watch = SignalWatch(*output_range(accelerometers), read)
+        # Without any of the base's outputs nothing is known.
+        read[channels:] = True
+        base = [] if card.base is None else [card.sensor["base"]]
+        self._watch = SignalWatch(*output_range([*accelerometers, *base]), read)
         self._tracker = SlideTracker(card.conditioning, channels)
         self._drift = DriftWatch(accelerometers, card.conditioning.touch_axes, card.conditioning.scale)
         self._lag = LagUndone(card.conditioning, len(self._tracker.touch))
@@ -113,7 +116,7 @@ class Localizer:
             self._advance(*block)
 
     def push(self, volts: np.ndarray, time_s: np.ndarray | None = None) -> list[Estimate]:
-        """Takes samples (n, C) V in the card's channel order; one estimate for each block that they complete.
+        """Takes samples (n, C) V in the order of `Card.columns`; one estimate for each block that they complete.
 
         time_s: (n,) s, the samples' time stamps; None: each sample follows the one before. With stamps a lost sample
         leaves an empty slot. After a long gap, or when time runs back, the stream begins anew: estimates are not valid
@@ -299,7 +302,7 @@ class Localizer:
     def _advance(self, samples: np.ndarray, shares: tuple[float, float]) -> None:
         tracker = self._tracker
         sliding, usable = tracker.state is SlideState.SLIDE, tracker.usable
-        block = self._watch.push(samples, shares)
+        block = self._without_base(self._watch.push(samples, shares))
         tracker.push(self.card.conditioning.scale * block.mean, block.healthy)
         self._count += 1
         self._healthy, self._bridging = block.healthy, block.bridged
@@ -327,11 +330,20 @@ class Localizer:
             self._last_drift = self._drift.read(tracker.static, block.healthy)
             self._read_height()
 
+    def _without_base(self, block: Judged) -> Judged:
+        """The block in the attitude of the calibration; the skin's outputs are worth no more than the base's."""
+        base, channels = self.card.base, len(self.card.channels)
+        if base is None:
+            return block
+        mean, upright = base.without(block.mean[:channels], block.mean[channels:])
+        healthy = block.healthy[:-1] & block.healthy[-1] & upright
+        return Judged(mean, healthy, block.bridged[:-1] | block.bridged[-1])
+
     def _checked(self, volts: np.ndarray, time_s: np.ndarray | None) -> tuple[np.ndarray, np.ndarray | None]:
-        channels = len(self.card.channels)
+        columns = len(self.card.columns)
         volts = _numbers(volts, "a chunk")
-        if volts.ndim != 2 or volts.shape[1] != channels:
-            raise InputError(f"a chunk has shape {volts.shape}; push (n, {channels}) volts")
+        if volts.ndim != 2 or volts.shape[1] != columns:
+            raise InputError(f"a chunk has shape {volts.shape}; push (n, {columns}) volts")
         if time_s is None:
             return volts, None
         time_s = _numbers(time_s, "time_s").astype(float)

@@ -33,7 +33,7 @@ def predict(
     card = localizer.card
     for path in map(Path, paths):
         try:
-            volts = read_recording(path, card.channels, card.sample_rate_hz)
+            volts = read_recording(path, card.columns, card.sample_rate_hz)
         except InputError as error:
             if refused is None:
                 raise

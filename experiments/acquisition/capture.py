@@ -70,7 +70,7 @@ def capture(
         count += sum(len(volts) for volts, _ in new)
         show(count / rate, level.of(new))
     took_s = time.monotonic() - begun_s
-    volts, time_s = joined(chunks, len(sensor.channels))
+    volts, time_s = joined(chunks, len(sensor.columns))
     if not np.isfinite(volts).all():
         raise Lost("a sample is no finite number; see what the source sends")
     if time_s is None:
@@ -86,7 +86,8 @@ def capture(
             check_clock(Path(name), time_s, rate)
         except InputError as error:
             raise Lost(str(error).removeprefix(f"{name}: ")) from None
-    return Recording(name, time_s[:wanted], volts[:wanted])
+    volts, base_v = np.split(volts[:wanted], [len(sensor.channels)], axis=1)
+    return Recording(name, time_s[:wanted], volts, base_v=None if sensor.base is None else base_v)
 
 
 class Level:
@@ -134,7 +135,7 @@ def remarks(recording: Recording, sensor: Sensor, phases: Phases) -> list[str]:
         told.append(
             "the output does not come back to rest: the object is still on the skin, or the rest is short"
         )
-    for name, column in zip(sensor.channels, recording.volts.T, strict=True):
+    for name, column in zip(sensor.columns, recording.samples.T, strict=True):
         if column.min() == column.max():
             told.append(f"{name} does not change at all: is it connected?")
         elif rail_run(column) > MOST_AT_RAIL:

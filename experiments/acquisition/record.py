@@ -63,8 +63,8 @@ def record(
     operator = Operator(yes)
     if done := int(slides.index.isin(folder.manifest.index).sum()):
         operator.say(f"{out}: {done} of {len(slides)} slides are recorded; going on")
-    channels = len(folder.sensor.channels)
-    with closing(Listener(lambda: open_live(source, channels, form))) as listener:
+    columns = len(folder.sensor.columns)
+    with closing(Listener(lambda: open_live(source, columns, form))) as listener:
         for place, (name, labels) in enumerate(slides.iterrows(), 1):
             if name in folder.manifest.index:
                 continue

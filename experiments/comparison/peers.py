@@ -4,7 +4,7 @@ import json
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -30,6 +30,7 @@ from models.held_out import offset_reach_mm
 from models.registry import default_config
 from models.response_map.select import CalibratedMap, calibrated_map
 from pipeline.recordings.at_rest import conditioning_for
+from pipeline.recordings.base_motion import without_base_motion
 from pipeline.recordings.folder import Folder, read_folder
 from pipeline.recordings.windows import LabelledWindows, labelled_windows
 from pipeline.staging import staged
@@ -89,7 +90,7 @@ class Study:
         return {"taught": data_hashes(self.taught), "scored": data_hashes(self.scored)}
 
     def _labelled(self, *splits: str) -> Folder:
-        folder = read_folder(self.recordings).select(*splits).labelled()
+        folder = without_base_motion(read_folder(self.recordings)).select(*splits).labelled()
         if not len(folder):
             raise InputError(
                 f"{self.recordings / 'manifest.csv'}: no labelled slide of a split {' or '.join(splits)}*; add some"
@@ -176,7 +177,8 @@ def _trained(study: Study, model: str) -> Path:
 
 def _read_given(study: Study, bundle: Path) -> Readout:
     """A bundle that was trained elsewhere: of the folder it needs no calibration slides."""
-    windows = labelled_windows(study.scored, read_card(bundle / "model.json").conditioning)
+    card = read_card(bundle / "model.json")
+    windows = labelled_windows(replace(study.scored, base_motion=card.base), card.conditioning)
     return _read_bundle(study, bundle, windows)
 
 
@@ -186,7 +188,8 @@ def _read_bundle(study: Study, bundle: Path, windows: LabelledWindows) -> Readou
     def one(volts: np.ndarray, elapsed_s: np.ndarray) -> None:
         localizer.infer(localizer.inputs(Window(volts[0], float(elapsed_s[0]))))
 
-    table = pd.concat(predictions(bundle, study.scored, Archive(study.jobs)), ignore_index=True)
+    recorded = replace(study.scored, base_motion=None)
+    table = pd.concat(predictions(bundle, recorded, Archive(study.jobs)), ignore_index=True)
     return Readout(table, *_times_ms(one, windows, TIMED))
 
 

@@ -63,6 +63,7 @@ def bounds_of(bundle: Path, folder: Folder, archive: Archive) -> Iterator[pd.Dat
 
 def _bounds(bundle: Path, folder: Folder, names: list[str]) -> pd.DataFrame:
     card = open_localizer(bundle).card
+    folder = replace(folder, base_motion=card.base)
     response = response_of(card)
     response = replace(response, drift_v=np.full(response.channels, DESIGN_DRIFT_V))
     try:

@@ -15,7 +15,7 @@ import pandas as pd
 from experiments.evaluation.archive import Archive
 from features.errors import InputError
 from features.estimate import Estimate
-from pipeline.recordings.folder import Folder
+from pipeline.recordings.folder import Folder, Recording
 from serve.localizer import Localizer
 
 ESTIMATED = (
@@ -66,7 +66,8 @@ def predict_recording(bundle: Path, folder: Folder, name: str) -> list[dict[str,
     """One recording's rows of `predictions.csv`, as dictionaries of COLUMNS; NaN where not estimated."""
     recording = folder.load(name)
     fractions, moments_s = zip(*moments(folder.manifest.loc[name].to_dict(), recording.time_s), strict=True)
-    estimates = read_at(open_localizer(bundle), recording.volts, recording.time_s, moments_s)
+    localizer = open_localizer(bundle)
+    estimates = read_at(localizer, samples_for(localizer, recording), recording.time_s, moments_s)
     return [
         {"recording": name, "stroke_fraction": fraction}
         | {column: getattr(estimate, column) for column in (*ESTIMATED, "valid")}
@@ -89,11 +90,16 @@ def _read_out(bundle: Path, folder: Folder, names: list[str]) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=list(COLUMNS))
 
 
+def samples_for(localizer: Localizer, recording: Recording) -> np.ndarray:
+    """The recording's samples (n, `Card.columns`) V."""
+    return recording.volts if localizer.card.base is None else recording.samples
+
+
 def check_fits(localizer: Localizer, folder: Folder) -> None:
     """Sees that the bundle was made for sensors like the folder's.
 
     Raises:
-        InputError: other channels, or another sample rate.
+        InputError: other channels, no base where the bundle reads one, or another sample rate.
     """
     card, sensor = localizer.card, folder.sensor
     place = folder.root / "sensor.toml"
@@ -102,6 +108,8 @@ def check_fits(localizer: Localizer, folder: Folder) -> None:
             f"{place}: channels are {', '.join(sensor.channels)}, the bundle was made for "
             f"{', '.join(card.channels)}; train one on this sensor"
         )
+    if card.base is not None and sensor.base is None:
+        raise InputError(f"{place}: has no [base], which the bundle reads; train one on this sensor")
     if not math.isclose(card.sample_rate_hz, sensor.sample_rate_hz, rel_tol=1e-3):
         raise InputError(
             f"{place}: sample_rate_hz is {sensor.sample_rate_hz:g}, the bundle was made for "

@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 
 from experiments.evaluation.archive import Archive
-from experiments.evaluation.readout import open_localizer
+from experiments.evaluation.readout import open_localizer, samples_for
 from features.angles import wrapped_deg
 from features.estimate import Estimate
 from pipeline.recordings.folder import Folder
@@ -95,7 +95,8 @@ def _judged(
 ) -> pd.DataFrame:
     localizer, recording = open_localizer(bundle), folder.load(name)
     assert recording.truth is not None
-    said = estimate_table([record(estimate) for estimate in estimates(localizer, recording.volts)])
+    samples = samples_for(localizer, recording)
+    said = estimate_table([record(estimate) for estimate in estimates(localizer, samples)])
     said["time_s"] += recording.time_s[0]
     return judge(said, recording.truth, folder.sensor.reference_mm).assign(recording=name)
 

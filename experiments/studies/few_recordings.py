@@ -21,6 +21,7 @@ from models.response_map.select import calibrated_map
 from pipeline.atlas.atlas import Atlas
 from pipeline.atlas.library import atlas_of
 from pipeline.recordings.at_rest import conditioning_for
+from pipeline.recordings.base_motion import without_base_motion
 from pipeline.recordings.derived_labels import recordings_to_learn_from
 from pipeline.recordings.folder import Folder, read_folder
 from pipeline.recordings.manifest import read_table
@@ -43,7 +44,7 @@ def few(
     Raises:
         InputError: as in `study` and `planned`, or the folder or its sensor is not valid.
     """
-    folder = read_folder(recordings)
+    folder = without_base_motion(read_folder(recordings))
     atlas = atlas_of(folder.sensor) if folder.sensor.measures_gravity else None
     rows = (
         study(folder, slides, draws, splits, atlas)

@@ -31,6 +31,7 @@ from experiments.train import design_for
 from features.errors import InputError
 from pipeline.atlas.atlas import Atlas, atlas_hash
 from pipeline.progress import progress_bar
+from pipeline.recordings.base_motion import without_base_motion
 from pipeline.recordings.derived_labels import recordings_to_learn_from
 from pipeline.recordings.folder import Folder, read_folder
 from pipeline.staging import whole, writing
@@ -53,7 +54,7 @@ def sweep(config: Path, scheduler: str = "", store: str | None = None) -> str:
         InputError: what is read is not what it should be, another sweep uses the journal, or no trial succeeded.
     """
     plan = read_sweep(config)
-    folder = recordings_to_learn_from(read_folder(plan.recordings))
+    folder = recordings_to_learn_from(without_base_motion(read_folder(plan.recordings)))
     if scheduler:
         folder = folder.at_its_place()
     if not len(folder):

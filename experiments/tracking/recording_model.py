@@ -44,7 +44,7 @@ def log_recording_model(client: mlflow.MlflowClient, bundle: Path, name: str, ru
             python_model=str(HERE / "served_recording.py"),
             artifacts={"bundle": str(copy)},
             code_paths=[str(HERE.parents[1] / room) for room in ROOMS],
-            signature=signature(read_card(bundle / "model.json").channels),
+            signature=signature(read_card(bundle / "model.json").columns),
             pip_requirements=[f"{package}=={version(package)}" for package in BASE],
         )
     return model.model_id

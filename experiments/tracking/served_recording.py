@@ -33,7 +33,7 @@ class RecordingModel(PythonModel):
             InputError: too few samples, a cell that is no finite number, a gap in time, or another sample rate.
         """
         card = self._localizer.card
-        columns = ("time_s", *card.channels)
+        columns = ("time_s", *card.columns)
         if absent := [name for name in columns if name not in model_input]:
             raise InputError(f"recording: column '{absent[0]}' is missing; add or rename it")
         values = model_input[list(columns)].to_numpy(dtype=float)

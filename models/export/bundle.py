@@ -9,6 +9,7 @@ import numpy as np
 import onnx
 import onnxruntime as ort
 
+from features.base_motion import BaseMotion
 from features.card import Card, write_card
 from features.errors import CheckFailed
 from features.vector.feature_vector import feature_matrix
@@ -40,8 +41,11 @@ def write_bundle(
     windows: LabelledWindows,
     provenance: dict[str, Any],
     out: Path,
+    base: BaseMotion | None = None,
 ) -> float:
     """Writes the bundle; returns the largest relative difference of graph and original where the model answers.
+
+    base: what was taken out of the recordings that it was fitted to.
 
     Raises:
         ParityError: it is more than PARITY; nothing is written.
@@ -92,6 +96,7 @@ def write_bundle(
         contact=fitted.contact,
         force=fitted.force,
         heights=fitted.heights,
+        base=base,
     )
     with staged(out) as folder:
         (folder / "model.onnx").write_bytes(graph)

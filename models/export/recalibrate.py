@@ -43,6 +43,11 @@ def recalibrate(bundle: Path, folder: Folder, out: Path, data: dict[str, str]) -
             f"{folder.root / 'sensor.toml'}: channels are {', '.join(folder.sensor.channels)}, the bundle's "
             f"{', '.join(card.channels)}; record with the bundle's sensor"
         )
+    if card.base is not None and folder.sensor.base is None:
+        raise InputError(
+            f"{folder.root / 'sensor.toml'}: has no [base], which the bundle reads; record it too"
+        )
+    folder = replace(folder, base_motion=card.base)
     slides, presses, left_out = labelled_contacts(folder, card.conditioning, card.heights)
     if not slides and not presses:
         raise InputError(

@@ -137,11 +137,11 @@ class Map:
                 groups = set(re.compile(self.pattern).groupindex)
         except (re.error, FutureWarning, RecursionError, OverflowError) as error:
             raise ValueError(f"pattern is no regular expression ({error})") from None
-        for channel in self.sensor.channels:
+        for channel in self.sensor.columns:
             if channel not in self.channels:
                 raise ValueError(f"[channels.{channel}] is missing; say where the sensor's output is")
-        _known("channels", self.channels, self.sensor.channels)
-        _known("boards", self.boards, tuple(a.name for a in self.sensor.accelerometers))
+        _known("channels", self.channels, self.sensor.columns)
+        _known("boards", self.boards, tuple(a.name for a in self.sensor.parts))
         _known("labels", self.labels, ("recording", "split", *LABELS))
         for name, label in self.labels.items():
             if label.name and label.name not in groups:
@@ -158,7 +158,7 @@ class Map:
             raise ValueError("a channel has a part, so pattern needs a group (?P<part>...) that finds it")
         if self.kind == "ros" and not self.time.column:
             raise ValueError("[time] column is missing; write header.stamp or received")
-        for name in (a.name for a in self.sensor.accelerometers):
+        for name in (a.name for a in self.sensor.parts):
             units = {self.channels[f"{name}_v{axis}"].unit in ("g", "m/s2") for axis in "xyz"}
             if len(units) > 1:
                 raise ValueError(f"the channels of {name} mix volts and accelerations; give one kind")

@@ -163,7 +163,7 @@ def _import_one(
         _checked_row(label_row(mapping, job.name, source, job.groups, sheet, {}), sensor, source)
 
     def write(blocks: Iterator[Samples]) -> None:
-        write_slide_in_blocks(slide, ((t, to_volts(raw)) for t, raw in blocks), sensor.channels)
+        write_slide_in_blocks(slide, ((t, to_volts(raw)) for t, raw in blocks), sensor.columns)
 
     reading = write_even(job, mapping, progress, write)
     row = label_row(mapping, job.name, source, job.groups, sheet, reading.cells)
@@ -226,9 +226,9 @@ def _finish(jobs: Sequence[Source], mapping: Map, journal: Journal, partial: Pat
             if flips:
                 blocks = (
                     (t, _flipped(volts, flips))
-                    for t, volts in read_slide_in_blocks(raw, mapping.sensor.channels)
+                    for t, volts in read_slide_in_blocks(raw, mapping.sensor.columns)
                 )
-                write_slide_in_blocks(scratch / file, blocks, mapping.sensor.channels)
+                write_slide_in_blocks(scratch / file, blocks, mapping.sensor.columns)
             else:
                 os.replace(raw, scratch / file)
         write_sensor(scratch / "sensor.toml", mapping.sensor)

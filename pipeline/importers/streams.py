@@ -53,7 +53,7 @@ def write_even(
     progress: Callable[[float], None],
     write: Callable[[Iterator[Samples]], None],
 ) -> Reading:
-    """Hands the recording to `write` as blocks of (time_s, raw values in `Sensor.channels` order).
+    """Hands the recording to `write` as blocks of (time_s, raw values in `Sensor.columns` order).
 
     As it stands where it has one even clock; otherwise once more from its beginning, resampled.
     progress: called with the portion read.
@@ -78,7 +78,7 @@ def _open(
     """The streams of a recording; order: where each of the sensor's channels stands in them, side by side."""
     reading = Reading()
     lanes: dict[tuple[str, str], list[str]] = {}
-    for channel in mapping.sensor.channels:
+    for channel in mapping.sensor.columns:
         signal = mapping.channels[channel]
         lanes.setdefault((signal.part, _topic(mapping, signal.column)), []).append(channel)
     streams = []
@@ -95,7 +95,7 @@ def _open(
         samples = _samples(path, topic, columns, labels, mapping, reading, progress if n == 0 else _quiet)
         streams.append(checked(samples, path, mapping.time, reading.clock))
     flat = [channel for channels in lanes.values() for channel in channels]
-    return [flat.index(channel) for channel in mapping.sensor.channels], streams, reading
+    return [flat.index(channel) for channel in mapping.sensor.columns], streams, reading
 
 
 def _topic(mapping: Map, column: str) -> str:

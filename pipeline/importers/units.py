@@ -19,7 +19,7 @@ import pandas as pd
 from features.errors import InputError
 from pipeline.importers.import_map import Board, Map, Signal
 from pipeline.recordings.text_table import read_text_table
-from pipeline.sensor import STANDARD_GRAVITY, Accelerometer
+from pipeline.sensor import STANDARD_GRAVITY, Accelerometer, Base
 
 POSITIONS = {
     "+x": (1, 0, 0),
@@ -40,13 +40,13 @@ class Calibration:
 
 
 def converter(mapping: Map) -> Callable[[np.ndarray], np.ndarray]:
-    """A function from (n, channels) in the map's units to (n, channels) V in `Sensor.channels` order.
+    """A function from (n, channels) in the map's units to (n, channels) V in `Sensor.columns` order.
 
     Raises:
         InputError: a calibration file is missing or bad.
     """
     boards = []
-    for part in mapping.sensor.accelerometers:
+    for part in mapping.sensor.parts:
         board = mapping.boards.get(part.name, Board())
         signals = [mapping.channels[f"{part.name}_v{axis}"] for axis in "xyz"]
         calibration = nominal(part)
@@ -61,7 +61,7 @@ def converter(mapping: Map) -> Callable[[np.ndarray], np.ndarray]:
 
 
 def _board_volts(
-    raw: np.ndarray, part: Accelerometer, board: Board, signals: list[Signal], calibration: Calibration
+    raw: np.ndarray, part: Accelerometer | Base, board: Board, signals: list[Signal], calibration: Calibration
 ) -> np.ndarray:
     volts = np.column_stack([_as_volts(raw[:, i], signal, part) for i, signal in enumerate(signals)])
     if not (board.calibration or board.flip or board.turn_deg):
@@ -70,7 +70,7 @@ def _board_volts(
     return part.zero_g_v + part.sensitivity_v_per_g * (measured @ _board_to_skin(board).T)
 
 
-def _as_volts(raw: np.ndarray, signal: Signal, part: Accelerometer) -> np.ndarray:
+def _as_volts(raw: np.ndarray, signal: Signal, part: Accelerometer | Base) -> np.ndarray:
     """One output in V; accelerations as the nominal accelerometer would give them."""
     if signal.unit in ("g", "m/s2"):
         g = raw if signal.unit == "g" else raw / STANDARD_GRAVITY
@@ -89,7 +89,7 @@ def _board_to_skin(board: Board) -> np.ndarray:
     return turn @ np.diag([-1.0 if axis in board.flip else 1.0 for axis in "xyz"])
 
 
-def nominal(part: Accelerometer) -> Calibration:
+def nominal(part: Accelerometer | Base) -> Calibration:
     """The figures of `sensor.toml`, alike on every axis."""
     return Calibration(np.full(3, part.zero_g_v), np.eye(3) * part.sensitivity_v_per_g)
 

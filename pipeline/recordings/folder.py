@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from features.base_motion import BaseMotion
 from features.clock import check_clock
 from features.errors import InputError
 from pipeline.recordings.manifest import check_manifest, read_table, write_manifest
@@ -27,12 +28,19 @@ class Recording:
     """One slide's samples in float64: time_s (n,) s, volts (n, channels) V in `Sensor.channels` order.
 
     truth: what was so at each moment, as `pipeline.recordings.truth` says; None where the lab did not give it.
+    base_v: (n, 3) V of the sensor's base; None where it has none, or its motion is taken out of the volts.
     """
 
     name: str
     time_s: np.ndarray
     volts: np.ndarray
     truth: pd.DataFrame | None = None
+    base_v: np.ndarray | None = None
+
+    @property
+    def samples(self) -> np.ndarray:
+        """All that was recorded, in `Sensor.columns` order, V."""
+        return self.volts if self.base_v is None else np.hstack([self.volts, self.base_v])
 
 
 @dataclass(frozen=True)
@@ -40,12 +48,13 @@ class Folder:
     """A folder whose sensor and manifest are valid; a slide's samples are validated when it is loaded.
 
     manifest: one row a recording, indexed by its name, with `file`, `split` and every label as a column;
-    a label that the lab did not give is NaN.
+    a label that the lab did not give is NaN. base_motion: what is taken out of every recording that is loaded.
     """
 
     root: Path
     sensor: Sensor
     manifest: pd.DataFrame
+    base_motion: BaseMotion | None = None
 
     def __len__(self) -> int:
         return len(self.manifest)
@@ -60,7 +69,8 @@ class Folder:
             raise InputError(f"{self.root}: the manifest lists no recording '{recording}'; name one it lists")
         row = self.manifest.loc[recording]
         path = self.root / row["file"]
-        time_s, volts = read_slide(path, self.sensor.channels)
+        time_s, samples = read_slide(path, self.sensor.columns)
+        volts, base_v = np.split(samples, [len(self.sensor.channels)], axis=1)
         check_clock(path, time_s, self.sensor.sample_rate_hz)
         step = 1 / self.sensor.sample_rate_hz
         for label in ("motion_start_s", "motion_end_s"):
@@ -69,8 +79,17 @@ class Folder:
                     f"{self.root / 'manifest.csv'}: {recording}, {label} = {row[label]:g} lies outside the "
                     f"recording ({time_s[0]:g} to {time_s[-1]:g} s); correct it or leave it empty"
                 )
+        if self.base_motion is not None:
+            volts, upright = self.base_motion.without(volts, base_v)
+            if not upright.all():
+                raise InputError(
+                    f"{path}: from {time_s[~upright.all(axis=1)][0]:g} s on the base leans over further than a contact "
+                    "can be told from; leave it out"
+                )
         truth = truth_path(path)
-        return Recording(recording, time_s, volts, read_truth(truth) if truth.is_file() else None)
+        table = read_truth(truth) if truth.is_file() else None
+        raw = self.sensor.base is not None and self.base_motion is None
+        return Recording(recording, time_s, volts, table, base_v if raw else None)
 
     def select(self, *prefixes: str) -> "Folder":
         """The recordings whose split begins with one of the prefixes; may be none."""
@@ -138,7 +157,7 @@ def write_folder(
             if recording.name not in table.index:
                 raise InputError(f"{out}: recording '{recording.name}' has no row in the manifest; add one")
             file = scratch / "slides" / f"{recording.name}.parquet"
-            write_slide(file, recording.time_s, recording.volts, sensor.channels)
+            write_slide(file, recording.time_s, recording.samples, sensor.columns)
             if recording.truth is not None:
                 write_truth(truth_path(file), recording.truth)
             written.append(recording.name)

@@ -60,7 +60,7 @@ def add_recording(folder: Folder, recording: Recording, labels: dict[str, object
     manifest = check_manifest(table, folder.sensor, path)
     slide = folder.root / str(row["file"])
     with whole(slide) as scratch:
-        write_slide(scratch, recording.time_s, recording.volts, folder.sensor.channels)
+        write_slide(scratch, recording.time_s, recording.samples, folder.sensor.columns)
     with whole(path) as scratch:
         write_manifest(scratch, manifest)
     return Folder(folder.root, folder.sensor, manifest)

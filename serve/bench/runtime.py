@@ -41,7 +41,7 @@ from pathlib import Path
 from serve.localizer import Localizer
 localizer = Localizer.load(Path(sys.argv[1]))
 samples = localizer.card.samples_per_block
-localizer.push(numpy.zeros((samples, len(localizer.card.channels))))
+localizer.push(numpy.zeros((samples, len(localizer.card.columns))))
 resident, private = (memory() - bare).round(2)
 print(json.dumps({{"first_estimate_s": time.perf_counter() - begun, "libraries_s": bare_s,
                   "memory_above_libraries_mb": resident, "private_memory_above_libraries_mb": private}}))
@@ -58,7 +58,7 @@ def bench(bundle: Path, decisions: int = 300) -> dict[str, Any]:
     one, four, one_resting = _at_rest(
         [Localizer(_with_accelerometers(card, n), graph) for n in (1, 4)], decisions
     )
-    sliding, inference, one_sliding = _in_slides(Localizer(card, graph), decisions)
+    sliding, inference, one_sliding = _in_slides(Localizer(replace(card, base=None), graph), decisions)
     return {
         "one_node": _us(np.concatenate([one_resting, one_sliding])),
         "decision_at_rest": _beside(one, one_resting),
@@ -72,7 +72,7 @@ def bench(bundle: Path, decisions: int = 300) -> dict[str, Any]:
 
 
 def _with_accelerometers(card: Card, count: int) -> Card:
-    """The card with `count` accelerometers like its first one; at rest the graph is not run."""
+    """The card with `count` accelerometers like its first one and no base; at rest the graph is not run."""
     names = tuple(f"a{n}_{axis}" for n in range(count) for axis in ("vx", "vy", "vz"))
     accelerometers = [card.sensor["accelerometers"][0]] * count
     sensor, contact = {**card.sensor, "accelerometers": accelerometers}, card.contact
@@ -81,7 +81,7 @@ def _with_accelerometers(card: Card, count: int) -> Card:
         coefficients, scale_v = encoded(np.tile(contact.splines()[..., first], count))
         noise_v = contact.noise_v[first] * count
         contact = replace(contact, coefficients=coefficients, scale_v=scale_v, noise_v=noise_v)
-    return replace(card, channels=names, sensor=sensor, contact=contact)
+    return replace(card, channels=names, sensor=sensor, contact=contact, base=None)
 
 
 def one_node() -> Callable[[], object]:

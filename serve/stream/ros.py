@@ -61,7 +61,7 @@ def imu_reader(topic: str, card: Card) -> Read:
         InputError: the card's sensor is more than one accelerometer, or another sensing element.
     """
     element, *others = card.sensor["accelerometers"]
-    if others or element.get("kind", "accelerometer") != "accelerometer":
+    if others or card.base is not None or element.get("kind", "accelerometer") != "accelerometer":
         raise InputError(
             f"ros2+imu://{topic}: an Imu is one accelerometer, {card.sensor['name']} is not; send rows of outputs to "
             "ros2://TOPIC",

@@ -43,27 +43,27 @@ def open_source(name: str, card: Card, form: str, fast: bool) -> Source:
 
         return accelerations(name.removeprefix("ros2+imu://"), card)
     if name == "-" or "://" in name:
-        return open_live(name, len(card.channels), form)
-    volts = read_recording(Path(name), card.channels, card.sample_rate_hz)
+        return open_live(name, len(card.columns), form)
+    volts = read_recording(Path(name), card.columns, card.sample_rate_hz)
     return _played(volts, card, fast)
 
 
-def open_live(name: str, channels: int, form: str) -> Source:
-    """A source of so many channels that is no file.
+def open_live(name: str, columns: int, form: str) -> Source:
+    """A source of samples of so many columns (`Card.columns`) that is no file.
 
     Raises:
         InputError: as `open_source`.
     """
     if name == "-":
-        return _bytes_from(sys.stdin.buffer, framing_of(form, channels))
+        return _bytes_from(sys.stdin.buffer, framing_of(form, columns))
     if name.startswith("udp://"):
-        return Datagrams(name, *address(name), WAIT_S).chunks(form, channels)
+        return Datagrams(name, *address(name), WAIT_S).chunks(form, columns)
     if name.startswith("serial://"):
-        return _serial(name, framing_of(form, channels, strict=False, midway=True))
+        return _serial(name, framing_of(form, columns, strict=False, midway=True))
     if name.startswith("ros2://"):
         from serve.stream.ros import samples
 
-        return samples(name.removeprefix("ros2://"), channels)
+        return samples(name.removeprefix("ros2://"), columns)
     raise InputError(f"{name}: unknown kind; {KINDS}", "source")
 
 

@@ -1,0 +1,108 @@
+"""How a skin's outputs follow those of its base, from recordings in which nothing touches while the robot moves."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from features.base_motion import BaseMotion
+from features.errors import InputError
+from features.stream.conditioning import Conditioning, block_means
+from pipeline.recordings.folder import Folder
+from pipeline.sensor import Sensor
+
+SPLIT = "base"  # of these recordings
+# rms, g: with 20 mg, a tilt of a degree, noise of 1.4 mg a block errs by a hundredth of the gain within 50 blocks.
+LEAST_MOTION_G = 0.02
+# So many recordings tell the attitude of the calibration.
+MOST_RECORDINGS = 24
+
+
+def without_base_motion(folder: Folder) -> Folder:
+    """The folder with the base's motion taken out of every recording that it loads; itself where there is no base.
+
+    Raises:
+        InputError: the sensor has a base and no recording of the split `base`, or the base hardly moves in them.
+    """
+    if folder.sensor.base is None:
+        return folder
+    raw = replace(folder, base_motion=None)
+    moving = _moving(raw)
+    if not moving:
+        raise InputError(
+            f"{folder.root / 'manifest.csv'}: sensor.toml has a [base], and no recording is of the split '{SPLIT}'; "
+            "record a minute in which the robot moves and nothing touches the skin, or take [base] out"
+        )
+    return replace(folder, base_motion=_fitted(raw, moving))
+
+
+def moved_and_left(folder: Folder) -> tuple[np.ndarray, float, float]:
+    """Of the split `base`: rms of the base's motion along its principal axes (3,) g, rising; and the largest rms of an
+    output (V) before the motion is taken out, and after.
+    """
+    motion, sensor = folder.base_motion, folder.sensor
+    assert motion is not None
+    assert sensor.base is not None
+    raw = replace(folder, base_motion=None)
+    volts, base = _about_their_means(raw, _moving(raw))
+    left, _ = motion.without(volts + motion.static_v, base + motion.base_v)
+    before_v, after_v = (float(np.sqrt(np.mean(v**2, axis=0)).max()) for v in (volts, left - motion.static_v))
+    return _principal_rms(base) / sensor.base.sensitivity_v_per_g, before_v, after_v
+
+
+def _moving(folder: Folder) -> list[str]:
+    return [str(name) for name in folder.manifest.index[folder.manifest["split"] == SPLIT]]
+
+
+def _fitted(folder: Folder, moving: list[str]) -> BaseMotion:
+    sensor = folder.sensor
+    assert sensor.base is not None
+    volts, base = _about_their_means(folder, moving)
+    if _principal_rms(base)[-1] < LEAST_MOTION_G * sensor.base.sensitivity_v_per_g:
+        raise InputError(
+            f"{folder.root}: in the recordings of the split '{SPLIT}' the base hardly moves; tilt it by 10 degrees and "
+            "more, about two axes"
+        )
+    gains = np.linalg.lstsq(base, volts, rcond=None)[0].T
+    means = [_blocks(folder, name).mean(axis=0) for name in moving]
+    skin_v, moved_v = np.split(np.mean(means, axis=0), [len(sensor.channels)])
+    base_v = _attitude_v(folder, moving)
+    static_v = skin_v - gains @ (moved_v - base_v)
+    return BaseMotion(
+        gains=tuple((float(x), float(y), float(z)) for x, y, z in gains),
+        base_v=(float(base_v[0]), float(base_v[1]), float(base_v[2])),
+        static_v=tuple(static_v.tolist()),
+        gravity_v=_gravity_v(sensor, static_v),
+    )
+
+
+def _gravity_v(sensor: Sensor, static_v: np.ndarray) -> tuple[float, ...]:
+    """(A,): of V_z at rest what gravity makes, 0 of other sensing elements."""
+    pairs = zip(sensor.accelerometers, static_v[2::3].tolist(), strict=True)
+    return tuple(v - a.zero_g_v if a.measures_gravity else 0.0 for a, v in pairs)
+
+
+def _attitude_v(folder: Folder, moving: list[str]) -> np.ndarray:
+    """(3,) V: what the base reads in the recordings to calibrate with, or without any as it begins to move."""
+    taught = folder.select("calibration", "train").manifest.index
+    names = [str(name) for name in taught[:: max(1, len(taught) // MOST_RECORDINGS)]] or moving
+    return np.median([_blocks(folder, name)[0, -3:] for name in names], axis=0)
+
+
+def _about_their_means(folder: Folder, names: list[str]) -> tuple[np.ndarray, np.ndarray]:
+    """Blocks of all recordings, each about its own mean: skin (m, C) V and base (m, 3) V."""
+    blocks = [_blocks(folder, name) for name in names]
+    together = np.concatenate([each - each.mean(axis=0) for each in blocks])
+    return together[:, :-3], together[:, -3:]
+
+
+def _blocks(folder: Folder, name: str) -> np.ndarray:
+    """A recording's block means (m, C + 3) V."""
+    blocks = block_means(folder.load(name).samples, Conditioning(), folder.sensor.sample_rate_hz)
+    if not len(blocks):
+        raise InputError(f"{folder.root}: {name} is shorter than a block of 20 ms")
+    return blocks
+
+
+def _principal_rms(base: np.ndarray) -> np.ndarray:
+    """(3,) V, rising: rms of (m, 3) V along its principal axes."""
+    return np.sqrt(np.linalg.eigvalsh(base.T @ base / len(base)).clip(min=0.0))
