@@ -1,0 +1,94 @@
+"""How the skin follows its base, fitted to recordings of a robot that moves: recovered, or refused."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from moving_robot import BASE, exact_motion, on_a_robot, wandering
+from streams import RATE_HZ, a_sensor, still, stream
+
+from features.errors import InputError
+from pipeline.recordings.base_motion import moved_and_left, without_base_motion
+from pipeline.recordings.folder import Folder, Recording, write_folder
+from pipeline.sensor import Sensor
+
+SENSOR = replace(a_sensor(2), base=BASE)
+EXACT = exact_motion(SENSOR)
+
+
+def recorded(root: Path, moves: dict[str, float], sensor: Sensor = SENSOR, split: str = "base") -> Folder:
+    """Recordings of 15 s by name, untouched on a robot that leans over by so many degrees at most."""
+    manifest = pd.DataFrame({"recording": list(moves), "split": split})
+
+    def one(name: str, tilt_deg: float, seed: int) -> Recording:
+        quiet = stream(still(15.0), accelerometers=2, seed=seed)
+        felt = wandering(len(quiet), RATE_HZ, tilt_deg, shake_g=0.002 * tilt_deg, seed=seed)
+        samples = on_a_robot(quiet, sensor, felt, seed)
+        base_v = None if sensor.base is None else samples[:, 6:]
+        return Recording(name, np.arange(len(quiet)) / RATE_HZ, samples[:, :6], base_v=base_v)
+
+    recordings = (one(name, tilt_deg, n) for n, (name, tilt_deg) in enumerate(moves.items()))
+    return write_folder(root, sensor, manifest, recordings)
+
+
+def test_how_the_skin_follows_the_base_is_recovered(tmp_path: Path) -> None:
+    folder = without_base_motion(recorded(tmp_path / "lab", {"one": 20.0, "two": 20.0}))
+    found = folder.base_motion
+    assert found is not None
+    assert np.array(found.gains) == pytest.approx(np.array(EXACT.gains), abs=0.03)
+    # What it reads in the attitude in which the robot began.
+    assert np.array(found.static_v) == pytest.approx(np.array(EXACT.static_v), abs=0.03)
+    moved_g, before_v, left_v = moved_and_left(folder)
+    assert (np.diff(moved_g) >= 0).all()
+    assert before_v > 0.05
+    assert left_v < 3e-3  # the noise of a block is 1.1 mV in the skin and 1.8 from the base
+
+
+def test_recordings_are_loaded_without_the_motion(tmp_path: Path) -> None:
+    raw = recorded(tmp_path / "lab", {"one": 20.0})
+    folder = without_base_motion(raw)
+    moving, level = raw.load("one"), folder.load("one")
+    assert moving.volts[:, 0].std() > 0.05
+    assert level.volts[:, 0].std() < 0.015
+    assert moving.base_v is not None
+    assert moving.samples.shape == (15_000, 9)
+    # Used already: nothing can take it out twice.
+    assert level.base_v is None
+
+
+def test_without_a_base_a_folder_stays_as_it_is(tmp_path: Path) -> None:
+    folder = recorded(tmp_path / "lab", {"one": 0.0}, replace(SENSOR, base=None), "calibration")
+    assert without_base_motion(folder) is folder
+    assert folder.load("one").base_v is None
+
+
+def test_a_base_needs_recordings_of_its_motion(tmp_path: Path) -> None:
+    folder = recorded(tmp_path / "lab", {"one": 20.0}, split="calibration")
+    with pytest.raises(InputError, match=r"no recording is of the split 'base'.*record a minute"):
+        without_base_motion(folder)
+
+
+def test_a_base_that_hardly_moves_tells_nothing(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="the base hardly moves"):
+        without_base_motion(recorded(tmp_path / "lab", {"one": 0.5}))
+
+
+def test_a_recording_in_which_the_robot_lies_on_its_side_is_refused(tmp_path: Path) -> None:
+    folder = without_base_motion(recorded(tmp_path / "lab", {"one": 20.0}))
+    turned = replace(folder, base_motion=replace(folder.base_motion, base_v=(1.5, 1.5, 2.6)))
+    with pytest.raises(InputError, match=r"one\.parquet: from 0 s on the base leans over further"):
+        turned.load("one")
+
+
+def test_a_folder_without_the_base_s_columns_is_refused(tmp_path: Path) -> None:
+    folder = recorded(tmp_path / "lab", {"one": 0.0}, replace(SENSOR, base=None), "base")
+    with pytest.raises(InputError, match="column 'base_vx' is missing"):
+        without_base_motion(replace(folder, sensor=SENSOR))
+
+
+def test_an_accelerometer_of_the_skin_is_not_named_as_the_base() -> None:
+    named = replace(SENSOR.accelerometers[0], name="base")
+    with pytest.raises(ValueError, match=r"as the robot's under \[base\]"):
+        replace(SENSOR, accelerometers=(named,))
