@@ -100,7 +100,7 @@ def _base(card: "Card") -> None:
         numbers(row, "base: gains", 3, -LARGEST, LARGEST)
     numbers(card.base.base_v, "base: base_v", 3, -MOST_VOLTS, MOST_VOLTS)
     numbers(card.base.static_v, "base: static_v", channels, -LARGEST, LARGEST)
-    numbers(card.base.gravity_v, "base: gravity_v", channels // 3, -MOST_VOLTS, MOST_VOLTS)
+    numbers(card.base.gravity_v, "base: gravity_v", channels, -MOST_VOLTS, MOST_VOLTS)
     base = table(card.sensor.get("base"), "sensor: base")
     number(base.get("zero_g_v"), "sensor: base: zero_g_v", 0.0, MOST_VOLTS, above=True)
 

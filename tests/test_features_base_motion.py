@@ -1,11 +1,10 @@
 """The base's motion taken out: exact for small contacts in any attitude, refused where the skin leans over too far."""
 
-import math
-
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
 from moving_robot import exact_motion, felt_g, on_a_robot
 from streams import GRAVITY_V, ZERO_V, a_sensor
 
@@ -13,7 +12,7 @@ from features.base_motion import LEAST_SHARE, BaseMotion
 
 SENSOR = a_sensor(2)
 MOTION = exact_motion(SENSOR)
-TILTS = st.tuples(*[st.floats(-0.1, 0.1)] * 4)
+TILTS = st.tuples(*[st.floats(-0.2, 0.2)] * 4)
 
 
 def tilted(tilts: tuple[float, ...]) -> np.ndarray:
@@ -32,10 +31,15 @@ def test_a_contact_reads_the_same_in_every_attitude(
     samples = on_a_robot(table, SENSOR, felt, seed=None)
     found, upright = MOTION.without(samples[:, :6], samples[:, 6:])
     assert upright.all()
-    # The rest is of second order in the contact's tilt.
-    second = 2.0 * GRAVITY_V * max(map(abs, tilts)) ** 2 * math.hypot(*felt[0, :2]) / felt[0, 2]
-    touch = [0, 1, 3, 4]
-    assert np.abs(found - table)[0, touch].max() <= second + 1e-9
+    # A fifth of the noise of a block.
+    assert np.abs(found - table).max() <= 2e-4
+
+
+@given(hnp.arrays(float, 6, elements=st.floats(0.0, 3.3)), hnp.arrays(float, 3, elements=st.floats(0.0, 3.0)))
+def test_whatever_the_outputs_are_the_answer_is_bounded(volts: np.ndarray, base_v: np.ndarray) -> None:
+    """A knock, or a cable: never more than outputs and the base's motion can be, so that later blocks are right."""
+    found, _ = MOTION.without(volts, base_v)
+    assert np.abs(found).max() < 12.0
 
 
 def test_at_rest_in_the_attitude_of_the_calibration_nothing_changes() -> None:
@@ -54,7 +58,7 @@ def test_a_skin_that_leans_over_further_is_not_upright() -> None:
 
 
 def test_what_does_not_measure_gravity_answers_alike_in_every_attitude() -> None:
-    other = BaseMotion(MOTION.gains[:3], MOTION.base_v, MOTION.static_v[:3], (0.0,))
+    other = BaseMotion(MOTION.gains[:3], MOTION.base_v, MOTION.static_v[:3], (0.0, 0.0, 0.0))
     base_v = np.array(MOTION.base_v) + 0.2
     touched = np.array([0.1, -0.2, 0.3])
     plain, upright = other.without(np.array(MOTION.static_v[:3]), base_v)
@@ -70,7 +74,7 @@ def test_what_does_not_measure_gravity_answers_alike_in_every_attitude() -> None
         {"gains": ((1.0, 2.0),) * 6},
         {"base_v": (0.0, 0.0)},
         {"static_v": MOTION.static_v[:3]},
-        {"gravity_v": (0.8,)},
+        {"gravity_v": (0.0, 0.0, 0.8)},
         {"gravity_v": ()},
     ],
 )

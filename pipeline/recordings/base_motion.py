@@ -76,9 +76,9 @@ def _fitted(folder: Folder, moving: list[str]) -> BaseMotion:
 
 
 def _gravity_v(sensor: Sensor, static_v: np.ndarray) -> tuple[float, ...]:
-    """(A,): of V_z at rest what gravity makes, 0 of other sensing elements."""
-    pairs = zip(sensor.accelerometers, static_v[2::3].tolist(), strict=True)
-    return tuple(v - a.zero_g_v if a.measures_gravity else 0.0 for a, v in pairs)
+    """(C,): what gravity makes of the outputs at rest, 0 of other sensing elements'."""
+    pairs = zip(sensor.accelerometers, static_v.reshape(-1, 3).tolist(), strict=True)
+    return tuple(v - a.zero_g_v if a.measures_gravity else 0.0 for a, outputs in pairs for v in outputs)
 
 
 def _attitude_v(folder: Folder, moving: list[str]) -> np.ndarray:

@@ -62,7 +62,7 @@ def exact_motion(sensor: Sensor) -> BaseMotion:
             for a in sensor.accelerometers
             for v in (a.zero_g_v, a.zero_g_v, a.zero_g_v + a.sensitivity_v_per_g)
         ),
-        gravity_v=tuple(a.sensitivity_v_per_g for a in sensor.accelerometers),
+        gravity_v=tuple(v for a in sensor.accelerometers for v in (0.0, 0.0, a.sensitivity_v_per_g)),
     )
 
 
