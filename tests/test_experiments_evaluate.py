@@ -331,6 +331,20 @@ def test_errors_are_held_against_the_bound_of_the_bundles_own_map(bundle: Path, 
     assert told.count("Recordings behind each point: test 1.") == 3
 
 
+def test_a_folder_without_any_bound_is_evaluated_all_the_same(bundle: Path, tmp_path: Path) -> None:
+    """Of no slide is there one: all are of another depth than the map."""
+    mapped = shutil.copytree(bundle, tmp_path / "mapped")
+    card = read_card(bundle / "model.json")
+    write_card(replace(card, contact=contact_calibration(bump_map())), mapped / "model.json")
+    deep = a_folder(tmp_path / "deep", one={"depth_mm": 0.8}, two={"depth_mm": 0.9})
+    evaluated(mapped, deep.root, tmp_path / "out")
+    assert json.loads((tmp_path / "out/metrics.json").read_text())["over_bound"] == {}
+    evaluated(bundle, deep.root, tmp_path / "plain")
+    scored = score(pd.read_csv(tmp_path / "plain/predictions.csv"), deep.manifest, deep.sensor)
+    assert scored["valid"].any()
+    assert over_bound(scored, pd.concat(bounds_of(mapped, deep, Archive(1)))) == {}
+
+
 def test_every_figure_has_a_text_that_tells_it_and_its_unit(bundle: Path, tmp_path: Path) -> None:
     a_folder(tmp_path / "lab", one={}, two={"split": "test-other", "direction_deg": 90.0})
     page = report_of(bundle, tmp_path / "lab", tmp_path / "out")
