@@ -19,8 +19,10 @@ import numpy as np
 # Of the gravity along an accelerometer's z axis as the map was calibrated: with less left, 60 degrees over, a contact
 # turns the board half as visibly, and V_z answers too.
 LEAST_SHARE = 0.5
-# A contact that turns the board by 0.3 rad, on a base that leans over by 20 degrees, is found to 0.1 mV.
-ITERATIONS = 4
+# A step that changes no output by a tenth of a block's noise is the last one. A contact that turns the board by
+# 0.3 rad, on a base that leans over by 20 degrees, takes four.
+SMALLEST_STEP = 1e-4  # rad
+ITERATIONS = 8
 # About x and y, rad: further the skin does not turn a board; what shows more is a knock, or no signal.
 LARGEST_TURN = 0.5
 BASE_COLUMNS = ("base_vx", "base_vy", "base_vz")
@@ -54,42 +56,46 @@ class BaseMotion:
 
         And where each accelerometer (..., A) is upright enough for that: gravity's share along z is LEAST_SHARE.
         """
-        gains, base, static, gravity = self._arrays
-        followed = _of_each((base_v - base) @ gains.T)
-        felt = gravity + np.where(gravity.any(axis=-1, keepdims=True), followed, 0.0)
-        upright = felt[..., 2] >= LEAST_SHARE * gravity[..., 2]
-        left = _of_each(volts) - followed
-        turn = _turn((left - static)[..., :2], np.where(upright[..., None], felt, gravity), gravity)
+        gains, base, static, gravity, heavy = self._arrays
+        followed = _axes((base_v - base) @ gains.T)
+        felt = gravity + heavy * followed
+        upright = felt[2] >= LEAST_SHARE * gravity[2]
+        felt = np.where(upright, felt, gravity)
+        left = _axes(volts) - followed
+        turn = _turn(left[:2] - static[:2], felt, gravity)
         left += _turned(turn, gravity) - _turned(turn, felt)
-        return left.reshape(volts.shape), upright
+        return left.transpose(1, 2, 0).reshape(volts.shape), upright.reshape(*volts.shape[:-1], -1)
 
     @cached_property
-    def _arrays(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """gains (C, 3), base_v (3,), static_v (A, 3), gravity_v (A, 3)."""
-        static, gravity = (_of_each(np.array(values)) for values in (self.static_v, self.gravity_v))
-        return np.array(self.gains), np.array(self.base_v), static, gravity
+    def _arrays(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """gains (C, 3), base_v (3,), static_v and gravity_v (3, 1, A), and which have gravity (1, A)."""
+        static, gravity = (_axes(np.array(values)) for values in (self.static_v, self.gravity_v))
+        return np.array(self.gains), np.array(self.base_v), static, gravity, np.abs(gravity).sum(axis=0) > 0.0
 
 
-def _of_each(volts: np.ndarray) -> np.ndarray:
-    """(..., C) -> (..., A, 3)."""
-    return volts.reshape(*volts.shape[:-1], -1, 3)
+def _axes(volts: np.ndarray) -> np.ndarray:
+    """(..., C) -> (3, n, A): x, y and z of each accelerometer."""
+    return volts.reshape(-1, volts.shape[-1] // 3, 3).transpose(2, 0, 1)
 
 
 def _turn(changed: np.ndarray, felt: np.ndarray, gravity: np.ndarray) -> np.ndarray:
-    """The turn (..., 3) rad about axes across `gravity` (A, 3) that changes V_x and V_y by `changed` (..., 2) V.
+    """The turn (3, n, A) rad about axes across `gravity` (3, 1, A) that changes V_x and V_y by `changed` (2, n, A) V.
 
-    felt: (..., 3) V, of which it does so; the turn is 0 where it is nothing along z. Found by iteration.
+    felt: (3, n, A) V, of which it does so; the turn is 0 where it is nothing along z. Found by iteration.
     """
-    slant = gravity[..., :2] * _inverse(gravity[..., 2:])
-    along_z = _inverse(felt[..., 2])
-    x = y = z = np.zeros(along_z.shape)
+    slant = gravity[:2] * _inverse(gravity[2])
+    along_z = _inverse(felt[2])
+    turn = np.zeros(felt.shape)
     for _ in range(ITERATIONS):
         # w x a is (w_y a_z, -w_x a_z, ...)
-        rest = changed - _turned(np.stack([x, y, z], axis=-1), felt)[..., :2]
-        y = np.clip(y + rest[..., 0] * along_z, -LARGEST_TURN, LARGEST_TURN)
-        x = np.clip(x - rest[..., 1] * along_z, -LARGEST_TURN, LARGEST_TURN)
-        z = -(x * slant[..., 0] + y * slant[..., 1])
-    return np.stack([x, y, z], axis=-1)
+        step = (changed - _turned(turn, felt)[:2]) * along_z
+        turn[0] -= step[1]
+        turn[1] += step[0]
+        np.clip(turn, -LARGEST_TURN, LARGEST_TURN, out=turn)
+        turn[2] = -(turn[0] * slant[0] + turn[1] * slant[1])
+        if np.abs(step).max() < SMALLEST_STEP:
+            break
+    return turn
 
 
 def _inverse(values: np.ndarray) -> np.ndarray:
@@ -98,14 +104,11 @@ def _inverse(values: np.ndarray) -> np.ndarray:
 
 
 def _turned(turn: np.ndarray, felt: np.ndarray) -> np.ndarray:
-    """What a turn (..., 3) rad, below LARGEST_TURN, changes (..., 3) V by that is felt, to 1e-5 of it."""
-    (x, y, z), (a, b, c) = np.moveaxis(turn, -1, 0), np.moveaxis(felt, -1, 0)
+    """What a turn (3, n, A) rad, below LARGEST_TURN, changes (3, n, A) V by that is felt, to 1e-5 of it."""
+    x, y, z = turn
+    a, b, c = felt
     along, size_2 = x * a + y * b + z * c, x * x + y * y + z * z
     # Series of sin(s) / s and (1 - cos(s)) / s^2.
     once, twice = 1.0 - size_2 / 6.0 * (1.0 - size_2 / 20.0), 0.5 - size_2 / 24.0 * (1.0 - size_2 / 30.0)
-    changes = (
-        once * (y * c - z * b) + twice * (x * along - size_2 * a),
-        once * (z * a - x * c) + twice * (y * along - size_2 * b),
-        once * (x * b - y * a) + twice * (z * along - size_2 * c),
-    )
-    return np.stack(changes, axis=-1)
+    across = np.array([y * c - z * b, z * a - x * c, x * b - y * a])
+    return once * across + twice * (turn * along - size_2 * felt)

@@ -13,6 +13,7 @@ import pytest
 from moving_robot import BASE, felt_g, on_a_robot, wandering
 
 import softslide
+from pipeline.checks.findings import examine
 from pipeline.recordings.folder import SAMPLE, Folder, Recording, read_folder, write_folder
 from pipeline.sensor import STANDARD_GRAVITY, write_sensor
 from serve.localizer import Localizer
@@ -133,3 +134,12 @@ def test_an_imu_comes_in_as_volts(tmp_path: Path) -> None:
     recording = read_folder(tmp_path / "out").load("one")
     assert recording.base_v == pytest.approx(BASE.zero_g_v + BASE.sensitivity_v_per_g * felt)
     assert recording.volts == pytest.approx(1.65 + 0.8 * felt)
+
+
+def test_check_sees_the_slides_and_not_the_robot(lab: Folder) -> None:
+    assert [finding.line() for finding in examine(lab) if finding.level == "error"] == []
+
+
+def test_check_asks_for_a_recording_of_the_robot_s_motion(lab: Folder) -> None:
+    found = examine(replace(lab, manifest=lab.manifest.drop("robot")))
+    assert [finding.kind for finding in found if "record a minute" in finding.text] == ["base"]

@@ -87,7 +87,8 @@ def drift(
     store: as in `tracking.store.store_address`.
 
     Raises:
-        InputError: the bundle or the folder is not valid, it has no such recording, or `every` is below 1.
+        InputError: the bundle or the folder is not valid, or the bundle reads a base; the folder has no such recording,
+            or `every` is below 1.
     """
     if every < 1:
         raise InputError(f"{every}: take every first, second or later one", "every")
@@ -95,7 +96,10 @@ def drift(
     if not len(folder):
         raise InputError(f"{recordings}: no labelled slide of a split test*; name another folder")
     folder = replace(folder, manifest=folder.manifest.iloc[::every])
-    model = Localizer.load(bundle).card.model
+    card = Localizer.load(bundle).card
+    if card.base is not None:
+        raise InputError(f"{bundle}: reads a base, of which drifts are not made; name a bundle without one")
+    model = card.model
     configuration = {"bundle": str(bundle), "recordings": str(recordings), "every": every}
     tags = {"bundle": bundle_hash(bundle)}
     tags |= {f"data.{name}": digest for name, digest in data_hashes(folder).items()}

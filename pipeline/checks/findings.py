@@ -24,6 +24,7 @@ from pipeline.checks.rail_run import MOST_AT_RAIL
 from pipeline.checks.wrong_units import impossible_output, impossible_speed
 from pipeline.checks.zone_signs import line_mismatch_mm
 from pipeline.progress import progress_bar
+from pipeline.recordings.base_motion import without_base_motion
 from pipeline.recordings.folder import Folder
 from pipeline.recordings.heights import told_heights
 from pipeline.recordings.taught import CALIBRATION, SAME_LINE_MM, taught_lines
@@ -79,13 +80,20 @@ class Finding:
 def examine(folder: Folder, limits: Limits | None = None) -> list[Finding]:
     """Measures every slide once, then compares the slides with each other; errors first.
 
-    A slide that `Folder.load` refuses is a finding, and left out of the rest.
+    A slide that `Folder.load` refuses is a finding, and left out of the rest. Of a sensor with a base what depends on
+    the robot's attitude is measured without its motion.
     """
     limits = limits or Limits()
-    measured, refused = [], []
+    measured, refused, level = [], [], folder
+    try:
+        level = without_base_motion(folder)
+    except InputError as error:
+        refused.append(Finding("error", "base", "", "", 1.0, 0.0, str(error)))
     for name, row in progress_bar("check", "slide", folder.manifest.iterrows(), len(folder)):
         try:
-            measured.append(measure(folder.load(str(name)), row, folder.sensor))
+            recording = folder.load(str(name))
+            upright = None if level is folder else level.load(str(name))
+            measured.append(measure(recording, row, folder.sensor, upright))
         except InputError as error:
             refused.append(Finding("error", "unreadable", str(name), "", 1.0, 0.0, str(error)))
     if not measured:

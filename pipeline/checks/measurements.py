@@ -55,8 +55,14 @@ class Measurements:
     echo: np.ndarray
 
 
-def measure(recording: Recording, labels: pd.Series, sensor: Sensor) -> Measurements:
-    """The figures of one recording; labels: its row of the manifest."""
+def measure(
+    recording: Recording, labels: pd.Series, sensor: Sensor, level: Recording | None = None
+) -> Measurements:
+    """The figures of one recording; labels: its row of the manifest.
+
+    level: the same without the motion of the sensor's base, for rest, drift and signs; None: it has no base.
+    """
+    level = level or recording
     time_s, volts = recording.time_s, recording.volts
     rate = sensor.sample_rate_hz
     start, end = float(labels["motion_start_s"]), float(labels["motion_end_s"])
@@ -64,7 +70,7 @@ def measure(recording: Recording, labels: pd.Series, sensor: Sensor) -> Measurem
     before = time_s < (time_s[0] + 0.5 if np.isnan(start) else start)
     # The skin creeps back for a while after the object has left.
     after = time_s > end + 0.25
-    rest_v = volts[before].mean(axis=0) if before.any() else np.full(volts.shape[1], np.nan)
+    rest_v = level.volts[before].mean(axis=0) if before.any() else np.full(volts.shape[1], np.nan)
     settled = after.sum() > 0.25 * rate and before.any()
     floor, frequency, power = _spectrum(volts, rate)
     mains_hz, mains_v = _mains(frequency, power, floor)
@@ -84,8 +90,8 @@ def measure(recording: Recording, labels: pd.Series, sensor: Sensor) -> Measurem
         tone_ratio=tone_ratio,
         rest_s=start - time_s[0],
         rest_v=rest_v,
-        drift_v=volts[after].mean(axis=0) - rest_v if settled else np.full(volts.shape[1], np.nan),
-        agreement=sign_agreement(recording, labels, sensor),
+        drift_v=level.volts[after].mean(axis=0) - rest_v if settled else np.full(volts.shape[1], np.nan),
+        agreement=sign_agreement(level, labels, sensor),
         landmarks=_landmarks(volts),
         fingerprint=(noise / np.maximum(np.linalg.norm(noise, axis=0), 1e-300)).astype(np.float32),
         echo=_echo(volts, rate),

@@ -124,9 +124,15 @@ def _inputs(card: Card) -> str:
     if card.input == "features":
         names = textwrap.fill(", ".join(feature_names(boards)), 100, subsequent_indent="  ")
         return f"features: of the slide so far, in this order (suffixes: _v V, _s s)\n  {names}"
+    base = (
+        "  What base in model.json says of the base's motion is taken out first.\n"
+        if card.base is not None
+        else ""
+    )
     return (
         f"volts: the slide so far in 64 equal bins of time, V less the static output: 64 of {card.channels[0]}, then\n"
         f"  64 of {card.channels[1]}, and so on in the card's order.\n"
+        f"{base}"
         "elapsed_s: time since the slide began, s.\n"
         "weight: 1 for an accelerometer in use, 0 for one that is not."
     )
