@@ -10,9 +10,11 @@ from moving_robot import BASE, exact_motion, on_a_robot, wandering
 from streams import RATE_HZ, a_sensor, still, stream
 
 from features.errors import InputError
+from pipeline.atlas.atlas import DEFAULT_SENSOR
 from pipeline.recordings.base_motion import moved_and_left, without_base_motion
 from pipeline.recordings.folder import Folder, Recording, write_folder
-from pipeline.sensor import Sensor
+from pipeline.sensor import Sensor, read_sensor, write_sensor
+from pipeline.synthesis.synthesize import synthesize
 
 SENSOR = replace(a_sensor(2), base=BASE)
 EXACT = exact_motion(SENSOR)
@@ -92,3 +94,16 @@ def test_an_accelerometer_of_the_skin_is_not_named_as_the_base() -> None:
     named = replace(SENSOR.accelerometers[0], name="base")
     with pytest.raises(ValueError, match=r"as the robot's under \[base\]"):
         replace(SENSOR, accelerometers=(named,))
+
+
+def test_recordings_without_the_motion_are_not_written_as_if_they_had_it(tmp_path: Path) -> None:
+    folder = without_base_motion(recorded(tmp_path / "lab", {"one": 20.0}))
+    with pytest.raises(InputError, match="do not both have a base"):
+        write_folder(tmp_path / "out", folder.sensor, folder.manifest, [folder.load("one")])
+    assert not (tmp_path / "out").exists()
+
+
+def test_nothing_is_synthesized_of_a_robot(tmp_path: Path) -> None:
+    write_sensor(tmp_path / "sensor.toml", replace(read_sensor(DEFAULT_SENSOR), base=BASE))
+    with pytest.raises(InputError, match=r"sensor\.toml: has a \[base\], and synthetic slides none"):
+        synthesize(None, tmp_path / "sensor.toml", 1, 0, tmp_path / "out")

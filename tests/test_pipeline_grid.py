@@ -196,6 +196,14 @@ def test_a_bad_grid_is_refused_in_one_line(tmp_path: Path, capsys, change, told:
     assert not (tmp_path / "out").exists()
 
 
+def test_a_grid_of_presses_has_no_base(tmp_path: Path) -> None:
+    write_lab(tmp_path, presses())
+    sensor = tmp_path / "sensor.toml"
+    sensor.write_text(f"{sensor.read_text()}\n[base]\nzero_g_v = 1.5\n")
+    with pytest.raises(InputError, match=r"has a \[base\], and a grid of presses none"):
+        read_grid_map(tmp_path / "map.toml")
+
+
 def test_a_magnetometer_answers_on_three_axes_and_is_no_design(tmp_path: Path) -> None:
     write_lab(tmp_path, presses())
     sensor = read_sensor(tmp_path / "sensor.toml")

@@ -156,6 +156,11 @@ def write_folder(
         for recording in recordings:
             if recording.name not in table.index:
                 raise InputError(f"{out}: recording '{recording.name}' has no row in the manifest; add one")
+            if (recording.base_v is None) != (sensor.base is None):
+                raise InputError(
+                    f"{out}: recording '{recording.name}' and the sensor do not both have a base; give base_v or take "
+                    "[base] out"
+                )
             file = scratch / "slides" / f"{recording.name}.parquet"
             write_slide(file, recording.time_s, recording.samples, sensor.columns)
             if recording.truth is not None:

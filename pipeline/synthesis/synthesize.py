@@ -279,6 +279,8 @@ def synthesize(
         raise InputError(f"{seed}: it must not be negative", "seed")
     atlas = read_atlas(atlas_path) if atlas_path else read_atlas()
     sensor = read_sensor(sensor_path) if sensor_path else sensor_of(atlas)
+    if sensor.base is not None:
+        raise InputError(f"{sensor_path}: has a [base], and synthetic slides none; take it out")
     check_atlas(atlas, sensor, str(atlas_path or "the default atlas"))
     # Whoever reads a report on these recordings is to see what they are.
     sensor = replace(sensor, name=f"{sensor.name}, synthetic", origin="synthetic")

@@ -68,6 +68,8 @@ class GridMap:
     seed: int = 0
 
     def __post_init__(self) -> None:
+        if self.sensor.base is not None:
+            raise ValueError("sensor.toml has a [base], and a grid of presses none; take it out")
         for channel in self.sensor.channels:
             if channel not in self.channels:
                 raise ValueError(f"[channels.{channel}] is missing; say which columns hold it")
