@@ -6,13 +6,16 @@ import sys
 import numpy as np
 
 from features.height import HeightCalibration
+from features.stream.conditioning import Conditioning
 from models.fitted_model import FittedModel
 from models.response_map.changes import LEAST_DEPTHS_MM
+from pipeline.recordings.at_rest import REFERENCE_V_PER_G
 from pipeline.recordings.base_motion import moved_and_left
 from pipeline.recordings.derived_labels import why_not_labelled, with_derived_labels
 from pipeline.recordings.folder import Folder
 
 EXAMPLES = 3  # recordings named for each reason
+TRIGGER_RMS = 3.0  # what is left of the base's motion reaches three times its rms every few seconds
 
 
 def report_plan(model: str, chosen: Folder, folder: Folder, design: bool, last_s: float | None) -> None:
@@ -54,9 +57,17 @@ def report_base(whole: Folder) -> None:
     if whole.base_motion is None:
         return
     moved_g, before_v, left_v = moved_and_left(whole)
+    sensitivity = float(np.median([a.sensitivity_v_per_g for a in whole.sensor.accelerometers]))
+    shown_v = Conditioning().trigger_v * sensitivity / REFERENCE_V_PER_G
+    late = whole.sensor.measures_gravity and left_v > shown_v / TRIGGER_RMS
     print(
         f"the base moved by {', '.join(f'{g:.2f}' for g in moved_g[::-1])} g rms along three axes; of the "
-        f"{1e3 * before_v:.0f} mV that the skin followed it by {1e3 * left_v:.1f} mV are left",
+        f"{1e3 * before_v:.0f} mV that the skin followed it by {1e3 * left_v:.1f} mV are left"
+        + (
+            "; as much shows as contacts: are both sampled at the same time, and does nothing touch?"
+            if late
+            else ""
+        ),
         file=sys.stderr,
     )
 

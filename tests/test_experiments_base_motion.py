@@ -13,7 +13,9 @@ import pytest
 from moving_robot import BASE, felt_g, on_a_robot, wandering
 
 import softslide
+from experiments.data_use import report_base
 from pipeline.checks.findings import examine
+from pipeline.recordings.base_motion import without_base_motion
 from pipeline.recordings.folder import SAMPLE, Folder, Recording, read_folder, write_folder
 from pipeline.sensor import STANDARD_GRAVITY, write_sensor
 from serve.localizer import Localizer
@@ -85,6 +87,20 @@ def test_training_says_how_far_the_base_moved_and_what_is_left(trained: tuple[Pa
     before, left = (float(words.split()[-1]) for words in line.split(" mV")[:2])
     assert before > 50
     assert left < 4
+
+
+@pytest.mark.parametrize(("late_s", "shows"), [(0.0, False), (0.03, True)])
+def test_a_base_that_comes_late_is_told(
+    lab: Folder, tmp_path: Path, capsys: pytest.CaptureFixture[str], late_s: float, shows: bool
+) -> None:
+    robot = lab.load("robot")
+    assert robot.base_v is not None
+    shifted = np.roll(robot.base_v, round(late_s * lab.sensor.sample_rate_hz), axis=0)
+    folder = write_folder(
+        tmp_path / "lab", lab.sensor, lab.manifest.loc[["robot"]], [replace(robot, base_v=shifted)]
+    )
+    report_base(without_base_motion(folder))
+    assert ("are both sampled at the same time" in capsys.readouterr().err) == shows
 
 
 @pytest.mark.long
