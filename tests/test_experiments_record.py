@@ -8,6 +8,7 @@ import sys
 import threading
 import time
 from contextlib import suppress
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -22,7 +23,7 @@ from experiments.acquisition.plan_file import read_plan
 from features.errors import InputError
 from pipeline.recordings.folder import Recording, read_folder
 from pipeline.recordings.growing_folder import add_recording, open_growing
-from pipeline.sensor import write_sensor
+from pipeline.sensor import Base, write_sensor
 
 RATE_HZ = 1000.0
 
@@ -232,7 +233,7 @@ def test_lost_samples_are_told_by_the_rate(lab: Path) -> None:
     port = free_port()
     # At half the rate without times every second sample is missing.
     slow = UDP.replace("lines(seed", "lines(rate_hz=500, seed").replace('f"{n / rate_hz:.4f}," + ', "")
-    with subprocess.Popen([sys.executable, "-c", slow, str(port), "0"]) as sender:
+    with subprocess.Popen([sys.executable, "-c", slow, str(port), "0", "3"]) as sender:
         done = subprocess.run(
             command(lab, f"udp://:{port}", "--yes"), capture_output=True, text=True, timeout=240
         )
@@ -326,3 +327,35 @@ def test_the_operator_is_told_what_looks_wrong() -> None:
     dead[:, 1] = 1.65
     assert "a0_vy does not change" in told(dead)
     assert "a0_vx is clipped" in told(np.minimum(1.65 + bump + noise, [1.7, 9.0, 9.0]))
+
+
+def test_a_robot_that_moves_is_a_row_of_the_plan(tmp_path: Path) -> None:
+    """Of the split `base`: no label is needed, and nobody is told that nothing touches."""
+    sensor = replace(a_sensor(), base=Base())
+    write_sensor(tmp_path / "sensor.toml", sensor)
+    (tmp_path / "plan.csv").write_text(f"{PLAN}one,calibration,0,40,-5,-29,-5,8,0.5\nmoves,base,,40,,,,8,\n")
+    port = free_port()
+    with sending(port, columns=6):
+        done = subprocess.run(
+            command(tmp_path, f"udp://:{port}", "--yes"),
+            capture_output=True,
+            text=True,
+            timeout=240,
+            check=True,
+        )
+    assert "moves: lean the robot over in all directions for 1.2 s, nothing touches" in done.stderr
+    folder = read_folder(tmp_path / "out")
+    assert list(folder.manifest["split"]) == ["calibration", "base"]
+    for name in folder.manifest.index:
+        recording = folder.load(name)
+        assert recording.volts.shape[1] == 3
+        assert recording.base_v is not None
+        assert recording.base_v[:, 2].mean() == pytest.approx(2.45, abs=0.01)
+
+
+def test_a_plan_for_a_base_that_the_sensor_has_not_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "plan.csv").write_text(f"{PLAN}moves,base,,,,,,,\n")
+    with pytest.raises(InputError, match=r"moves is of the split 'base', and sensor\.toml has no \[base\]"):
+        read_plan(tmp_path / "plan.csv", a_sensor())
+    plan = read_plan(tmp_path / "plan.csv", replace(a_sensor(), base=Base()))
+    assert list(plan.index) == ["moves"]

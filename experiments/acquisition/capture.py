@@ -118,8 +118,11 @@ def deviation_v(volts: np.ndarray, rate_hz: float, rest_s: float) -> tuple[np.nd
     return blocks - rest.mean(axis=0), rest.std(axis=0)
 
 
-def remarks(recording: Recording, sensor: Sensor, phases: Phases) -> list[str]:
-    """What the operator should know of a slide before keeping it: how strong it is, and what looks wrong."""
+def remarks(recording: Recording, sensor: Sensor, phases: Phases, touched: bool = True) -> list[str]:
+    """What the operator should know of a slide before keeping it: how strong it is, and what looks wrong.
+
+    touched: whether it is a slide; if not, the robot moves and nothing touches.
+    """
     away, rest_sd = deviation_v(recording.volts, sensor.sample_rate_hz, phases.rest_s)
     peaks = np.abs(away).max(axis=0)
     strongest = int(peaks.argmax())
@@ -129,9 +132,9 @@ def remarks(recording: Recording, sensor: Sensor, phases: Phases) -> list[str]:
         f"{recording.time_s[-1]:.1f} s, {len(recording.volts)} samples, peak {1e3 * peaks[strongest]:.1f} mV "
         f"({channel}), rest within {1e3 * rest_sd.max():.1f} mV"
     ]
-    if peaks[strongest] < faint:
+    if touched and peaks[strongest] < faint:
         told.append(f"no contact shows: the peak is less than {FAINT:g} times the rest's deviation")
-    elif np.abs(away[-5:].mean(axis=0)).max() > NOT_BACK * peaks[strongest]:
+    elif touched and np.abs(away[-5:].mean(axis=0)).max() > NOT_BACK * peaks[strongest]:
         told.append(
             "the output does not come back to rest: the object is still on the skin, or the rest is short"
         )

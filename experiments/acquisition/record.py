@@ -18,12 +18,14 @@ from experiments.acquisition.listener import Listener
 from experiments.acquisition.operator import Operator, level_bar
 from experiments.acquisition.plan_file import read_plan
 from features.errors import CheckFailed, InputError
+from pipeline.recordings.base_motion import SPLIT
 from pipeline.recordings.folder import Folder, Recording
 from pipeline.recordings.growing_folder import add_recording, open_growing
 from pipeline.sensor import Sensor, read_sensor
 from serve.stream.sources import open_live
 
 LIVE = ("serial://", "udp://", "ros2://")
+BASE_S = 60.0  # of a robot that moves while nothing touches, where the plan gives no travel and speed
 ATTEMPTS = 3  # at a slide that fails with nobody to ask
 RAMP_S = 1.0  # a stage's ramps come on top of way over speed; `softslide check` allows as much
 
@@ -85,11 +87,19 @@ class _Stopped(Exception):
 
 def _described(labels: pd.Series) -> str:
     """A slide in words: what the stage is set to."""
+    if labels["split"] == SPLIT:
+        return f"lean the robot over in all directions for {_motion_s(labels):g} s, nothing touches"
     text = (
         f"from x {labels.start_x_mm:g}, y {labels.start_y_mm:g} mm, direction {labels.direction_deg:g} deg, "
         f"{labels.travel_mm:g} mm at {labels.speed_mm_s:g} mm/s"
     )
     return text if math.isnan(labels.depth_mm) else f"{text}, depth {labels.depth_mm:g} mm"
+
+
+def _motion_s(labels: pd.Series) -> float:
+    """How long the motion takes, s."""
+    moves_s = labels.travel_mm / labels.speed_mm_s + RAMP_S
+    return BASE_S if labels["split"] == SPLIT and math.isnan(moves_s) else moves_s
 
 
 def _slide(
@@ -107,11 +117,12 @@ def _slide(
         _Stopped: the operator stops.
         InputError, CheckFailed: as `record`.
     """
-    phases = Phases(times.rest, times.start, labels.travel_mm / labels.speed_mm_s + RAMP_S)
-    failed = 0
+    phases = Phases(times.rest, times.start, _motion_s(labels))
+    of_base, failed = labels["split"] == SPLIT, 0
+    question = f"{'Let the robot begin' if of_base else 'Set the stage'}. Enter records, s skips, q stops:"
     while True:
         _wait(listener, operator, times, source)
-        if _answer(operator, "Set the stage. Enter records, s skips, q stops:", listener, sensor) == "s":
+        if _answer(operator, question, listener, sensor) == "s":
             return None
         try:
             slide = capture(listener, sensor, name, phases, times.timeout, _shower(operator, phases))
@@ -121,7 +132,7 @@ def _slide(
             if operator.absent and failed == ATTEMPTS:
                 raise CheckFailed(f"{name} failed {ATTEMPTS} times: {reason}; what is kept stays") from None
             continue
-        for remark in remarks(slide, sensor, phases):
+        for remark in remarks(slide, sensor, phases, touched=not of_base):
             operator.say(f"  {remark}")
         answer = _answer(
             operator, "Keep it? Enter keeps, a records again, s skips, q stops:", listener, sensor

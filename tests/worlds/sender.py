@@ -11,13 +11,13 @@ from contextlib import contextmanager
 SENDER = textwrap.dedent(
     """
     import sys, time, random, math
-    def lines(rate_hz=1000, bundle=20, seed=0):
+    def lines(rate_hz=1000, bundle=20, seed=0, columns=3):
         noise, n, begun = random.Random(seed), 0, time.monotonic()
         while True:
             rows = []
             for _ in range(bundle):
                 bump = 0.15 * math.sin(math.pi * n / 500) ** 2 if n % 1500 > 1000 else 0.0
-                volts = [1.65 + bump, 1.65 - bump, 2.45]
+                volts = [1.65 + bump, 1.65 - bump, 2.45, 1.65, 1.65, 2.45][:columns]
                 rows.append(f"{n / rate_hz:.4f}," + ",".join(f"{v + noise.gauss(0, 0.005):.4f}" for v in volts))
                 n += 1
             time.sleep(max(0.0, begun + n / rate_hz - time.monotonic()))
@@ -28,7 +28,7 @@ UDP = SENDER + textwrap.dedent(
     """
     import socket
     mouth = socket.socket(type=socket.SOCK_DGRAM)
-    for data in lines(seed=int(sys.argv[2])):
+    for data in lines(seed=int(sys.argv[2]), columns=int(sys.argv[3])):
         mouth.sendto(data, ("127.0.0.1", int(sys.argv[1])))
     """
 )
@@ -43,8 +43,8 @@ def free_port() -> int:
 
 
 @contextmanager
-def sending(port: int, seed: int = 0) -> Iterator[subprocess.Popen]:
-    with subprocess.Popen([sys.executable, "-c", UDP, str(port), str(seed)]) as sender:
+def sending(port: int, seed: int = 0, columns: int = 3) -> Iterator[subprocess.Popen]:
+    with subprocess.Popen([sys.executable, "-c", UDP, str(port), str(seed), str(columns)]) as sender:
         try:
             yield sender
         finally:
