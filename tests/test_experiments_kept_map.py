@@ -171,6 +171,7 @@ def test_an_error_keeps_nothing(lab: Folder, cache: Path) -> None:
     assert not cache.exists()
 
 
+@pytest.mark.long
 def test_the_bundle_is_the_same_to_the_byte(
     lab: Folder, cache: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -8,14 +8,18 @@ from pathlib import Path
 
 import mlflow
 import numpy as np
+import onnx
 import pandas as pd
 import pytest
 
 import softslide
 from experiments.configuration import configured
+from experiments.data_use import report_use
 from experiments.provenance import bundle_hash
 from experiments.tracking.store import find_run
+from features.card import Validity
 from features.stream.conditioning import Conditioning
+from models.fitted_model import FittedModel
 from models.registry import default_config
 from pipeline.recordings.folder import SAMPLE, read_folder
 from serve.localizer import Localizer
@@ -248,9 +252,12 @@ def test_it_says_what_it_did_not_use_and_what_it_took_for_granted(
 def test_depths_that_hardly_differ_are_one_depth(
     lab: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], depth_mm: str, several: bool
 ) -> None:
-    folder = _relabelled(lab, tmp_path / "lab", depth_mm=depth_mm)
-    command = ["train", "--recordings", folder, "--model", "interpolation", "--out", tmp_path / "out"]
-    assert softslide.main([str(word) for word in command]) == 0
+    folder = read_folder(_relabelled(lab, tmp_path / "lab", depth_mm=depth_mm)).select("calibration")
+    none = np.empty(0)
+    fitted = FittedModel(
+        "", "window", (), onnx.ModelProto(), lambda inputs: none, {}, Validity(), Conditioning()
+    )
+    report_use(folder, folder, fitted)
     said = f"depth_mm from 0.5 to {depth_mm}: any depth between them is expected"
     assert (said in capsys.readouterr().err.splitlines()) == several
 
