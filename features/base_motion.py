@@ -25,7 +25,8 @@ SMALLEST_STEP = 1e-4  # rad
 ITERATIONS = 8
 # About x and y, rad: further the skin does not turn a board; what shows more is a knock, or no signal.
 LARGEST_TURN = 0.5
-BASE_COLUMNS = ("base_vx", "base_vy", "base_vz")
+BASE = "base"
+BASE_COLUMNS = tuple(f"{BASE}_v{axis}" for axis in "xyz")
 
 
 @dataclass(frozen=True)

@@ -11,13 +11,13 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+from features.base_motion import BASE
 from features.errors import InputError
 from features.stream.conditioning import TOUCH_AXES
 from pipeline.toml_tables import from_table, read_toml
 
 # Noise density of an accelerometer by its data sheet, g / sqrt(Hz). MMA7361L: Freescale, rev. 0, 350 ug / sqrt(Hz).
 NOISE_G_RTHZ = {"MMA7361L": 350e-6}
-BASE = "base"
 STANDARD_GRAVITY = 9.80665  # m/s2
 # Skin left between a board and the clamped rim, and between two boards: less would be a sliver of an element.
 _RIM_MM = 0.5

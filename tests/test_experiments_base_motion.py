@@ -21,13 +21,6 @@ from pipeline.sensor import STANDARD_GRAVITY, write_sensor
 from serve.localizer import Localizer
 
 
-@pytest.fixture(scope="module", autouse=True)
-def tracking(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("MLFLOW_TRACKING_URI", f"sqlite:///{tmp_path_factory.mktemp('store') / 'mlflow.db'}")
-        yield
-
-
 @pytest.fixture(scope="module")
 def lab(tmp_path_factory: pytest.TempPathFactory) -> Folder:
     """The sample, its calibration slides on a table, its test slides on a robot that moves, and the robot alone."""
@@ -56,7 +49,7 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Folder:
 
 
 @pytest.fixture(scope="module")
-def trained(lab: Folder, tracking: None) -> tuple[Path, str]:
+def trained(lab: Folder) -> tuple[Path, str]:
     """A bundle, and what `train` said."""
     out, said = lab.root.parent / "bundle", io.StringIO()
     words = ["train", "--recordings", lab.root, "--model", "interpolation", "--out", out]
@@ -111,7 +104,6 @@ def test_estimates_on_a_moving_robot_are_those_on_a_table(bundle: Path, lab: Fol
     table = evaluated(plain, SAMPLE, tmp_path / "table")
     robot = evaluated(bundle, lab.root, tmp_path / "robot")
     without = evaluated(plain, lab.root, tmp_path / "without")
-    print(table, robot, without)
     assert robot["valid_share"] == table["valid_share"]
     for name, allowance in (("direction_deg", 1.0), ("speed_percent", 1.5), ("offset_mm", 0.1)):
         assert robot[name]["mean"] <= table[name]["mean"] + allowance

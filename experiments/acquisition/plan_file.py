@@ -5,7 +5,7 @@ from pathlib import Path
 import pandas as pd
 
 from features.errors import InputError
-from pipeline.recordings.base_motion import SPLIT
+from pipeline.recordings.base_motion import BASE_SPLIT
 from pipeline.recordings.manifest import LABELS, check_manifest, read_table
 from pipeline.sensor import Sensor
 from pipeline.staging import writing
@@ -29,10 +29,10 @@ def read_plan(path: Path, sensor: Sensor) -> pd.DataFrame:
         table["recording"] = [f"p{n:02d}" for n in range(1, len(table) + 1)]
     table = table.assign(split=table.get("split", "calibration"), file="-")
     plan = check_manifest(table, sensor, path)
-    of_base = plan["split"] == SPLIT
+    of_base = plan["split"] == BASE_SPLIT
     if of_base.any() and sensor.base is None:
         raise InputError(
-            f"{path}: {plan.index[of_base][0]} is of the split '{SPLIT}', and sensor.toml has no [base]"
+            f"{path}: {plan.index[of_base][0]} is of the split '{BASE_SPLIT}', and sensor.toml has no [base]"
         )
     for column in NEEDED:
         if (empty := plan[column].isna() & ~of_base).any():

@@ -18,7 +18,7 @@ from experiments.acquisition.listener import Listener
 from experiments.acquisition.operator import Operator, level_bar
 from experiments.acquisition.plan_file import read_plan
 from features.errors import CheckFailed, InputError
-from pipeline.recordings.base_motion import SPLIT
+from pipeline.recordings.base_motion import BASE_SPLIT
 from pipeline.recordings.folder import Folder, Recording
 from pipeline.recordings.growing_folder import add_recording, open_growing
 from pipeline.sensor import Sensor, read_sensor
@@ -87,7 +87,7 @@ class _Stopped(Exception):
 
 def _described(labels: pd.Series) -> str:
     """A slide in words: what the stage is set to."""
-    if labels["split"] == SPLIT:
+    if labels["split"] == BASE_SPLIT:
         return f"lean the robot over in all directions for {_motion_s(labels):g} s, nothing touches"
     text = (
         f"from x {labels.start_x_mm:g}, y {labels.start_y_mm:g} mm, direction {labels.direction_deg:g} deg, "
@@ -99,7 +99,7 @@ def _described(labels: pd.Series) -> str:
 def _motion_s(labels: pd.Series) -> float:
     """How long the motion takes, s."""
     moves_s = labels.travel_mm / labels.speed_mm_s + RAMP_S
-    return BASE_S if labels["split"] == SPLIT and math.isnan(moves_s) else moves_s
+    return BASE_S if labels["split"] == BASE_SPLIT and math.isnan(moves_s) else moves_s
 
 
 def _slide(
@@ -118,7 +118,7 @@ def _slide(
         InputError, CheckFailed: as `record`.
     """
     phases = Phases(times.rest, times.start, _motion_s(labels))
-    of_base, failed = labels["split"] == SPLIT, 0
+    of_base, failed = labels["split"] == BASE_SPLIT, 0
     question = f"{'Let the robot begin' if of_base else 'Set the stage'}. Enter records, s skips, q stops:"
     while True:
         _wait(listener, operator, times, source)

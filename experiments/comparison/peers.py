@@ -89,8 +89,12 @@ class Study:
         """Hash of the recordings that are learnt from and scored."""
         return {"taught": data_hashes(self.taught), "scored": data_hashes(self.scored)}
 
+    @cached_property
+    def _folder(self) -> Folder:
+        return without_base_motion(read_folder(self.recordings))
+
     def _labelled(self, *splits: str) -> Folder:
-        folder = without_base_motion(read_folder(self.recordings)).select(*splits).labelled()
+        folder = self._folder.select(*splits).labelled()
         if not len(folder):
             raise InputError(
                 f"{self.recordings / 'manifest.csv'}: no labelled slide of a split {' or '.join(splits)}*; add some"

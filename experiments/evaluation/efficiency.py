@@ -32,7 +32,7 @@ EARLIEST = 0.2
 SAME_DEPTH_MM = 0.02
 COLUMNS = ("recording", "stroke_fraction", *(f"{name}_bound" for name in QUANTITIES))
 # No bound: columns of the right type, so that tables of several recordings can be put together.
-NONE = pd.DataFrame({name: pd.Series(dtype=str if name == "recording" else float) for name in COLUMNS})
+NO_BOUNDS = pd.DataFrame({name: pd.Series(dtype=str if name == "recording" else float) for name in COLUMNS})
 
 
 def bound(response: ResponseMap, block_s: float, windows: LabelledWindows) -> pd.DataFrame:
@@ -46,7 +46,7 @@ def bound(response: ResponseMap, block_s: float, windows: LabelledWindows) -> pd
     )
     windows = windows[known & np.isfinite(windows.along_mm)]
     if not len(windows):
-        return NONE
+        return NO_BOUNDS
     least = cramer_rao(response, block_s, windows)
     return pd.DataFrame(
         {"recording": windows.recording, "stroke_fraction": windows.stroke_fraction}
@@ -72,7 +72,7 @@ def _bounds(bundle: Path, folder: Folder, names: list[str]) -> pd.DataFrame:
         windows = labelled_windows(folder, card.conditioning)
     except InputError:
         # The recordings have been read before: none of these is strong enough to be noticed.
-        return NONE
+        return NO_BOUNDS
     return bound(response, card.conditioning.block_s, windows)
 
 

@@ -10,7 +10,7 @@ from features.stream.conditioning import Conditioning, block_means
 from pipeline.recordings.folder import Folder
 from pipeline.sensor import Sensor
 
-SPLIT = "base"  # of these recordings
+BASE_SPLIT = "base"  # of these recordings
 # rms, g: a tilt of a degree. With noise of 0.6 mg a block, a gain is known to 0.1 % after a minute.
 LEAST_MOTION_G = 0.02
 # Shorter blocks lower the gains by the base's noise, 2.6 % where it moves by 15 mV rms and blocks of 20 ms have 1.1 mV;
@@ -32,8 +32,8 @@ def without_base_motion(folder: Folder) -> Folder:
     moving = _moving(raw)
     if not moving:
         raise InputError(
-            f"{folder.root / 'manifest.csv'}: sensor.toml has a [base], and no recording is of the split '{SPLIT}'; "
-            "record a minute in which the robot moves and nothing touches the skin, or take [base] out"
+            f"{folder.root / 'manifest.csv'}: sensor.toml has a [base], and no recording is of the split "
+            f"'{BASE_SPLIT}'; record a minute in which the robot moves and nothing touches the skin, or take [base] out"
         )
     return replace(folder, base_motion=_fitted(raw, moving))
 
@@ -46,28 +46,30 @@ def moved_and_left(folder: Folder) -> tuple[np.ndarray, float, float]:
     assert motion is not None
     assert sensor.base is not None
     raw = replace(folder, base_motion=None)
-    volts, base = _about_their_means(raw, _moving(raw))
+    volts, base = _about_their_means([_blocks(raw, name) for name in _moving(raw)])
     left, _ = motion.without(volts + motion.static_v, base + motion.base_v)
     before_v, after_v = (float(np.sqrt(np.mean(v**2, axis=0)).max()) for v in (volts, left - motion.static_v))
     return _principal_rms(base) / sensor.base.sensitivity_v_per_g, before_v, after_v
 
 
 def _moving(folder: Folder) -> list[str]:
-    return [str(name) for name in folder.manifest.index[folder.manifest["split"] == SPLIT]]
+    return [str(name) for name in folder.manifest.index[folder.manifest["split"] == BASE_SPLIT]]
 
 
 def _fitted(folder: Folder, moving: list[str]) -> BaseMotion:
     sensor = folder.sensor
     assert sensor.base is not None
-    volts, base = _about_their_means(folder, moving)
+    blocks = [_blocks(folder, name) for name in moving]
+    volts, base = _about_their_means(blocks)
     if _principal_rms(base)[-1] < LEAST_MOTION_G * sensor.base.sensitivity_v_per_g:
         raise InputError(
-            f"{folder.root}: in the recordings of the split '{SPLIT}' the base hardly moves; tilt it by 10 degrees and "
-            "more, about two axes"
+            f"{folder.root}: in the recordings of the split '{BASE_SPLIT}' the base hardly moves; tilt it by 10 "
+            "degrees and more, about two axes"
         )
     gains = np.linalg.lstsq(base, volts, rcond=None)[0].T
-    means = [_blocks(folder, name).mean(axis=0) for name in moving]
-    skin_v, moved_v = np.split(np.mean(means, axis=0), [len(sensor.channels)])
+    skin_v, moved_v = np.split(
+        np.mean([each.mean(axis=0) for each in blocks], axis=0), [len(sensor.channels)]
+    )
     base_v = _attitude_v(folder, moving)
     static_v = skin_v - gains @ (moved_v - base_v)
     return BaseMotion(
@@ -91,9 +93,8 @@ def _attitude_v(folder: Folder, moving: list[str]) -> np.ndarray:
     return np.median([_blocks(folder, name)[0, -3:] for name in names], axis=0)
 
 
-def _about_their_means(folder: Folder, names: list[str]) -> tuple[np.ndarray, np.ndarray]:
-    """Blocks of all recordings, each about its own mean: skin (m, C) V and base (m, 3) V."""
-    blocks = [_blocks(folder, name) for name in names]
+def _about_their_means(blocks: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """All recordings' blocks (m, C + 3) V, each about its recording's mean: skin (m, C) V and base (m, 3) V."""
     together = np.concatenate([each - each.mean(axis=0) for each in blocks])
     return together[:, :-3], together[:, -3:]
 

@@ -11,7 +11,7 @@ from pipeline.sensor import Base, Sensor
 
 BASE = Base(sensitivity_v_per_g=0.5, zero_g_v=1.5)
 _TURN, _LEAN = np.deg2rad(25.0), np.deg2rad(8.0)
-# The base's accelerometer is mounted askew: turned about z, and leaning over.
+# The base's accelerometer is turned about z, and tilted.
 MOUNTED = np.array(
     [
         [np.cos(_TURN), -np.sin(_TURN), 0.0],
