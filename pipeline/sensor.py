@@ -22,6 +22,8 @@ STANDARD_GRAVITY = 9.80665  # m/s2
 # Skin left between a board and the clamped rim, and between two boards: less would be a sliver of an element.
 _RIM_MM = 0.5
 _BOARD_GAP_MM = 0.5
+# Of skin on the base: a wider border adds elements that hardly move.
+MOST_OVERLAP_MM = 20.0
 
 
 KINDS = ("accelerometer", "magnetometer", "other")
@@ -95,11 +97,20 @@ class Skin:
     pressures themselves instead. Neither is the regulator's figure `pressure_mpa`: a neo-Hookean skin of
     the article's modulus would balloon long before 35 kPa, so the height is what ties the model to a real
     skin.
+
+    overlap_mm: how far the skin goes on beyond the chamber, bonded to the base by its lower face; 0: it is clamped at
+    the chamber's edge over its whole thickness.
+    base_mpa_mm: traction over displacement of the base under the overlap, normal and tangential to it (a Winkler
+    foundation); none: a rigid base.
+    prestretch: how far the skin was stretched along x and y before it was mounted; lengths are as mounted.
     """
 
     youngs_modulus_mpa: float = 0.07
     bulk_modulus_mpa: float = 2.0
     friction: float = 0.2
+    overlap_mm: float = 0.0
+    base_mpa_mm: tuple[float, ...] = ()
+    prestretch: float = 1.0
     height_mm: tuple[float, ...] = (5.0, 7.0, 9.6)
     effective_pressure_mpa: tuple[float, ...] = ()
 
@@ -109,6 +120,16 @@ class Skin:
                 raise ValueError(f"{name} is {getattr(self, name)}; it must be positive")
         if not 0 <= self.friction <= 1:
             raise ValueError(f"friction is {self.friction}; it must lie in 0..1")
+        if not 0 <= self.overlap_mm <= MOST_OVERLAP_MM:
+            raise ValueError(f"overlap_mm is {self.overlap_mm}; it must lie in 0..{MOST_OVERLAP_MM:g}")
+        if self.base_mpa_mm and (len(self.base_mpa_mm) != 2 or not min(self.base_mpa_mm) > 0):
+            raise ValueError(
+                f"base_mpa_mm is {list(self.base_mpa_mm)}; it must be two positive stiffnesses, normal and tangential"
+            )
+        if self.base_mpa_mm and not self.overlap_mm:
+            raise ValueError("base_mpa_mm is given without overlap_mm: nothing of the skin lies on the base")
+        if not 0.8 <= self.prestretch <= 1.5:
+            raise ValueError(f"prestretch is {self.prestretch}; it must lie in 0.8..1.5")
         for name in ("height_mm", "effective_pressure_mpa"):
             levels = getattr(self, name)
             if any(v <= 0 for v in levels) or any(b <= a for a, b in pairwise(levels)):
@@ -176,8 +197,14 @@ class Sensor:
     origin: str = ""
     # None: the recordings have no columns of it.
     base: Base | None = None
+    # The indenter's lower end is a ball, or an edge: the ball swept along this vector, which is along x or y.
+    indenter_edge_mm: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
+        if len(self.indenter_edge_mm) != 2 or min(map(abs, self.indenter_edge_mm)) > 0:
+            raise ValueError(
+                f"indenter_edge_mm is {list(self.indenter_edge_mm)}; it must be a length along x or along y and a 0"
+            )
         if self.mains_hz not in (None, 50.0, 60.0):
             raise ValueError(f"mains_hz is {self.mains_hz:g}; it must be 50 or 60")
         for name in ("sample_rate_hz", "skin_thickness_mm", "indenter_diameter_mm", "pressure_mpa"):
@@ -298,14 +325,23 @@ def write_sensor(path: Path, sensor: Sensor) -> None:
 
 
 def design_of(sensor: Sensor) -> dict[str, Any]:
-    """What of a sensor decides its mechanics; names, electronics and the regulator's pressure do not."""
+    """What of a sensor decides its mechanics; names, electronics and the regulator's pressure do not.
+
+    What a design can do without is in it where it has it, so that the hash of one without it stays.
+    """
+    optional, plain = ("overlap_mm", "base_mpa_mm", "prestretch"), Skin()
+    edge = {"indenter_edge_mm": list(sensor.indenter_edge_mm)} if any(sensor.indenter_edge_mm) else {}
     return {
         "chamber_mm": list(sensor.chamber_mm),
         "skin_thickness_mm": sensor.skin_thickness_mm,
         "indenter_diameter_mm": sensor.indenter_diameter_mm,
+        **edge,
         "boards_mm": [[a.x_mm, a.y_mm] for a in sensor.accelerometers],
         "skin": {
-            k: v for k, v in asdict(sensor.skin).items() if k not in ("height_mm", "effective_pressure_mpa")
+            k: v
+            for k, v in asdict(sensor.skin).items()
+            if k not in ("height_mm", "effective_pressure_mpa")
+            and not (k in optional and v == getattr(plain, k))
         },
         "board": asdict(sensor.board),
     }

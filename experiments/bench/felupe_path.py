@@ -29,8 +29,7 @@ class Contact:
         corners = mesh.nodes[self.elements[:, 4:]]
         across = np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1])
         self.areas = np.linalg.norm(across, axis=1) / 2 / loads.POINTS**2
-        law = (material.radius_mm, material.friction, material.penalty_mpa_mm2, material.clinging)
-        self.law, self.shapes = np.array(law), loads.face_shapes()
+        self.law, self.shapes = material.touch_law, loads.face_shapes()
         self.centre = self.before = np.array([1e3, 0.0, 0.0])
         self.old = mesh.nodes.copy()
         self.results = SimpleNamespace(update_statevars=lambda: None)

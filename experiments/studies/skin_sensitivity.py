@@ -26,6 +26,9 @@ from pipeline.skin.solver import NoEquilibrium
 STEP_MM = 1.25
 # Of the line beside the board, as the article's X-slides at y = 10 mm; heights as the shipped atlas's middle one.
 OFFSET_MM, DEPTH_MM, HEIGHT_MM = 10.0, 0.5, 7.0
+# The article's base: silicone of 1.2 MPa, 64 mm wide round a chamber of 50 mm and 10 mm deep; the skin is 60 mm wide.
+BASE_MPA, WALL_MM, WALL_HEIGHT_MM, OVERLAP_MM = 1.2, 7.0, 10.0, 5.0
+SHEAR_CORRECTION = 5 / 6  # of a rectangular section (Timoshenko's beam)
 # What is shown, with its unit.
 SHOWN = {
     "extremes_mm": "V_x minimum to maximum, mm",
@@ -69,6 +72,23 @@ def variants(sensor: Sensor) -> Iterator[tuple[str, str, Sensor, float, float]]:
     for value in (1.0, 4.0):
         bulk = replace(skin, bulk_modulus_mpa=value)
         yield "bulk modulus, MPa", f"{value:g}", replace(sensor, skin=bulk), HEIGHT_MM, DEPTH_MM
+    for value in (2.5, 5.0):
+        bonded = replace(skin, overlap_mm=value)
+        yield "skin on the base, mm", f"{value:g}", replace(sensor, skin=bonded), HEIGHT_MM, DEPTH_MM
+    for share in (1.0, 0.5):
+        elastic = replace(skin, overlap_mm=OVERLAP_MM, base_mpa_mm=wall_stiffness(share * BASE_MPA))
+        yield (
+            f"{OVERLAP_MM:g} mm on a base of, MPa",
+            f"{share * BASE_MPA:g}",
+            replace(sensor, skin=elastic),
+            HEIGHT_MM,
+            DEPTH_MM,
+        )
+    for value in (0.98, 1.05):
+        stretched = replace(skin, prestretch=value)
+        yield "prestretch", f"{value:g}", replace(sensor, skin=stretched), HEIGHT_MM, DEPTH_MM
+    for name, edge in (("across", (0.0, 10.0)), ("along", (10.0, 0.0))):
+        yield f"edge of 10 mm {name}", "", replace(sensor, indenter_edge_mm=edge), HEIGHT_MM, DEPTH_MM
     for value in (3.0, 12.0):
         yield "ball, mm", f"{value:g}", replace(sensor, indenter_diameter_mm=value), HEIGHT_MM, DEPTH_MM
     for size, layers in ((3.4, 1), (2.0, 1), (2.5, 2)):
@@ -99,6 +119,17 @@ def sensitivity(
             yield rows[-1]
     if picture is not None:
         draw(pd.DataFrame(rows), picture)
+
+
+def wall_stiffness(modulus_mpa: float) -> tuple[float, float]:
+    """Traction over displacement, normal and tangential, MPa/mm, of the chamber's wall under the skin that lies on it.
+
+    The wall is a beam on a rigid floor, incompressible and in plane strain: it is compressed, or bends and shears.
+    """
+    stretched, sheared = modulus_mpa / (1 - 0.5**2), modulus_mpa / 3
+    bending = WALL_HEIGHT_MM**3 / (3 * stretched * WALL_MM**3 / 12)
+    shear = WALL_HEIGHT_MM / (SHEAR_CORRECTION * sheared * WALL_MM)
+    return stretched * WALL_MM / WALL_HEIGHT_MM / OVERLAP_MM, 1 / (bending + shear) / OVERLAP_MM
 
 
 def figures(sensor: Sensor, height_mm: float, depth_mm: float) -> dict[str, float]:

@@ -12,9 +12,10 @@ from features.errors import InputError
 from pipeline.atlas.solve import COARSE, Progress
 from pipeline.sensor import Accelerometer, Sensor
 from pipeline.skin.lines import Line, join_families, lines, reach_mm, representative
-from pipeline.skin.mesh import Mesh, graded, plate
+from pipeline.skin.mesh import Mesh, graded, mounted, outline, plate
+from pipeline.skin.solved_line import material_of
 from pipeline.skin.solver import NoEquilibrium, Skin
-from pipeline.skin.system import Material, State
+from pipeline.skin.system import State
 
 MESH_MM = 3.4  # as coarse as the coarse atlas's
 LAYERS = 3
@@ -66,13 +67,7 @@ def solve_tilts(
     # A single board at the centre has all the symmetry of the bare skin, and so needs the same lines.
     symmetric = replace(sensor, accelerometers=(Accelerometer("none", 0.0, 0.0),))
     mesh = _bare_mesh(sensor)
-    material = Material(
-        sensor.skin.shear_modulus_mpa,
-        sensor.skin.bulk_modulus_mpa,
-        sensor.skin.friction,
-        sensor.indenter_diameter_mm / 2,
-    )
-    skin = Skin(mesh, material)
+    skin = Skin(mesh, material_of(sensor))
     try:
         pressure, inflated = skin.inflate_to(height_mm)
     except NoEquilibrium as error:
@@ -103,10 +98,9 @@ def solve_tilts(
 
 
 def _bare_mesh(sensor: Sensor) -> Mesh:
-    half = np.array(sensor.chamber_mm) / 2
-    x, y = (graded([-h, 0.0, h], MESH_MM) for h in half)
+    x, y = (graded([*ends, 0.0], MESH_MM) for ends in outline(sensor))
     z = np.linspace(0, sensor.skin_thickness_mm, LAYERS + 1)
-    return plate(x, y, z, np.zeros((0, 2)), np.zeros(2), (0, 0))
+    return mounted(plate(x, y, z, np.zeros((0, 2)), np.zeros(2), (0, 0)), sensor)
 
 
 class _Reader:

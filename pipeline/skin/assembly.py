@@ -83,7 +83,7 @@ def sum_elements(
                     nodal_force,
                     nodal_stiffness,
                 )
-            if is_top[e] and loads.is_near(elements[e], places, centre, law[0]):
+            if is_top[e] and loads.is_near(elements[e], places, centre, law):
                 for a in range(8):
                     for i in range(3):
                         before[i, a] = old_places[elements[e, a], i]

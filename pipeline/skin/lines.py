@@ -35,9 +35,10 @@ class Line:
 
 def reach_mm(sensor: Sensor) -> tuple[float, float]:
     """Half sizes (x, y) beyond which an indenter's centre cannot touch the inflated skin."""
+    beyond = sensor.skin.overlap_mm + sensor.indenter_diameter_mm / 2
     return (
-        sensor.chamber_mm[0] / 2 + sensor.indenter_diameter_mm / 2,
-        sensor.chamber_mm[1] / 2 + sensor.indenter_diameter_mm / 2,
+        sensor.chamber_mm[0] / 2 + beyond + abs(sensor.indenter_edge_mm[0]) / 2,
+        sensor.chamber_mm[1] / 2 + beyond + abs(sensor.indenter_edge_mm[1]) / 2,
     )
 
 

@@ -1,11 +1,12 @@
 """What acts on the skin's faces: air from below, the indenter from above.
 
 Air: p N n da on the lower faces, following them. Its tangent is unsymmetric face by face, but the whole has a
-potential (pressure times enclosed volume) because the skin's edge is clamped, so the symmetric half is exact.
+potential (pressure times enclosed volume) because the skin's edge is clamped, so the symmetric half is exact. Where
+the base gives way the edge moves, and the half leaves an error of the tangent that iterations make up for.
 
-Indenter: a hemisphere with a rod on it, as a penalty at points of the upper faces and not at their nodes,
-which would slip between the skin's nodes and pierce it. The traction per reference area is k gap^2: points
-come into touch smoothly, and the steeper the deeper, which keeps the rod from sinking into a highly
+Indenter: a hemisphere with a rod on it, or both swept along an edge, as a penalty at points of the upper faces and
+not at their nodes, which would slip between the skin's nodes and pierce it. The traction per reference area is
+k gap^2: points come into touch smoothly, and the steeper the deeper, which keeps the rod from sinking into a highly
 inflated skin (a law that grows linearly let it sink 2 mm at 2 kPa and then pierce). Friction opposes the
 slip per millimetre of the indenter's travel,
 
@@ -82,8 +83,8 @@ def air(l, x, pressure, shapes, wants_tangent, force, stiffness):
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
-def is_near(nodes, places, centre, radius):
-    """Whether the indenter can touch the upper face of an element with these nodes (8,)."""
+def is_near(nodes, places, centre, law):
+    """Whether the indenter can touch the upper face of an element with these nodes (8,). law: as in `touch`."""
     near = 1e30
     size = 0.0
     for a in range(4, 8):
@@ -91,7 +92,7 @@ def is_near(nodes, places, centre, radius):
         near = min(near, d0 * d0 + d1 * d1)
         e0, e1 = places[nodes[a], 0] - places[nodes[4], 0], places[nodes[a], 1] - places[nodes[4], 1]
         size = max(size, e0 * e0 + e1 * e1)
-    return math.sqrt(near) <= radius + math.sqrt(size)
+    return math.sqrt(near) <= law[0] + math.sqrt(law[4] * law[4] + law[5] * law[5]) + math.sqrt(size)
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
@@ -101,12 +102,13 @@ def touch(l, x, before, area, centre, moved, travel, law, shapes, wants_tangent,
     Args:
         l, x, force, stiffness: as in `air`. before: (3, 8) the nodes' places at the last position, mm.
         area: of one point, mm^2.
-        centre: (3,) the hemisphere's. moved: (3,) since the last position. travel: its length, mm; 0 = no
-            friction.
-        law: (4,) radius mm, friction, k MPa/mm^2, eps. shapes: `face_shapes`.
+        centre: (3,) the hemisphere's, or the edge's middle. moved: (3,) since the last position. travel: its length,
+            mm; 0 = no friction.
+        law: (6,) radius mm, friction, k MPa/mm^2, eps, half of the edge along x and y mm. shapes: `face_shapes`.
         total: (4,) the force on the indenter, N, added to, and the deepest gap so far, mm.
     """
-    radius, friction, penalty, clinging = law
+    radius, friction, penalty, clinging, half_x, half_y = law
+    half_squared = half_x * half_x + half_y * half_y
     point = np.empty(3)
     slip = np.empty(3)
     normal = np.empty(3)
@@ -117,6 +119,15 @@ def touch(l, x, before, area, centre, moved, travel, law, shapes, wants_tangent,
             point[i] = -centre[i]
             for a in range(4):
                 point[i] += shape[a] * x[i, 4 + a, l]
+        # From the nearest point of the edge's axis; beside it, not at its ends, that point moves along with the skin.
+        beside = 0.0
+        if half_squared > 0.0:
+            share = (point[0] * half_x + point[1] * half_y) / half_squared
+            if -1.0 < share < 1.0:
+                beside = 1.0 / half_squared
+            share = min(max(share, -1.0), 1.0)
+            point[0] -= share * half_x
+            point[1] -= share * half_y
         round_head = point[2] <= 0.0
         distance = math.sqrt(
             point[0] * point[0] + point[1] * point[1] + (point[2] * point[2] if round_head else 0.0)
@@ -156,13 +167,16 @@ def touch(l, x, before, area, centre, moved, travel, law, shapes, wants_tangent,
             for a in range(4):
                 force[i, 4 + a, l] += shape[a] * pull
         if wants_tangent:
-            # d(-t n)/dx = slope n n - t/r (I - n n), the rod's axis having no curvature
+            # d(-t n)/dx = slope n n - t/r (I - n n), the rod's and the edge's axes having no curvature
             curve = traction / distance
             stick = drag / travel if drag > 0.0 else 0.0
             for i in range(3):
                 for j in range(3):
                     tangential = (1.0 if i == j else 0.0) - normal[i] * normal[j]
                     curved = tangential if round_head or (i < 2 and j < 2) else 0.0
+                    if beside > 0.0 and i < 2 and j < 2:
+                        along_edge = (half_x if i == 0 else half_y) * (half_x if j == 0 else half_y)
+                        curved -= beside * along_edge
                     block[i, j] = (
                         slope * normal[i] * normal[j]
                         - curve * curved

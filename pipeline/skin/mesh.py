@@ -1,10 +1,11 @@
-"""The skin as hexahedra: a clamped plate over the chamber with rigid boards cast into its middle layer.
+"""The skin as hexahedra: a plate over the chamber with rigid boards cast into its middle layer.
 
 Coordinates in mm: x and y from the chamber's centre, z from the skin's lower face. The plate ends at the
-chamber's edge, where it is clamped over its whole thickness: what lies on the base beyond does not move.
+chamber's edge, where it is clamped over its whole thickness, or goes on beyond it (`overlap_mm` of the design):
+there its lower face is bonded to the base, which is rigid or gives way elastically.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -30,14 +31,18 @@ class Mesh:
     centres: np.ndarray  # (boards, 3) mm
     is_bottom: np.ndarray  # (e,) bool: nodes 0..3 are a face that the pressure acts on
     is_top: np.ndarray  # (e,) bool: nodes 4..7 are a face that the indenter can touch
+    springs: np.ndarray  # (n, 3) N/mm: what holds a node that is not clamped at its place
+    prestretch: float = 1.0  # along x and y, from the stress-free skin to `nodes`; the volume is kept
 
     @property
     def gradients(self) -> tuple[np.ndarray, np.ndarray]:
-        """Shape-function gradients (e, 8 points, 8 nodes, 3) in 1/mm and volumes (e, 8 points) in mm^3."""
+        """Shape-function gradients (e, 8 points, 8 nodes, 3) in 1/mm over the stress-free skin, and volumes
+        (e, 8 points) in mm^3."""
         points = CORNERS / np.sqrt(3.0)
         jacobian = np.einsum("qai,eaj->eqij", shape_gradients(points), self.nodes[self.elements])
         inverse = np.linalg.inv(jacobian)
         gradients = np.einsum("eqji,qai->eqaj", inverse, shape_gradients(points))
+        gradients *= [self.prestretch, self.prestretch, self.prestretch**-2]
         return np.ascontiguousarray(gradients), np.linalg.det(jacobian)
 
 
@@ -50,12 +55,11 @@ def shape_gradients(points: np.ndarray) -> np.ndarray:
 
 def skin_mesh(sensor: Sensor) -> Mesh:
     """The mesh of a design, aligned with its boards' edges."""
-    half = np.array(sensor.chamber_mm) / 2
     boards = np.array([(a.x_mm, a.y_mm) for a in sensor.accelerometers])
     reach = np.array(sensor.board.size_mm) / 2
     x, y = (
         graded(
-            [-half[i], half[i], *(boards[:, i] - reach[i]), *(boards[:, i] + reach[i])], sensor.mesh.size_mm
+            [*outline(sensor)[i], *(boards[:, i] - reach[i]), *(boards[:, i] + reach[i])], sensor.mesh.size_mm
         )
         for i in range(2)
     )
@@ -68,7 +72,36 @@ def skin_mesh(sensor: Sensor) -> Mesh:
             np.linspace(below + sensor.board.thickness_mm, sensor.skin_thickness_mm, layers + 1)[1:],
         ]
     )
-    return plate(x, y, z, boards, reach, (layers, 2 * layers))
+    return mounted(plate(x, y, z, boards, reach, (layers, 2 * layers)), sensor)
+
+
+def outline(sensor: Sensor) -> list[list[float]]:
+    """Where the chamber and the skin end along x and along y, mm."""
+    return [
+        sorted({sign * (side / 2 + beyond) for sign in (-1, 1) for beyond in (0.0, sensor.skin.overlap_mm)})
+        for side in sensor.chamber_mm
+    ]
+
+
+def mounted(mesh: Mesh, sensor: Sensor) -> Mesh:
+    """A plate that ends where `outline` says, held as the design's skin is."""
+    skin = sensor.skin
+    mesh = replace(mesh, prestretch=skin.prestretch)
+    if not skin.overlap_mm:
+        return mesh
+    half = np.array(sensor.chamber_mm) / 2
+    over_base = ~(np.abs(mesh.nodes[mesh.elements, :2].mean(axis=1)) < half).all(axis=1)
+    bonded = mesh.elements[mesh.is_bottom & over_base, :4]
+    clamped, springs = np.zeros_like(mesh.clamped), np.zeros_like(mesh.springs)
+    if skin.base_mpa_mm:
+        normal, tangential = skin.base_mpa_mm
+        # A node's share of the faces round it.
+        sides = mesh.nodes[bonded[:, 2], :2] - mesh.nodes[bonded[:, 0], :2]
+        share = np.repeat(sides.prod(axis=1)[:, None] / 4, 4, axis=1)
+        np.add.at(springs, bonded, share[..., None] * [tangential, tangential, normal])
+    else:
+        clamped[bonded] = True
+    return replace(mesh, clamped=clamped, springs=springs, is_bottom=mesh.is_bottom & ~over_base)
 
 
 def plate(
@@ -115,6 +148,7 @@ def plate(
         centres,
         layer[~inside] == 0,
         layer[~inside] == nz - 2,
+        np.zeros_like(nodes),
     )
 
 

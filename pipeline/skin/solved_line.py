@@ -15,13 +15,18 @@ from pipeline.skin.system import Material, State
 @lru_cache(maxsize=1)
 def skin_of(sensor: Sensor) -> Skin:
     """The skin of a design; a process keeps the last one, with its sparse pattern analysed."""
-    material = Material(
+    return Skin(skin_mesh(sensor), material_of(sensor))
+
+
+def material_of(sensor: Sensor) -> Material:
+    """What a design's skin is made of and what touches it."""
+    return Material(
         sensor.skin.shear_modulus_mpa,
         sensor.skin.bulk_modulus_mpa,
         sensor.skin.friction,
         sensor.indenter_diameter_mm / 2,
+        sensor.indenter_edge_mm,
     )
-    return Skin(skin_mesh(sensor), material)
 
 
 def gravity(rotations: np.ndarray) -> np.ndarray:

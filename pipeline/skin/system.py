@@ -19,14 +19,21 @@ from pipeline.skin.mesh import Mesh
 
 @dataclass(frozen=True)
 class Material:
-    """Moduli in MPa, friction without unit, the indenter's radius in mm."""
+    """Moduli in MPa, friction without unit, the indenter's radius in mm and the vector along its edge."""
 
     shear_mpa: float
     bulk_mpa: float
     friction: float
     radius_mm: float
+    edge_mm: tuple[float, float] = (0.0, 0.0)
     penalty_mpa_mm2: float = loads.STIFFNESS
     clinging: float = loads.SLIP
+
+    @property
+    def touch_law(self) -> np.ndarray:
+        """(6,) as `loads.touch` takes it."""
+        half = (self.edge_mm[0] / 2, self.edge_mm[1] / 2)
+        return np.array([self.radius_mm, self.friction, self.penalty_mpa_mm2, self.clinging, *half])
 
 
 @dataclass
@@ -75,6 +82,7 @@ class System:
         self._gradients = material.in_lanes(gradients.transpose(0, 1, 3, 2))
         self._volumes = material.in_lanes(volumes)
         self._free = np.flatnonzero(free)
+        self._springs = mesh.springs[self._free].ravel()
         self._members = [np.flatnonzero(mesh.board_of == n) for n in range(boards)]
         self._motion = np.zeros((len(mesh.nodes), 3, 6))  # the boards' B
         self._areas = _face_areas(mesh) / loads.POINTS**2
@@ -156,7 +164,7 @@ class System:
             self._areas,
             centre,
             centre - before,
-            np.array([stuff.radius_mm, stuff.friction, stuff.penalty_mpa_mm2, stuff.clinging]),
+            stuff.touch_law,
             self._face_shapes,
             wants_tangent,
             self.first,
@@ -169,8 +177,11 @@ class System:
         )
         if not good:
             return None, total
+        held = slice(3 * len(self._free))
         residual = np.empty(self.size)
-        residual[: 3 * len(self._free)] = forces[self._free].ravel()
+        residual[held] = forces[self._free].ravel() + self._springs * state.unknowns[held]
+        if wants_tangent:
+            self.pattern.data[self.pattern.indptr[held]] += self._springs
         for n, own in enumerate(self._members):
             d, w = state.unknowns[self.board_slice(n)].reshape(2, 3)
             arms = places[own] - mesh.centres[n] - d

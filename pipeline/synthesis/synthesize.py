@@ -244,6 +244,7 @@ def sensor_of(atlas: Atlas) -> Sensor:
         tuple(Accelerometer(f"a{n}", float(x), float(y)) for n, (x, y) in enumerate(places)),
         Skin(**tuples(design["skin"])),
         Board(**tuples(design["board"])),
+        indenter_edge_mm=tuple(design.get("indenter_edge_mm", (0.0, 0.0))),
     )
 
 
@@ -282,6 +283,8 @@ def synthesize(
     if sensor.base is not None:
         raise InputError(f"{sensor_path}: has a [base], and synthetic slides none; take it out")
     check_atlas(atlas, sensor, str(atlas_path or "the default atlas"))
+    if paths and not solved and any(sensor.indenter_edge_mm):
+        raise InputError("how a touch grows is known of a ball, not of an edge; add --solved", "paths")
     # Whoever reads a report on these recordings is to see what they are.
     sensor = replace(sensor, name=f"{sensor.name}, synthetic", origin="synthetic")
     distribution = distribution or Distribution()
