@@ -237,7 +237,9 @@ def _force(table: dict[str, Any]) -> ForceMap:
 
 
 def _contact(table: dict[str, Any]) -> ContactCalibration:
-    return ContactCalibration(**{**table, **{name: tuple(table[name]) for name in ("chamber_mm", "noise_v")}})
+    # Bundles made before presses were told know no inflation.
+    lists = {"chamber_mm", "noise_v"} | {"inflation_v_per_mm"} & table.keys()
+    return ContactCalibration(**{**table, **{name: tuple(table[name]) for name in lists}})
 
 
 def _heights(table: dict[str, Any]) -> HeightCalibration:

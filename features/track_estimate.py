@@ -26,7 +26,8 @@ class TrackLimits:
     hypotheses that the contact is being pressed on or lifted, unless more channels than that has unknowns have followed
     it for partial_way_mm. evidence: least logarithm of the odds of a contact against a smooth signal of no known
     origin. way_mm: least way. stopped_mm_s: a contact slower than this has stopped. agreement: largest squared
-    Mahalanobis distance of the straight slide from the track, four degrees of freedom. straight_misfit: largest reduced
+    Mahalanobis distance of the straight slide from the track, four degrees of freedom. press_mm_s, press_sd_mm:
+    largest speed and standard deviation of the place of a press that is told. straight_misfit: largest reduced
     chi-square of the straight slide; straight_way_mm: its least way. shared: share of the track's half-widths about its
     own estimate that the straight slide's intervals hold too; None: they stay as they are.
     """
@@ -45,6 +46,8 @@ class TrackLimits:
     evidence: float = -1.0
     way_mm: float = 1.5
     stopped_mm_s: float = 0.15
+    press_mm_s: float = 0.3
+    press_sd_mm: float = 1.0
     agreement: float = 25.0
     straight_misfit: float = 2.0
     straight_way_mm: float = 8.0
@@ -68,6 +71,8 @@ def judged(
     limits: TrackLimits,
 ) -> Estimate:
     """The track as an estimate; `reason` says why it is not valid. map_depth_mm: the calibration's contact depth."""
+    if pressed := _is_press(track, limits):
+        track = track._replace(mean=np.array([*track.mean[:2], 0.0, 0.0]))
     x, y, vx, vy = track.mean.tolist()
     variance = np.maximum(track.covariance.diagonal(), 0.0)
     sd = np.sqrt(variance)
@@ -95,6 +100,8 @@ def judged(
     degrees = math.degrees(heading) % 360.0
     depth, depth_half = map_depth_mm + track.depth_mm, limits.half_width * track.depth_sd_mm
     reason = _reason(track, math.hypot(sd[0], sd[1]), math.degrees(heading_sd), contact, lifted, limits)
+    if pressed:
+        contact, reason = Contact.PRESS, Reason.NONE
     return Estimate(
         time_s=time_s,
         state=state,
@@ -126,6 +133,19 @@ def judged(
         depth_lo_mm=depth - depth_half,
         depth_hi_mm=depth + depth_half,
         places=track.places,
+    )
+
+
+def _is_press(track: Track, limits: TrackLimits) -> bool:
+    """Whether the track is a press without motion, at a place that is known. Since neither a tilt nor a change of
+    pressure can have made it, it needs neither way nor evidence of a slide."""
+    return (
+        track.presses
+        and track.one_press
+        and float(np.hypot(*track.mean[2:])) < limits.press_mm_s
+        and float(track.covariance[:2, :2].trace()) < limits.press_sd_mm**2
+        and track.certain >= limits.certain
+        and track.misfit <= limits.misfit
     )
 
 

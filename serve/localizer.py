@@ -13,7 +13,7 @@ from features.card import Card
 from features.contact.tracker import Track
 from features.departure import held_at_rim
 from features.errors import InputError
-from features.estimate import Estimate, Reason, decode
+from features.estimate import Contact, Estimate, Reason, decode
 from features.force import ForceReader
 from features.height import HEIGHT_INPUT, given_height
 from features.stream.conditioning import ONSETS, Blocks, LagUndone
@@ -215,14 +215,20 @@ class Localizer:
                 self.card.contact.depth_mm,
                 self._limits,
             )
+            # A press needs no way, and no slide.
+            pressed_alone = (
+                estimate.valid
+                and estimate.contact is Contact.PRESS
+                and (straight is None or straight.reason is Reason.TOO_EARLY)
+            )
             clear, at = self._clear or (track, self._count)
             # The window ends as a contact is lifted that comes down anywhere, and so does its track.
             since_s = 0.0 if touch else (self._count - at) * self.card.conditioning.block_s
             if straight is not None and straight.valid and agrees(straight, clear, self._limits, since_s):
                 estimate = with_track(straight, estimate, self._limits.shared)
-            elif straight is not None and straight.reason in _OF_THE_SIGNAL:
+            elif straight is not None and straight.reason in _OF_THE_SIGNAL and not pressed_alone:
                 estimate = estimate._replace(valid=False, reason=straight.reason)
-            elif straight is None and tracker.state is not SlideState.SLIDE:
+            elif straight is None and tracker.state is not SlideState.SLIDE and not pressed_alone:
                 estimate = estimate._replace(valid=False, reason=Reason.TOO_EARLY)
             estimate = estimate._replace(
                 misfit=math.nan if straight is None else straight.misfit,

@@ -233,6 +233,8 @@ def test_noise_alone_starts_nothing() -> None:
         {"noise_v": (1e-3,)},
         {"coefficients": base64.b64encode(b"\x00" * 10).decode()},
         {"coefficients": "not base64!"},
+        {"inflation_v_per_mm": (0.01, 0.02, 0.03)},
+        {"inflation_v_per_mm": (0.01, float("nan"))},
     ],
 )
 def test_a_calibration_that_does_not_fit_is_refused(change: dict[str, object]) -> None:

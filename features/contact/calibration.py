@@ -22,6 +22,7 @@ class ContactCalibration:
     (V/mm). knots: K. half_mm: the splines cover [-half_mm, half_mm]. spacing_mm: of the knots.
     chamber_mm: sizes of the chamber. depth_mm: the calibration's. noise_v: (C,) V, of a block's mean. floor_v: V, the
     map's residual. gain_sd: of the gain from slide to slide. depth_sd_mm: of the contact depth about the calibration's.
+    inflation_v_per_mm: (C,) V/mm, by which the output at rest changes as the skin rises; none: not known.
 
     Raises:
         ValueError: a number is out of range, or the coefficients are not as many as K and C say.
@@ -38,6 +39,7 @@ class ContactCalibration:
     floor_v: float
     gain_sd: float
     depth_sd_mm: float = 0.02
+    inflation_v_per_mm: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         numbers = (self.scale_v, self.half_mm, self.spacing_mm, *self.chamber_mm, *self.noise_v, self.floor_v)
@@ -45,6 +47,12 @@ class ContactCalibration:
         check_map("contact", numbers, self.knots, self.coefficients)
         if len(self.chamber_mm) != 2:
             raise ValueError(f"contact: chamber_mm {self.chamber_mm!r:.40}: out of range")
+        inflation = self.inflation_v_per_mm
+        if inflation and len(inflation) != len(self.noise_v):
+            raise ValueError(f"contact: {len(inflation)} inflation_v_per_mm, not {len(self.noise_v)}")
+        for value in inflation:
+            if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < LARGEST:
+                raise ValueError(f"contact: inflation_v_per_mm {value!r:.40}: out of range")
         self.surface()
 
     def surface(self) -> ResponseSurface:

@@ -26,6 +26,7 @@ from features.contact.places import Place, likeliest_places
 from features.contact.response_surface import ResponseSurface
 from features.contact.smooth_signal import SmoothSignal
 from features.contact.touch import at_rest, at_touch, onset
+from features.contact.whole_device import touch_share
 
 STEP_BLOCKS = (
     2  # a filter's step: 40 ms, in which the fastest slide calibrated for (13 mm/s) goes half a millimetre
@@ -51,6 +52,11 @@ EVIDENCE_AGAINST_S = (
 # a slide's from this evidence on (synthetic slides and drifts).
 PRESS_S = 2.0
 SLIDE_EVIDENCE = 1.0
+# A press that is told apart from all that the whole device does: so large a share of the output is beyond that, the
+# output is so many times the trigger, and it came on within this time (experiments/LOG.md).
+TOUCH_SHARE = 0.3
+PRESS_TRIGGERS = 4.0
+PRESS_ON_S = 3.0
 
 
 @dataclass(frozen=True)
@@ -82,7 +88,8 @@ class Track(NamedTuple):
     pressed on or lifted. gain, depth_mm (off the map's): means; depth_sd_mm. way_mm: since the touch, at most 25.
     evidence: logarithm of the odds of a contact against a signal that needs no map, forgotten over EVIDENCE_MM of way
     and EVIDENCE_S. one_press: whether a press at one place, or a drift, may have made all of the output
-    since the touch. channels: that it is read from. places: where the contact may be, while several places are left.
+    since the touch. presses: whether a press has made it, and neither a tilt of the device nor its pressure. channels:
+    that it is read from. places: where the contact may be, while several places are left.
     """
 
     mean: np.ndarray
@@ -97,6 +104,7 @@ class Track(NamedTuple):
     way_mm: float
     evidence: float = 0.0
     one_press: bool = False
+    presses: bool = False
     channels: int = 0
     places: tuple[Place, ...] = ()
 
@@ -106,7 +114,7 @@ class ContactTracker:
 
     surface: the calibrated response. half_mm: half the chamber's sizes. noise_v: (C,) V of one block, with the lag
     undone. floor_v: V, the map's residual. gain_sd: from slide to slide. trigger_v, release_v: V, outputs that begin
-    and end a contact.
+    and end a contact. inflation_v_per_mm: (C,), as in ContactCalibration; None: not known, and no press is told.
     """
 
     def __init__(
@@ -120,6 +128,7 @@ class ContactTracker:
         trigger_v: float,
         release_v: float,
         config: TrackingConfig,
+        inflation_v_per_mm: np.ndarray | None = None,
     ) -> None:
         self._surface, self._half, self._block_s, self._config = surface, half_mm, block_s, config
         self._noise_v, self._floor_v, self._gain_sd = noise_v, floor_v, gain_sd
@@ -127,6 +136,7 @@ class ContactTracker:
         self._recent = np.zeros((ONSET_BLOCKS, len(noise_v)))
         self._smooth = SmoothSignal(noise_v / math.sqrt(STEP_BLOCKS), STEP_BLOCKS * block_s)
         self._evidence = 0.0
+        self._touch_share = None if inflation_v_per_mm is None else touch_share(inflation_v_per_mm)
         self.reset()
 
     def reset(self) -> None:
@@ -227,12 +237,21 @@ class ContactTracker:
         self._track = read(self._bank)._replace(
             evidence=self._evidence,
             channels=len(volts) if usable is None else int(usable.sum()),
+            presses=whole and self._presses(volts),
             one_press=self._smooth.one_way
             and (self._smooth.changing_s < PRESS_S or self._evidence < SLIDE_EVIDENCE),
         )
         self._lost = self._lost + 1 if self._track.misfit > config.lost else 0
         if self._lost * elapsed_s > LOST_S:
             self._start(anywhere=True, usable=usable)
+
+    def _presses(self, volts: np.ndarray) -> bool:
+        """Whether the output (C,) V since the touch is a press's, and not a tilt's or the pressure's."""
+        if self._touch_share is None or not self._smooth.one_way or self._smooth.changing_s > PRESS_ON_S:
+            return False
+        size = float(np.hypot.reduce(volts))
+        beyond = float(np.hypot.reduce(self._touch_share @ volts))
+        return size > PRESS_TRIGGERS * self._trigger_v and beyond > TOUCH_SHARE * size
 
     def _branch(self) -> None:
         """Drops what is unlikely and gives the best hypotheses their children."""

@@ -25,6 +25,7 @@ from models.response_map.config import CalibrationConfig
 from models.response_map.contact_card import contact_calibration
 from models.response_map.forces import calibrated_forces
 from models.response_map.from_atlas import SensorSpread
+from models.response_map.heights import inflation_v_per_mm
 from models.response_map.map import ResponseMap
 from models.response_map.select import CalibratedMap, calibrated_map
 from models.response_map.slides import LEAST_HEIGHTS_MM
@@ -129,7 +130,9 @@ def fit_cnn(
         validity=validity,
         conditioning=config.conditioning,
         summary=dict(summary),
-        contact=contact_calibration(found.response),
+        contact=contact_calibration(
+            found.response, inflation_v_per_mm(found.heights, atlas, found.folder.sensor)
+        ),
         force=None
         if atlas is None
         else calibrated_forces(_at_main_height(found), atlas, found.summary, found.response.depth_mm),

@@ -86,7 +86,7 @@ def _renewed(card: Card, gains: Gains, graph: bytes, found: dict[str, Any]) -> C
     inputs = {name: np.array(value, np.float32) for name, value in card.golden["inputs"].items()}
     return replace(
         card,
-        contact=contact_calibration(response),
+        contact=contact_calibration(response, card.contact.inflation_v_per_mm if card.contact else ()),
         heights=None if card.heights is None else with_gains(card.heights, gains.gain),
         golden={**card.golden, "estimate": session.run(None, inputs)[0][0].tolist()},
         graph_sha256=sha256(graph).hexdigest(),

@@ -10,8 +10,10 @@ from features.stream.conditioning import ONSETS
 from models.response_map.map import PARTS, ResponseMap
 
 
-def contact_calibration(response: ResponseMap) -> ContactCalibration:
-    """What a device needs of the map to track contacts."""
+def contact_calibration(
+    response: ResponseMap, inflation_v_per_mm: tuple[float, ...] = ()
+) -> ContactCalibration:
+    """What a device needs of the map to track contacts. inflation_v_per_mm: as there; none: not known."""
     assert response.noise_v is not None
     text, scale = encoded(np.concatenate([response.coefficients, response.depth_slope[None]]))
     return ContactCalibration(
@@ -26,6 +28,7 @@ def contact_calibration(response: ResponseMap) -> ContactCalibration:
         floor_v=float(response.floor_v),
         gain_sd=float(response.gain_sd),
         depth_sd_mm=response.depth_sd_mm or ContactCalibration.depth_sd_mm,
+        inflation_v_per_mm=inflation_v_per_mm,
     )
 
 

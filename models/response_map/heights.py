@@ -8,6 +8,8 @@ from features.contact.calibration import encoded
 from features.height import HeightCalibration
 from models.response_map.map import ResponseMap
 from models.response_map.slides import CalibrationSlide
+from pipeline.atlas.atlas import Atlas
+from pipeline.sensor import Sensor
 
 # Of the static output about its line, at least: one step of the article's converter.
 LEAST_STATIC_SD_V = 5e-4
@@ -37,6 +39,21 @@ def calibrated_heights(response: ResponseMap, slides: list[CalibrationSlide]) ->
         static_v_per_mm=tuple(line[1].tolist()),
         static_sd_v=tuple(sd.tolist()),
     )
+
+
+def inflation_v_per_mm(
+    heights: HeightCalibration | None, atlas: Atlas | None, sensor: Sensor
+) -> tuple[float, ...]:
+    """(C,) V/mm, by which the output at rest changes as the skin rises: as recordings of several heights tell it, else
+    as the solved design does, on the whole of its way from the flat skin; none: neither is known."""
+    if heights is not None:
+        return heights.static_v_per_mm
+    if atlas is None:
+        return ()
+    tilts_g = atlas.statics[:, :, :2].reshape(len(atlas.height_mm), -1)
+    per_mm = atlas.height_mm @ tilts_g / (atlas.height_mm @ atlas.height_mm)
+    volts_per_g = np.repeat([a.sensitivity_v_per_g for a in sensor.accelerometers], 2)
+    return tuple((volts_per_g * per_mm).tolist())
 
 
 def with_gains(heights: HeightCalibration, gain: np.ndarray) -> HeightCalibration:

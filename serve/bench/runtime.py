@@ -80,7 +80,14 @@ def _with_accelerometers(card: Card, count: int) -> Card:
         first = slice(len(card.conditioning.touch_axes))
         coefficients, scale_v = encoded(np.tile(contact.splines()[..., first], count))
         noise_v = contact.noise_v[first] * count
-        contact = replace(contact, coefficients=coefficients, scale_v=scale_v, noise_v=noise_v)
+        inflation = contact.inflation_v_per_mm[first] * count
+        contact = replace(
+            contact,
+            coefficients=coefficients,
+            scale_v=scale_v,
+            noise_v=noise_v,
+            inflation_v_per_mm=inflation,
+        )
     return replace(card, channels=names, sensor=sensor, contact=contact, base=None)
 
 

@@ -21,8 +21,8 @@ def noisy_map(**changes) -> ResponseMap:
     )
 
 
-def tracker(response: ResponseMap) -> ContactTracker:
-    card = contact_calibration(response)
+def tracker(response: ResponseMap, inflation_v_per_mm: tuple[float, ...] = ()) -> ContactTracker:
+    card = contact_calibration(response, inflation_v_per_mm)
     return ContactTracker(
         surface=card.surface(),
         half_mm=(card.chamber_mm[0] / 2, card.chamber_mm[1] / 2),
@@ -33,6 +33,7 @@ def tracker(response: ResponseMap) -> ContactTracker:
         trigger_v=0.005,
         release_v=0.0035,
         config=TrackingConfig(),
+        inflation_v_per_mm=np.array(inflation_v_per_mm) if inflation_v_per_mm else None,
     )
 
 
@@ -56,9 +57,11 @@ def followed(response: ResponseMap, path_mm: np.ndarray, seed: int = 0) -> list[
     return tracks_of(response, volts_along(response, path_mm, seed))
 
 
-def tracks_of(response: ResponseMap, volts: np.ndarray) -> list[Track | None]:
+def tracks_of(
+    response: ResponseMap, volts: np.ndarray, inflation_v_per_mm: tuple[float, ...] = ()
+) -> list[Track | None]:
     """What is told of blocks (m, C) V; 5 mV are a touch."""
-    tracked = tracker(response)
+    tracked = tracker(response, inflation_v_per_mm)
     level = np.array([np.abs(volts[max(0, n - 4) : n + 1].mean(axis=0)).max() for n in range(len(volts))])
     return [tracked.push(v, bool(touched)) for v, touched in zip(volts, level > 0.005, strict=True)]
 

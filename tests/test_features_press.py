@@ -1,0 +1,129 @@
+"""A press without motion: told apart from a tilt of the device and from a change of its pressure, or not told."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from tracked_map import noisy_map, tracks_of
+
+from features.contact.tracker import Track
+from features.contact.whole_device import touch_share
+from features.estimate import Contact, Estimate, Reason
+from features.stream.tracker import SlideState
+from features.track_estimate import TrackLimits, judged
+from models.response_map.map import ResponseMap
+
+BOARDS = ((-8.0, 0.0), (8.0, 0.0))
+# As of a skin that rises: boards on either side of its middle lean outwards.
+INFLATION = (-0.024, 0.0, 0.024, 0.0)
+# So that no output is a press's by chance of where noise takes it.
+ON_S, HELD_S, BLOCK_S = 0.4, 1.5, 0.02
+
+
+def grown(level_v: np.ndarray, seed: int = 0) -> np.ndarray:
+    """Blocks (m, C) V that grow to a level within ON_S and keep it, with noise of 1 mV."""
+    share = np.clip(np.arange(round((0.3 + ON_S + HELD_S) / BLOCK_S)) * BLOCK_S / ON_S - 0.3 / ON_S, 0.0, 1.0)
+    return share[:, None] * level_v + np.random.default_rng(seed).normal(
+        0.0, 1e-3, (len(share), len(level_v))
+    )
+
+
+def pressed(response: ResponseMap, place_mm: tuple[float, float]) -> np.ndarray:
+    """(C,) V of a press: the friction of a slide is not in it."""
+    x, y = np.array(place_mm[:1]), np.array(place_mm[1:])
+    return (response.response(x, y, 0.0) + response.response(x, y, np.pi))[0] / 2
+
+
+def estimates(tracks: list[Track | None]) -> list[Estimate]:
+    found = (t for t in tracks if t is not None)
+    return [judged(t, 0.0, SlideState.SLIDE, (0.0, 0.0), 0.5, TrackLimits()) for t in found]
+
+
+@given(
+    st.lists(st.floats(-1.0, 1.0), min_size=2, max_size=8).filter(lambda v: len(v) % 2 == 0),
+    st.tuples(st.floats(-1.0, 1.0), st.floats(-1.0, 1.0), st.floats(-1.0, 1.0)),
+)
+def test_nothing_is_left_of_a_tilt_and_of_a_change_of_pressure(
+    inflation: list[float], amounts: tuple[float, float, float]
+) -> None:
+    share = touch_share(np.array(inflation))
+    assert share @ share == pytest.approx(share, abs=1e-9)
+    tilt = np.tile(amounts[:2], len(inflation) // 2)
+    assert share @ (tilt + amounts[2] * np.array(inflation)) == pytest.approx(
+        np.zeros(len(inflation)), abs=1e-6
+    )
+
+
+def test_one_accelerometer_leaves_nothing_and_each_further_one_more() -> None:
+    random = np.random.default_rng(1)
+    ranks = [round(np.trace(touch_share(random.normal(size=2 * n)))) for n in (1, 2, 3, 4)]
+    assert ranks == [0, 1, 3, 5]
+    # A pressure that moves no board, or all alike, takes no direction away.
+    assert round(np.trace(touch_share(np.zeros(4)))) == 2
+    assert round(np.trace(touch_share(np.array([0.3, -0.1, 0.3, -0.1])))) == 2
+
+
+@pytest.mark.parametrize("place", [(12.0, 9.0), (-11.0, 7.0), (10.0, -8.0)])
+def test_a_press_beside_both_boards_is_told_where_it_is(place: tuple[float, float]) -> None:
+    response = noisy_map(places=BOARDS)
+    found = [e for e in estimates(tracks_of(response, grown(pressed(response, place)), INFLATION)) if e.valid]
+    assert len(found) > 0.3 * HELD_S / BLOCK_S
+    for each in found:
+        assert each.contact is Contact.PRESS
+        assert np.hypot(each.x_mm - place[0], each.y_mm - place[1]) < 1.0
+        assert each.x_lo_mm < place[0] < each.x_hi_mm or each.y_lo_mm < place[1] < each.y_hi_mm
+        assert each.vx_mm_s == each.vy_mm_s == each.speed_mm_s == 0.0
+        assert each.direction_hi_deg - each.direction_lo_deg == 360.0
+
+
+@pytest.mark.parametrize(
+    "level",
+    [
+        pytest.param(4 * np.array(INFLATION), id="pressure"),
+        pytest.param(
+            4 * np.array(INFLATION) + [0.0, 0.01, 0.0, -0.01], id="pressure, known within 8 degrees"
+        ),
+        pytest.param(np.array([0.1, 0.06, 0.1, 0.06]), id="tilt"),
+        pytest.param(np.array([0.1, 0.06, 0.1, 0.06]) + 3 * np.array(INFLATION), id="both"),
+    ],
+)
+def test_a_tilt_or_a_change_of_pressure_is_no_press(level: np.ndarray) -> None:
+    response = noisy_map(places=BOARDS)
+    for seed in range(3):
+        found = estimates(tracks_of(response, grown(level, seed), INFLATION))
+        assert not any(e.valid for e in found)
+
+
+def test_a_press_between_the_boards_looks_like_a_fall_of_the_pressure_and_is_not_told() -> None:
+    response = noisy_map(places=BOARDS)
+    level = pressed(response, (0.0, 0.0))
+    assert np.abs(level @ INFLATION) == pytest.approx(
+        np.linalg.norm(level) * np.linalg.norm(INFLATION), rel=1e-2
+    )
+    found = tracks_of(response, grown(level), INFLATION)
+    assert not any(e.valid for e in estimates(found))
+    # It is followed there all the same: with other directions known it would be told.
+    along_y = tracks_of(response, grown(level), (0.0, 0.02, 0.0, -0.02))
+    assert any(e.valid for e in estimates(along_y))
+
+
+@pytest.mark.parametrize("inflation", [(), INFLATION[:2]])
+def test_without_what_the_pressure_does_or_with_one_board_no_press_is_told(
+    inflation: tuple[float, ...],
+) -> None:
+    response = noisy_map(places=BOARDS if not inflation else BOARDS[1:])
+    found = estimates(tracks_of(response, grown(pressed(response, (12.0, 9.0))), inflation))
+    assert found
+    assert not any(e.valid for e in found)
+    assert {e.reason for e in found} <= {Reason.AMBIGUOUS, Reason.TOO_EARLY, Reason.NOT_THIS_SENSOR}
+
+
+def test_a_press_that_comes_on_slowly_is_not_told() -> None:
+    """A drift of single channels takes any direction; it needs more than three seconds."""
+    response = noisy_map(places=BOARDS)
+    level = pressed(response, (12.0, 9.0))
+    share = np.clip(np.arange(500) * BLOCK_S / 9.0, 0.0, 1.0)
+    volts = share[:, None] * level + np.random.default_rng(2).normal(0.0, 1e-3, (500, 4))
+    found = estimates(tracks_of(response, volts, INFLATION))
+    late = found[len(found) // 2 : len(found) // 2 + 100]
+    assert not any(e.valid and e.contact is Contact.PRESS for e in late)

@@ -1,0 +1,60 @@
+"""A press through a bundle over two accelerometers: valid while it is held, and silent about a tilt."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from small_bundle import write_small_bundle
+from streams import RATE_HZ, ZERO_V, a_sensor
+from tracked_map import noisy_map
+
+from features.estimate import Contact, Reason
+from models.response_map.contact_card import contact_calibration
+from serve.localizer import Localizer
+
+BOARDS = ((-8.0, 0.0), (8.0, 0.0))
+INFLATION = (-0.024, 0.0, 0.024, 0.0)
+PLACE_MM = (12.0, 9.0)
+
+
+@pytest.fixture(scope="module")
+def localizer(tmp_path_factory: pytest.TempPathFactory) -> Localizer:
+    plain = a_sensor(2)
+    boards = tuple(replace(a, x_mm=x, y_mm=y) for a, (x, y) in zip(plain.accelerometers, BOARDS, strict=True))
+    contact = contact_calibration(noisy_map(places=BOARDS), INFLATION)
+    folder = tmp_path_factory.mktemp("bundle") / "model"
+    return Localizer.load(write_small_bundle(folder, replace(plain, accelerometers=boards), contact=contact))
+
+
+def held(level_v: np.ndarray) -> np.ndarray:
+    """(n, 6) V: three seconds of rest, a level (4,) V that comes within 0.4 s, held for two."""
+    time_s = np.arange(round(5.4 * RATE_HZ)) / RATE_HZ
+    share = np.clip((time_s - 3.0) / 0.4, 0.0, 1.0)
+    volts = np.tile([ZERO_V, ZERO_V, ZERO_V + 0.8], 2) + np.zeros((len(time_s), 6))
+    volts[:, [0, 1, 3, 4]] += share[:, None] * level_v
+    return volts + np.random.default_rng(3).normal(0.0, 5e-3, volts.shape)
+
+
+def test_a_press_is_valid_as_long_as_it_is_held(localizer: Localizer) -> None:
+    response = noisy_map(places=BOARDS)
+    x, y = np.array(PLACE_MM[:1]), np.array(PLACE_MM[1:])
+    level = (response.response(x, y, 0.0) + response.response(x, y, np.pi))[0] / 2
+    localizer.reset()
+    found = localizer.push(held(level))
+    told = [e for e in found if e.valid]
+    assert len(told) > 30
+    assert {e.contact for e in told} == {Contact.PRESS}
+    assert max(np.hypot(e.x_mm - PLACE_MM[0], e.y_mm - PLACE_MM[1]) for e in told) < 1.5
+    assert min(e.time_s for e in told) > 3.0
+
+
+def test_a_tilt_of_the_device_is_no_press(localizer: Localizer) -> None:
+    localizer.reset()
+    found = localizer.push(held(np.array([0.1, 0.06, 0.1, 0.06])))
+    assert not any(e.valid for e in found)
+    assert {e.reason for e in found[-50:]} <= {
+        Reason.AMBIGUOUS,
+        Reason.TOO_EARLY,
+        Reason.NOT_THIS_SENSOR,
+        Reason.NO_CONTACT,
+    }
