@@ -9,6 +9,11 @@ from features.contact.force_map import ForceMap, weights
 from features.estimate import Contact, Estimate
 from features.stream.tracker import SlideState
 
+# The skin's force as a share of the full contact's, while its outputs are the share g of the full contact's:
+# g (1 + PRESS_BEND (1 - g)), with a 90 % half-width of PRESS_SPREAD (1 - g) of itself (ten presses of the solved skin,
+# experiments/LOG.md).
+PRESS_BEND = 0.28
+PRESS_SPREAD = 0.25
 STEP_MM = 0.5  # between the places of a line that are looked at for the largest force
 
 
@@ -30,10 +35,11 @@ class ForceReader:
         each = weights(direction_rad, depth_mm - self._map.depth_mm, len(x_mm))
         return np.einsum("np,npc->nc", each, self._surface.at(x_mm, y_mm)[:, 0])
 
-    def with_force(self, estimate: Estimate) -> Estimate:
+    def with_force(self, estimate: Estimate, gain: float = 1.0) -> Estimate:
         """The estimate with the force; unchanged where it is not valid or has no place.
 
-        While a contact is felt it is the force now; of a slide that has ended, the largest on its line. The interval
+        gain: the outputs' share of the full contact's, while one is pressed on or lifted. While a contact is felt it is
+        the force now; of a slide that has ended, the largest on its line. The interval
         holds the map's own uncertainty and that of place and depth. Without a depth the map's is taken.
         """
         if not (estimate.valid and math.isfinite(estimate.x_mm)):
@@ -48,7 +54,8 @@ class ForceReader:
             x, y = x[[largest]], y[[largest]]
         read = self._surface.at(x, y)[0]
         each = weights(direction, depth_mm - self._map.depth_mm, 1)[0]
-        force, along_x, along_y = np.einsum("p,kpc->kc", each, read)
+        share = gain * (1 + PRESS_BEND * (1 - gain))
+        force, along_x, along_y = share * np.einsum("p,kpc->kc", each, read)
         widths = (
             estimate.x_hi_mm - estimate.x_lo_mm,
             estimate.y_hi_mm - estimate.y_lo_mm,
@@ -57,10 +64,10 @@ class ForceReader:
         # What has no interval adds nothing to that of the force.
         half_widths = np.array([width / 2 if math.isfinite(width) else 0.0 for width in widths])
         normal, tangential = max(float(force[2]), 0.0), math.hypot(force[0], force[1])
-        slopes = np.stack([along_x, along_y, read[0, 3]])
+        slopes = np.stack([along_x, along_y, share * read[0, 3]])
         # Of the tangential force that of its size.
         in_plane = slopes[:, :2] @ force[:2] / max(tangential, 1e-9)
-        common = HALF_WIDTH_SD * self._map.relative_sd
+        common = math.hypot(HALF_WIDTH_SD * self._map.relative_sd, PRESS_SPREAD * (1 - gain))
         normal_half, tangential_half = (
             math.hypot(common * size, *(slope * half_widths).tolist())
             for size, slope in ((normal, slopes[:, 2]), (tangential, in_plane))

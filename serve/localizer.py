@@ -238,7 +238,10 @@ class Localizer:
             chamber, ball = self.card.sensor["chamber_mm"], self.card.sensor.get("indenter_diameter_mm", 0.0)
             estimate = held_at_rim(estimate, chamber, ball)
         if self._forces is not None:
-            estimate = self._forces.with_force(estimate)
+            gain = 1.0
+            if track is not None and estimate.contact is Contact.PRESS:
+                gain = min(max(track.gain, 0.0), 1.0)
+            estimate = self._forces.with_force(estimate, gain)
         return estimate._replace(**self._last_drift._asdict(), skin_height_mm=self._height_mm)
 
     def _no_contact(self) -> Reason:

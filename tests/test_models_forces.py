@@ -12,7 +12,7 @@ from streams import a_sensor, pass_over, still, stream
 from features.card import read_card, write_card
 from features.errors import InputError
 from features.estimate import Contact, Estimate
-from features.force import ForceReader
+from features.force import PRESS_BEND, PRESS_SPREAD, ForceReader
 from features.stream.tracker import SlideState
 from models.cnn.fit import CnnConfig
 from models.cnn.inversion import Inversion
@@ -24,7 +24,7 @@ from pipeline.recordings.folder import Folder, read_folder
 from pipeline.recordings.windows import labelled_windows
 from pipeline.sensor import read_sensor
 from pipeline.skin.lines import Line
-from pipeline.skin.solved_line import skin_of, solve_line
+from pipeline.skin.solved_line import channels, skin_of, solve_line
 from pipeline.synthesis.synthesize import synthesize
 from serve.localizer import Localizer
 
@@ -130,6 +130,40 @@ def test_an_estimate_carries_the_force_where_it_is(atlas: Atlas, reader: ForceRe
     vague = reader.with_force(estimated(x_lo_mm=2.0, x_hi_mm=6.0, y_lo_mm=-14.0, y_hi_mm=-2.0))
     assert vague.force_mn == told.force_mn
     assert vague.force_hi_mn - vague.force_lo_mn > told.force_hi_mn - told.force_lo_mn
+
+
+def test_a_press_that_grows_has_a_part_of_the_force_and_a_wider_interval(reader: ForceReader) -> None:
+    press = estimated()._replace(contact=Contact.PRESS)
+    whole = reader.with_force(press)
+    assert reader.with_force(press, 1.0) == whole
+    part = reader.with_force(press, 0.5)
+    assert 0.5 * whole.force_mn < part.force_mn < 0.7 * whole.force_mn
+    width = [(e.force_hi_mn - e.force_lo_mn) / e.force_mn for e in (whole, part)]
+    assert width[1] > width[0]
+    assert reader.with_force(press, 0.0).force_mn == 0.0
+
+
+@pytest.mark.long
+def test_a_solved_press_s_force_grows_with_its_outputs_as_told() -> None:
+    """At two places on the article's design, down from clear of the skin; the law is that of `ForceReader`."""
+    sensor = read_sensor(DEFAULT_SENSOR)
+    skin = skin_of(sensor)
+    pressure, inflated = skin.inflate_to(HEIGHT_MM)
+    face = sensor.skin_thickness_mm + sensor.indenter_diameter_mm / 2
+    down = np.arange(face + 8.0, face - DEPTH_MM - 1e-9, -0.25)
+    for place in ((-12.0, 7.0), (9.0, -11.0)):
+        centres = np.column_stack([np.tile(place, (len(down), 1)), down])
+        postures, forces = skin.slide(inflated, pressure, centres)
+        tilts = np.array(
+            [channels(skin, posture, inflated)[:2] for posture in postures if posture is not None]
+        )
+        assert len(tilts) == len(down)
+        gain = tilts @ tilts[-1] / (tilts[-1] @ tilts[-1])
+        seen = (gain > 0.1) & (gain < 0.95)
+        assert seen.sum() > 5
+        gain, share = gain[seen], forces[seen, 2] / forces[-1, 2]
+        off = share / (gain * (1 + PRESS_BEND * (1 - gain))) - 1
+        assert (np.abs(off) < PRESS_SPREAD * (1 - gain)).mean() > 0.8
 
 
 def test_after_the_slide_it_is_the_largest_on_its_line(atlas: Atlas, reader: ForceReader) -> None:

@@ -1,5 +1,7 @@
 """Skin height from static output, and where and how hard something rests on the skin."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -47,3 +49,11 @@ def test_indentation_is_found_where_it_is(atlas, place):
     assert found.force_n == pytest.approx(force, rel=0.2)
     with pytest.raises(InputError, match="shape"):
         find_indentation(reading[0], atlas, level)
+
+
+def test_a_height_that_was_asked_for_is_in_the_atlas_that_was_solved_for_it(atlas):
+    """It is solved to within a thousandth of a millimetre."""
+    one = replace(atlas, height_mm=np.array([6.99915]), pressure_mpa=atlas.pressure_mpa[1:2])
+    assert one.pressure_at(7.0) == atlas.pressure_mpa[1]
+    with pytest.raises(InputError, match="outside"):
+        one.pressure_at(7.01)

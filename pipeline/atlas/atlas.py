@@ -37,6 +37,8 @@ DEFAULT_SENSOR = Path(__file__).parent / "default_sensor.toml"
 MOST_BYTES, MOST_UNPACKED_BYTES = 1 << 29, 1 << 31
 # In any of an atlas's units.
 LARGEST = 1e6
+# A height asked for is solved to within 1 um (pipeline/skin/solver.py).
+_HEIGHT_MARGIN_MM = 1.1e-3
 _ARRAYS = ("x_mm", "y_mm", "depth_mm", "pressure_mpa", "height_mm", "statics", "parts", "valid")
 
 
@@ -131,7 +133,7 @@ class Atlas:
             InputError: the height lies outside the atlas.
         """
         low, high = self.height_mm[[0, -1]]
-        if not low - 1e-6 <= height_mm <= high + 1e-6:
+        if not low - _HEIGHT_MARGIN_MM <= height_mm <= high + _HEIGHT_MARGIN_MM:
             raise InputError(
                 f"a skin height of {height_mm:g} mm is outside the atlas's {low:.3g}..{high:.3g} mm"
             )
