@@ -150,11 +150,11 @@ def sensitivity(parser: Parser) -> Run:
     """what each assumption about the skin moves
 
     Changes one number of a design at a time (friction, height, depth, skin,
-    chamber, board, moduli, ball, mesh), solves a line along x forth and back,
-    10 mm beside the first accelerometer, and prints one JSON object each:
-    distance of V_x's extremes, width and hysteresis in mm, static tilt in deg,
-    largest V_x in mg, largest normal force in mN. Minutes on one core.
-    Logged in MLflow.
+    chamber, board, moduli, bond to the base, prestretch, ball or edge, mesh),
+    solves a line along x forth and back, 10 mm beside the first accelerometer,
+    and prints one JSON object each: distance of V_x's extremes, width and
+    hysteresis in mm, static tilt in deg, largest V_x in mg, largest normal
+    force in mN. Minutes on one core. Logged in MLflow.
 
         softslide sensitivity --picture sensitivity.svg
     """

@@ -145,6 +145,11 @@ class Skin:
         return self.youngs_modulus_mpa / 3.0
 
 
+# Of a skin: what an atlas is solved at, and what it can do without.
+_LEVELS = ("height_mm", "effective_pressure_mpa")
+_OPTIONAL = ("overlap_mm", "base_mpa_mm", "prestretch")
+
+
 @dataclass(frozen=True)
 class Board:
     """`[board]`: the accelerometers' boards, all alike, cast into the skin's middle. Lengths in mm."""
@@ -327,22 +332,17 @@ def write_sensor(path: Path, sensor: Sensor) -> None:
 def design_of(sensor: Sensor) -> dict[str, Any]:
     """What of a sensor decides its mechanics; names, electronics and the regulator's pressure do not.
 
-    What a design can do without is in it where it has it, so that the hash of one without it stays.
+    What a design can do without is in it only where it has it, so that one without it keeps its hash.
     """
-    optional, plain = ("overlap_mm", "base_mpa_mm", "prestretch"), Skin()
     edge = {"indenter_edge_mm": list(sensor.indenter_edge_mm)} if any(sensor.indenter_edge_mm) else {}
+    skin = {name: value for name, value in asdict(sensor.skin).items() if name not in _LEVELS}
     return {
         "chamber_mm": list(sensor.chamber_mm),
         "skin_thickness_mm": sensor.skin_thickness_mm,
         "indenter_diameter_mm": sensor.indenter_diameter_mm,
         **edge,
         "boards_mm": [[a.x_mm, a.y_mm] for a in sensor.accelerometers],
-        "skin": {
-            k: v
-            for k, v in asdict(sensor.skin).items()
-            if k not in ("height_mm", "effective_pressure_mpa")
-            and not (k in optional and v == getattr(plain, k))
-        },
+        "skin": {k: v for k, v in skin.items() if k not in _OPTIONAL or v != getattr(Skin, k)},
         "board": asdict(sensor.board),
     }
 

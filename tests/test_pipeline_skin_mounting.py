@@ -1,17 +1,21 @@
 """How the skin is held (on the base beyond the chamber, rigid or elastic, prestretched) and an indenter's edge."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 import scipy.sparse as sparse
 
-from pipeline.sensor import Accelerometer, MeshSize, Sensor, Skin
+from features.errors import InputError
+from pipeline.atlas.atlas import DEFAULT_ATLAS, DEFAULT_SENSOR, check_atlas, read_atlas, write_atlas
+from pipeline.sensor import Accelerometer, MeshSize, Sensor, Skin, design_hash, design_of, read_sensor
 from pipeline.skin.lines import Line, reach_mm
 from pipeline.skin.mesh import plate, skin_mesh
 from pipeline.skin.solved_line import material_of, skin_of, solve_line
 from pipeline.skin.solver import Skin as SolvedSkin
 from pipeline.skin.system import Load, State, System
+from pipeline.synthesis.synthesize import sensor_of, synthesize
 
 AIR_MPA = 0.001
 PART = (Accelerometer("a0", 5.0, 0.0),)
@@ -156,6 +160,31 @@ def test_a_short_edge_is_a_ball_and_a_long_one_presses_in_proportion() -> None:
 def test_a_skin_that_cannot_be_mounted_is_refused(skin: dict[str, object], words: str) -> None:
     with pytest.raises(ValueError, match=words):
         replace(Skin(), **skin)
+
+
+def test_an_atlas_says_what_of_the_design_differs() -> None:
+    atlas = read_atlas(DEFAULT_ATLAS)
+    article = read_sensor(DEFAULT_SENSOR)
+    check_atlas(atlas, article)
+    with pytest.raises(InputError, match=r"indenter_edge_mm is not given, the sensor's \[0.0, 4.0\]"):
+        check_atlas(atlas, replace(article, indenter_edge_mm=(0.0, 4.0)))
+    with pytest.raises(InputError, match="overlap_mm"):
+        check_atlas(atlas, replace(article, skin=replace(article.skin, overlap_mm=5.0)))
+    design = {**atlas.meta["design"], "indenter_edge_mm": [0.0, 4.0]}
+    edged = replace(atlas, meta={**atlas.meta, "design": design, "design_hash": "0" * 16})
+    with pytest.raises(InputError, match=r"indenter_edge_mm is \[0.0, 4.0\], the sensor's not given"):
+        check_atlas(edged, article)
+    assert sensor_of(edged).indenter_edge_mm == (0.0, 4.0)
+
+
+def test_paths_of_an_edge_want_to_be_solved(tmp_path: Path) -> None:
+    atlas = read_atlas(DEFAULT_ATLAS)
+    edged = replace(read_sensor(DEFAULT_SENSOR), indenter_edge_mm=(0.0, 4.0))
+    meta = {**atlas.meta, "design": design_of(edged), "design_hash": design_hash(edged)}
+    write_atlas(replace(atlas, meta=meta), tmp_path / "edge.npz")
+    with pytest.raises(InputError, match="add --solved"):
+        synthesize(tmp_path / "edge.npz", None, 0, 1, tmp_path / "out", paths=3)
+    assert not (tmp_path / "out").exists()
 
 
 def test_an_edge_lies_along_x_or_y() -> None:

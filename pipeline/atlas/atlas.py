@@ -257,12 +257,12 @@ def check_atlas(atlas: Atlas, sensor: Sensor, source: str = "atlas") -> None:
     """
     if atlas.meta["design_hash"] == design_hash(sensor):
         return
-    theirs = atlas.meta["design"]
-    for name, mine in json.loads(json.dumps(design_of(sensor))).items():
-        if theirs.get(name) != mine:
+    theirs, mine = atlas.meta["design"], json.loads(json.dumps(design_of(sensor)))
+    for name in [*mine, *(name for name in theirs if name not in mine)]:
+        if theirs.get(name) != mine.get(name):
             raise InputError(
-                f"{source}: solved for another design ({name} is {theirs.get(name)}, the sensor's {mine}); "
-                f"run softslide simulate for this sensor"
+                f"{source}: solved for another design ({name} is {theirs.get(name, 'not given')}, the sensor's "
+                f"{mine.get(name, 'not given')}); run softslide simulate for this sensor"
             )
     raise InputError(f"{source}: its design's hash is wrong; run softslide simulate again")
 

@@ -284,7 +284,9 @@ def synthesize(
         raise InputError(f"{sensor_path}: has a [base], and synthetic slides none; take it out")
     check_atlas(atlas, sensor, str(atlas_path or "the default atlas"))
     if paths and not solved and any(sensor.indenter_edge_mm):
-        raise InputError("how a touch grows is known of a ball, not of an edge; add --solved", "paths")
+        raise InputError(
+            f"{paths}: how a touch grows is known of a ball, not of an edge; add --solved", "paths"
+        )
     # Whoever reads a report on these recordings is to see what they are.
     sensor = replace(sensor, name=f"{sensor.name}, synthetic", origin="synthetic")
     distribution = distribution or Distribution()
