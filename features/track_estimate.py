@@ -102,8 +102,8 @@ def judged(
     reason = _reason(track, math.hypot(sd[0], sd[1]), math.degrees(heading_sd), contact, lifted, limits)
     if pressed:
         contact, reason = Contact.PRESS, Reason.NONE
-        # How far it is pressed in shows as how far it is pressed on does: the force tells how hard it is.
-        depth = depth_half = math.nan
+        # It goes nowhere. How far it is pressed in shows as how far it is pressed on does; the force tells how hard.
+        degrees = offset = depth = math.nan
     return Estimate(
         time_s=time_s,
         state=state,

@@ -75,8 +75,14 @@ def test_a_press_beside_both_boards_is_told_where_it_is(place: tuple[float, floa
         assert np.hypot(each.x_mm - place[0], each.y_mm - place[1]) < 1.0
         assert each.x_lo_mm < place[0] < each.x_hi_mm or each.y_lo_mm < place[1] < each.y_hi_mm
         assert each.vx_mm_s == each.vy_mm_s == each.speed_mm_s == 0.0
-        assert math.isnan(each.depth_mm)
-        assert each.direction_hi_deg - each.direction_lo_deg == 360.0
+        unknown = (
+            each.direction_deg,
+            each.direction_lo_deg,
+            each.offset_mm,
+            each.offset_hi_mm,
+            each.depth_mm,
+        )
+        assert all(math.isnan(value) for value in unknown)
 
 
 @pytest.mark.parametrize(

@@ -19,10 +19,12 @@ import pytest
 from playwright.sync_api import Browser, ConsoleMessage, Locator, Page, expect, sync_playwright
 from small_bundle import write_small_bundle
 from streams import a_sensor, pass_over, still, stream
+from tracked_map import noisy_map
 from websockets.exceptions import ConnectionClosedOK, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
 import softslide
+from models.response_map.contact_card import contact_calibration
 from pipeline.sensor import Accelerometer
 from serve.localizer import Localizer
 
@@ -310,6 +312,28 @@ def test_the_page_shows_a_slide(bundle: Path, browser: Browser) -> None:
         assert running.end()[0] == 0
         expect(page.locator("#connection")).to_have_text("the stream has ended; waiting for the next")
         expect(cell(page, "speed")).to_have_text("2.00 mm/s")
+
+
+def test_the_page_shows_a_press_without_a_direction(browser: Browser, tmp_path: Path) -> None:
+    places = ((-8.0, 0.0), (8.0, 0.0))
+    response = noisy_map(places=places)
+    x, y = np.array([12.0]), np.array([9.0])
+    level = (response.response(x, y, 0.0) + response.response(x, y, np.pi))[0] / 2
+    grown = np.zeros((4000, 3 * BOARDS))
+    grown[:, [0, 1, 3, 4]] = np.clip(np.arange(4000)[:, None] / 1500.0, 0.0, 1.0) * level
+    volts = stream(np.zeros((7000, 3)), accelerometers=BOARDS)
+    volts[3000:] += grown
+    contact = contact_calibration(response, (-0.024, 0.0, 0.024, 0.0))
+    bundle = write_small_bundle(tmp_path / "b", a_sensor(BOARDS), contact=contact)
+    with serving(bundle) as running, opened(browser, running.address) as (page, complaints):
+        running.feed(volts)
+        expect(page.locator("#state")).to_have_text("press valid")
+        expect(cell(page, "speed")).to_have_text("0.00 mm/s")
+        expect(cell(page, "x")).to_have_text(re.compile(r"^1[12]\.\d mm$"))
+        for unknown in ("direction", "offset", "depth", "force"):
+            expect(cell(page, unknown)).to_have_text("–")
+        expect_drawing(page, "#skin")
+        assert complaints == []
 
 
 def test_the_page_shows_another_kinds_outputs_in_their_unit(browser: Browser, tmp_path: Path) -> None:

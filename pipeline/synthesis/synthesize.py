@@ -285,7 +285,7 @@ def synthesize(
     check_atlas(atlas, sensor, str(atlas_path or "the default atlas"))
     if paths and not solved and any(sensor.indenter_edge_mm):
         raise InputError(
-            f"{paths}: how a touch grows is known of a ball, not of an edge; add --solved", "paths"
+            f"{paths}: how a touch grows is known of a ball, not of an edge; have the paths solved", "paths"
         )
     # Whoever reads a report on these recordings is to see what they are.
     sensor = replace(sensor, name=f"{sensor.name}, synthetic", origin="synthetic")

@@ -14,6 +14,7 @@ const ESTIMATES = [
   ["depth", "mm", 2, "depth_mm", "depth_lo_mm", "depth_hi_mm"],
   ["x", "mm", 1, "x_mm", "x_lo_mm", "x_hi_mm"],
   ["y", "mm", 1, "y_mm", "y_lo_mm", "y_hi_mm"],
+  ["force", "mN", 0, "force_mn", "force_lo_mn", "force_hi_mn"],
 ];
 const DEVICE = [
   ["time", "s", 1, "time_s"],
@@ -68,10 +69,10 @@ function show() {
     const known = low && Number.isFinite(shown + latest[low] + latest[high]);
     interval.textContent = known ? `${number(latest[low], digits)} … ${number(latest[high], digits)}` : "";
   }
-  const estimated = Number.isFinite(latest.direction_deg);
+  const estimated = latest.valid || Number.isFinite(latest.direction_deg);
   const trust = latest.valid ? "valid" : estimated ? "abstains" : "no estimate";
   // Written on a change only, because screen readers read these lines aloud.
-  say(byId("phase"), latest.state);
+  say(byId("phase"), latest.valid && latest.contact === "press" ? "press" : latest.state);
   say(byId("trust"), trust, estimated ? trust : "");
   say(byId("zones"), zones.text());
   say(byId("reason"), latest.valid ? "" : REASONS[latest.reason] ?? latest.reason);

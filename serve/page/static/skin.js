@@ -88,13 +88,17 @@ function boards(context, at, accelerometers, [x, y], ink) {
 }
 
 // The slide's line, the contact on it, and its direction. Where the model gives no position (x, y unknown), the line is
-// drawn through its point nearest to the reference point, without a contact.
+// drawn through its point nearest to the reference point, without a contact. A press has no direction, and so no line.
 function motion(context, at, scale, sensor, reference, estimate, ink) {
   const angle = estimate.direction_deg * Math.PI / 180;
   const along = [Math.cos(angle), Math.sin(angle)];
   const left = [-along[1], along[0]];
   const placed = Number.isFinite(estimate.x_mm) && Number.isFinite(estimate.y_mm);
   const place = placed ? [estimate.x_mm, estimate.y_mm] : reference.map((mm, k) => mm + estimate.offset_mm * left[k]);
+  if (!Number.isFinite(angle)) {
+    if (placed) contact(context, at(...place), sensor.indenter_diameter_mm / 2 * scale, ink);
+    return;
+  }
   const point = (forward, aside) => at(...place.map((mm, k) => mm + forward * along[k] + aside * left[k]));
   const aside = [estimate.offset_lo_mm, estimate.offset_hi_mm].map((mm) => mm - estimate.offset_mm);
 
