@@ -43,6 +43,8 @@ trials = {trials}
 workers = 2
 [settings]
 seed = 1
+[settings.training]
+recorded_share = 1.0
 [space]
 trees = {{ low = 2, high = 5 }}
 least_leaf = [2, 12]
