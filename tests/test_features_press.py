@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from tracked_map import noisy_map, tracks_of
 
 from features.contact.tracker import Track
-from features.contact.whole_device import touch_share
+from features.contact.whole_device import beyond_device
 from features.estimate import Contact, Estimate, Reason
 from features.stream.tracker import SlideState
 from features.track_estimate import TrackLimits, judged
@@ -48,7 +48,7 @@ def estimates(tracks: list[Track | None]) -> list[Estimate]:
 def test_nothing_is_left_of_a_tilt_and_of_a_change_of_pressure(
     inflation: list[float], amounts: tuple[float, float, float]
 ) -> None:
-    share = touch_share(np.array(inflation))
+    share = beyond_device(np.array(inflation))
     assert share @ share == pytest.approx(share, abs=1e-9)
     tilt = np.tile(amounts[:2], len(inflation) // 2)
     assert share @ (tilt + amounts[2] * np.array(inflation)) == pytest.approx(
@@ -58,11 +58,11 @@ def test_nothing_is_left_of_a_tilt_and_of_a_change_of_pressure(
 
 def test_one_accelerometer_leaves_nothing_and_each_further_one_more() -> None:
     random = np.random.default_rng(1)
-    ranks = [round(np.trace(touch_share(random.normal(size=2 * n)))) for n in (1, 2, 3, 4)]
+    ranks = [round(np.trace(beyond_device(random.normal(size=2 * n)))) for n in (1, 2, 3, 4)]
     assert ranks == [0, 1, 3, 5]
     # A pressure that moves no board, or all alike, takes no direction away.
-    assert round(np.trace(touch_share(np.zeros(4)))) == 2
-    assert round(np.trace(touch_share(np.array([0.3, -0.1, 0.3, -0.1])))) == 2
+    assert round(np.trace(beyond_device(np.zeros(4)))) == 2
+    assert round(np.trace(beyond_device(np.array([0.3, -0.1, 0.3, -0.1])))) == 2
 
 
 @pytest.mark.parametrize("place", [(12.0, 9.0), (-11.0, 7.0), (10.0, -8.0)])

@@ -26,7 +26,7 @@ from features.contact.places import Place, likeliest_places
 from features.contact.response_surface import ResponseSurface
 from features.contact.smooth_signal import SmoothSignal
 from features.contact.touch import at_rest, at_touch, onset
-from features.contact.whole_device import touch_share
+from features.contact.whole_device import beyond_device
 
 STEP_BLOCKS = (
     2  # a filter's step: 40 ms, in which the fastest slide calibrated for (13 mm/s) goes half a millimetre
@@ -136,7 +136,7 @@ class ContactTracker:
         self._recent = np.zeros((ONSET_BLOCKS, len(noise_v)))
         self._smooth = SmoothSignal(noise_v / math.sqrt(STEP_BLOCKS), STEP_BLOCKS * block_s)
         self._evidence = 0.0
-        self._touch_share = None if inflation_v_per_mm is None else touch_share(inflation_v_per_mm)
+        self._beyond_device = None if inflation_v_per_mm is None else beyond_device(inflation_v_per_mm)
         self.reset()
 
     def reset(self) -> None:
@@ -247,10 +247,10 @@ class ContactTracker:
 
     def _presses(self, volts: np.ndarray) -> bool:
         """Whether the output (C,) V since the touch is a press's, and not a tilt's or the pressure's."""
-        if self._touch_share is None or not self._smooth.one_way or self._smooth.changing_s > PRESS_ON_S:
+        if self._beyond_device is None or not self._smooth.one_way or self._smooth.changing_s > PRESS_ON_S:
             return False
         size = float(np.hypot.reduce(volts))
-        beyond = float(np.hypot.reduce(self._touch_share @ volts))
+        beyond = float(np.hypot.reduce(self._beyond_device @ volts))
         return size > PRESS_TRIGGERS * self._trigger_v and beyond > TOUCH_SHARE * size
 
     def _branch(self) -> None:

@@ -8,7 +8,7 @@ direction is left, and each further one leaves two more.
 import numpy as np
 
 
-def touch_share(inflation_v_per_mm: np.ndarray) -> np.ndarray:
+def beyond_device(inflation_v_per_mm: np.ndarray) -> np.ndarray:
     """The projection (C, C) of outputs (C,) V, V_x and V_y of each accelerometer, on what neither a tilt nor a change
     of pressure makes. inflation_v_per_mm: (C,), by which outputs at rest change as the skin rises; only its direction
     matters."""
