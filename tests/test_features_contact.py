@@ -291,6 +291,30 @@ def test_a_slow_lift_is_no_turn(seed: int) -> None:
     assert np.mean(np.array([*told, 0.0]) > 20.0) < 0.1
 
 
+@pytest.mark.parametrize("channels", [2, 4])
+def test_a_wave_of_four_channels_keeps_its_direction_and_a_slide_over_two_boards_does_not(
+    channels: int,
+) -> None:
+    """Of two channels a slide over the board may come back along the direction that it came on."""
+    response = noisy_map(places=((-8.0, 0.0), (8.0, 0.0))[: channels // 2])
+    noise, random = np.full(channels, 1e-3), np.random.default_rng(7)
+    along = np.array([0.1, 0.05, -0.08, 0.02])[:channels]
+    wave = np.sin(2 * np.pi * 0.2 * BLOCK_S * np.arange(800))[:, None] * along
+    smooth = SmoothSignal(noise, BLOCK_S)
+    smooth.reset(0.1 * along, np.zeros(channels))
+    for volts in wave + random.normal(0.0, noise, wave.shape):
+        smooth.push(volts)
+    assert smooth.one_way is (channels == 4)
+    # Along the line through the boards, and midway between them: where the fewest channels answer.
+    for path in (line(3.0, y_mm=0.0), line(3.0, y_mm=0.0)[:, ::-1]):
+        slide = volts_along(response, path)
+        felt = int((np.abs(slide).max(axis=1) > 0.01).argmax())
+        smooth.reset(slide[felt], np.zeros(channels))
+        for volts in slide[felt:]:
+            smooth.push(volts)
+        assert not smooth.one_way
+
+
 def test_a_slide_is_told_and_a_wave_seldom() -> None:
     """A wave along one direction may be a press that comes and goes, or a slide forth and back over the board."""
     response, limits = noisy_map(), TrackLimits()

@@ -55,10 +55,12 @@ class SmoothSignal:
 
     @property
     def one_way(self) -> bool:
-        """Whether the outputs since the reset have kept one direction and one sign, as a press does."""
+        """Whether the outputs since the reset have kept one direction, as a press does; of two channels also one sign:
+        with them a slide over the board may come back along the direction that it came on."""
         along = float(self._direction @ self._moment @ self._direction)
         across = float(self._moment.trace()) - along - self._steps * (len(self._noise) - 1)
-        return across < STRAIGHT**2 * along and self._lowest > -STRAIGHT * self._highest
+        one_sign = len(self._noise) > 2 or self._lowest > -STRAIGHT * self._highest
+        return across < STRAIGHT**2 * along and one_sign
 
     def push(self, volts: np.ndarray) -> float:
         """One measurement (C,) V -> the logarithm of its predicted density, less C/2 log(2 pi)."""
