@@ -143,7 +143,6 @@ def _is_press(track: Track, limits: TrackLimits) -> bool:
     pressure can have made it, it needs neither way nor evidence of a slide."""
     return (
         track.presses
-        and track.one_press
         and float(np.hypot(*track.mean[2:])) < limits.press_mm_s
         and float(track.covariance[:2, :2].trace()) < limits.press_sd_mm**2
         and track.certain >= limits.certain

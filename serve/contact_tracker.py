@@ -46,7 +46,7 @@ def contact_tracker(
             trigger_v=card.conditioning.trigger_v,
             release_v=card.conditioning.release_v,
             config=TrackingConfig(depth_sd_mm=contact.depth_sd_mm),
-            inflation_v_per_mm=np.array(contact.inflation_v_per_mm) if contact.inflation_v_per_mm else None,
+            inflation_v_per_mm=contact.inflation_v_per_mm,
         )
     # Where the only accelerometer fails, nothing is left to track with.
     return tracker if len(card.channels) == 3 else ReplayingTracker(tracker)

@@ -5,7 +5,7 @@ from dataclasses import asdict
 
 import numpy as np
 import pytest
-from tracked_map import BLOCK_S, followed, line, noisy_map, tracker, tracks_of, volts_along
+from tracked_map import BLOCK_S, TWO_BOARDS, followed, line, noisy_map, tracker, tracks_of, volts_along
 
 from features.contact.calibration import ContactCalibration
 from features.contact.hypotheses import (
@@ -296,7 +296,7 @@ def test_a_wave_of_four_channels_keeps_its_direction_and_a_slide_over_two_boards
     channels: int,
 ) -> None:
     """Of two channels a slide over the board may come back along the direction that it came on."""
-    response = noisy_map(places=((-8.0, 0.0), (8.0, 0.0))[: channels // 2])
+    response = noisy_map(places=TWO_BOARDS[: channels // 2])
     noise, random = np.full(channels, 1e-3), np.random.default_rng(7)
     along = np.array([0.1, 0.05, -0.08, 0.02])[:channels]
     wave = np.sin(2 * np.pi * 0.2 * BLOCK_S * np.arange(800))[:, None] * along

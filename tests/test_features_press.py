@@ -6,20 +6,15 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from tracked_map import noisy_map, tracks_of
+from tracked_map import BLOCK_S, INFLATION, TWO_BOARDS, noisy_map, pressed, tracks_of
 
 from features.contact.tracker import Track
 from features.contact.whole_device import beyond_device
 from features.estimate import Contact, Estimate, Reason
 from features.stream.tracker import SlideState
 from features.track_estimate import TrackLimits, judged
-from models.response_map.map import ResponseMap
 
-BOARDS = ((-8.0, 0.0), (8.0, 0.0))
-# As of a skin that rises: boards on either side of its middle lean outwards.
-INFLATION = (-0.024, 0.0, 0.024, 0.0)
-# So that no output is a press's by chance of where noise takes it.
-ON_S, HELD_S, BLOCK_S = 0.4, 1.5, 0.02
+ON_S, HELD_S = 0.4, 1.5
 
 
 def grown(level_v: np.ndarray, seed: int = 0) -> np.ndarray:
@@ -28,12 +23,6 @@ def grown(level_v: np.ndarray, seed: int = 0) -> np.ndarray:
     return share[:, None] * level_v + np.random.default_rng(seed).normal(
         0.0, 1e-3, (len(share), len(level_v))
     )
-
-
-def pressed(response: ResponseMap, place_mm: tuple[float, float]) -> np.ndarray:
-    """(C,) V of a press: the friction of a slide is not in it."""
-    x, y = np.array(place_mm[:1]), np.array(place_mm[1:])
-    return (response.response(x, y, 0.0) + response.response(x, y, np.pi))[0] / 2
 
 
 def estimates(tracks: list[Track | None]) -> list[Estimate]:
@@ -67,7 +56,7 @@ def test_one_accelerometer_leaves_nothing_and_each_further_one_more() -> None:
 
 @pytest.mark.parametrize("place", [(12.0, 9.0), (-11.0, 7.0), (10.0, -8.0)])
 def test_a_press_beside_both_boards_is_told_where_it_is(place: tuple[float, float]) -> None:
-    response = noisy_map(places=BOARDS)
+    response = noisy_map(places=TWO_BOARDS)
     found = [e for e in estimates(tracks_of(response, grown(pressed(response, place)), INFLATION)) if e.valid]
     assert len(found) > 0.3 * HELD_S / BLOCK_S
     for each in found:
@@ -97,14 +86,14 @@ def test_a_press_beside_both_boards_is_told_where_it_is(place: tuple[float, floa
     ],
 )
 def test_a_tilt_or_a_change_of_pressure_is_no_press(level: np.ndarray) -> None:
-    response = noisy_map(places=BOARDS)
+    response = noisy_map(places=TWO_BOARDS)
     for seed in range(3):
         found = estimates(tracks_of(response, grown(level, seed), INFLATION))
         assert not any(e.valid for e in found)
 
 
 def test_a_press_between_the_boards_looks_like_a_fall_of_the_pressure_and_is_not_told() -> None:
-    response = noisy_map(places=BOARDS)
+    response = noisy_map(places=TWO_BOARDS)
     level = pressed(response, (0.0, 0.0))
     assert np.abs(level @ INFLATION) == pytest.approx(
         np.linalg.norm(level) * np.linalg.norm(INFLATION), rel=1e-2
@@ -120,7 +109,7 @@ def test_a_press_between_the_boards_looks_like_a_fall_of_the_pressure_and_is_not
 def test_without_what_the_pressure_does_or_with_one_board_no_press_is_told(
     inflation: tuple[float, ...],
 ) -> None:
-    response = noisy_map(places=BOARDS if not inflation else BOARDS[1:])
+    response = noisy_map(places=TWO_BOARDS if not inflation else TWO_BOARDS[1:])
     found = estimates(tracks_of(response, grown(pressed(response, (12.0, 9.0))), inflation))
     assert found
     assert not any(e.valid for e in found)
@@ -129,7 +118,7 @@ def test_without_what_the_pressure_does_or_with_one_board_no_press_is_told(
 
 def test_a_press_that_comes_on_slowly_is_not_told() -> None:
     """A drift of single channels takes any direction; it needs more than three seconds."""
-    response = noisy_map(places=BOARDS)
+    response = noisy_map(places=TWO_BOARDS)
     level = pressed(response, (12.0, 9.0))
     share = np.clip(np.arange(500) * BLOCK_S / 9.0, 0.0, 1.0)
     volts = share[:, None] * level + np.random.default_rng(2).normal(0.0, 1e-3, (500, 4))

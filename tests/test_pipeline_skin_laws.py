@@ -7,6 +7,7 @@ import pytest
 import scipy.sparse as sparse
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
+from tangent import expect_tangent_is_slope
 
 from pipeline.sensor import Accelerometer, MeshSize, Sensor
 from pipeline.skin import material
@@ -68,16 +69,8 @@ def test_tangent_is_the_residual_s_derivative(skin):
     state = system.accept(State(random.normal(size=system.size) * 0.05, system.rest().rotations))
     load = Load(AIR_MPA, np.array([3.0, 1.3, 6.0]))
     assert system.tangent(state, load)[1][2] > 0.01
-    matrix = (system.pattern + sparse.triu(system.pattern, 1).T).tocsc()
-    step = 1e-6
-    for column in [*random.integers(0, system.size - 6, 20), *range(system.size - 6, system.size)]:
-        move = np.zeros(system.size)
-        move[column] = step
-        ahead, behind = (
-            system.residual(State(state.unknowns + s * move, state.rotations), load)[0] for s in (1, -1)
-        )
-        slope = (ahead - behind) / (2 * step)
-        assert np.abs(slope - matrix[:, [column]].toarray().ravel()).max() < 1e-6 * np.abs(slope).max() + 1e-8
+    columns = [*random.integers(0, system.size - 6, 20), *range(system.size - 6, system.size)]
+    expect_tangent_is_slope(system, state, load, columns)
 
 
 def membrane_height(pressure: float, radius: float, thickness: float, shear: float) -> float:

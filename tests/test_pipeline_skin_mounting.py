@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import scipy.sparse as sparse
+from tangent import expect_tangent_is_slope
 
 from features.errors import InputError
 from pipeline.atlas.atlas import DEFAULT_ATLAS, DEFAULT_SENSOR, check_atlas, read_atlas, write_atlas
@@ -42,17 +42,9 @@ def test_the_tangent_is_the_residual_s_derivative(design: Sensor) -> None:
     state = system.accept(State(random.normal(size=system.size) * 0.05, system.rest().rotations))
     load = Load(0.0 if design is ELASTIC else AIR_MPA, np.array([3.0, 1.3, 6.0]))
     assert system.tangent(state, load)[1][2] > 0.01
-    matrix = (system.pattern + sparse.triu(system.pattern, 1).T).tocsc()
-    step = 1e-6
     touched = np.flatnonzero(np.abs(system.residual(state, load)[0] - system.residual(state, Load(0.0))[0]))
-    for column in [*random.integers(0, system.size - 6, 20), *random.choice(touched, 20)]:
-        move = np.zeros(system.size)
-        move[column] = step
-        ahead, behind = (
-            system.residual(State(state.unknowns + s * move, state.rotations), load)[0] for s in (1, -1)
-        )
-        slope = (ahead - behind) / (2 * step)
-        assert np.abs(slope - matrix[:, [column]].toarray().ravel()).max() < 1e-6 * np.abs(slope).max() + 1e-8
+    columns = [*random.integers(0, system.size - 6, 20), *random.choice(touched, 20)]
+    expect_tangent_is_slope(system, state, load, columns)
 
 
 def test_the_base_s_springs_add_up_to_its_area_and_the_air_presses_the_chamber_alone() -> None:
@@ -68,22 +60,15 @@ def test_the_base_s_springs_add_up_to_its_area_and_the_air_presses_the_chamber_a
 
 
 def test_a_stiff_base_is_a_rigid_one_and_a_soft_one_yields() -> None:
-    stiff, rigid, soft = (
-        skin_of(design).inflate(AIR_MPA)
-        for design in (
-            held(overlap_mm=OVERLAP_MM, base_mpa_mm=(1e3, 1e3)),
-            held(overlap_mm=OVERLAP_MM),
-            ELASTIC,
-        )
-    )
-    heights = [
-        skin_of(design).height(state)
-        for design, state in ((ELASTIC, stiff), (held(overlap_mm=OVERLAP_MM), rigid), (ELASTIC, soft))
-    ]
-    assert heights[0] == pytest.approx(heights[1], abs=1e-3)
-    assert heights[2] > heights[1] + 0.1
-    # Bonded by its lower face alone, the rim turns: the skin rises further than one that is clamped at its side.
-    assert heights[1] > skin_of(DESIGN).height(skin_of(DESIGN).inflate(AIR_MPA)) + 0.02
+    def rise(design: Sensor) -> float:
+        skin = skin_of(design)
+        return skin.height(skin.inflate(AIR_MPA))
+
+    rigid = rise(held(overlap_mm=OVERLAP_MM))
+    assert rise(held(overlap_mm=OVERLAP_MM, base_mpa_mm=(1e3, 1e3))) == pytest.approx(rigid, abs=1e-3)
+    assert rise(ELASTIC) > rigid + 0.1
+    # Bonded by its lower face alone, the skin turns at its edge: it rises further than one that is clamped at its side.
+    assert rigid > rise(DESIGN) + 0.02
 
 
 def test_a_stretched_membrane_rises_as_the_linear_one() -> None:

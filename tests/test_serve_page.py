@@ -19,7 +19,7 @@ import pytest
 from playwright.sync_api import Browser, ConsoleMessage, Locator, Page, expect, sync_playwright
 from small_bundle import write_small_bundle
 from streams import a_sensor, pass_over, still, stream
-from tracked_map import noisy_map
+from tracked_map import INFLATION, TWO_BOARDS, noisy_map, pressed
 from websockets.exceptions import ConnectionClosedOK, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
@@ -315,15 +315,13 @@ def test_the_page_shows_a_slide(bundle: Path, browser: Browser) -> None:
 
 
 def test_the_page_shows_a_press_without_a_direction(browser: Browser, tmp_path: Path) -> None:
-    places = ((-8.0, 0.0), (8.0, 0.0))
-    response = noisy_map(places=places)
-    x, y = np.array([12.0]), np.array([9.0])
-    level = (response.response(x, y, 0.0) + response.response(x, y, np.pi))[0] / 2
+    response = noisy_map(places=TWO_BOARDS)
+    level = pressed(response, (12.0, 9.0))
     grown = np.zeros((4000, 3 * BOARDS))
     grown[:, [0, 1, 3, 4]] = np.clip(np.arange(4000)[:, None] / 1500.0, 0.0, 1.0) * level
     volts = stream(np.zeros((7000, 3)), accelerometers=BOARDS)
     volts[3000:] += grown
-    contact = contact_calibration(response, (-0.024, 0.0, 0.024, 0.0))
+    contact = contact_calibration(response, INFLATION)
     bundle = write_small_bundle(tmp_path / "b", a_sensor(BOARDS), contact=contact)
     with serving(bundle) as running, opened(browser, running.address) as (page, complaints):
         running.feed(volts)

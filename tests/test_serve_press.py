@@ -6,22 +6,22 @@ import numpy as np
 import pytest
 from small_bundle import write_small_bundle
 from streams import RATE_HZ, ZERO_V, a_sensor
-from tracked_map import noisy_map
+from tracked_map import INFLATION, TWO_BOARDS, noisy_map, pressed
 
 from features.estimate import Contact, Reason
 from models.response_map.contact_card import contact_calibration
 from serve.localizer import Localizer
 
-BOARDS = ((-8.0, 0.0), (8.0, 0.0))
-INFLATION = (-0.024, 0.0, 0.024, 0.0)
 PLACE_MM = (12.0, 9.0)
 
 
 @pytest.fixture(scope="module")
 def localizer(tmp_path_factory: pytest.TempPathFactory) -> Localizer:
     plain = a_sensor(2)
-    boards = tuple(replace(a, x_mm=x, y_mm=y) for a, (x, y) in zip(plain.accelerometers, BOARDS, strict=True))
-    contact = contact_calibration(noisy_map(places=BOARDS), INFLATION)
+    boards = tuple(
+        replace(a, x_mm=x, y_mm=y) for a, (x, y) in zip(plain.accelerometers, TWO_BOARDS, strict=True)
+    )
+    contact = contact_calibration(noisy_map(places=TWO_BOARDS), INFLATION)
     folder = tmp_path_factory.mktemp("bundle") / "model"
     return Localizer.load(write_small_bundle(folder, replace(plain, accelerometers=boards), contact=contact))
 
@@ -36,11 +36,8 @@ def held(level_v: np.ndarray) -> np.ndarray:
 
 
 def test_a_press_is_valid_as_long_as_it_is_held(localizer: Localizer) -> None:
-    response = noisy_map(places=BOARDS)
-    x, y = np.array(PLACE_MM[:1]), np.array(PLACE_MM[1:])
-    level = (response.response(x, y, 0.0) + response.response(x, y, np.pi))[0] / 2
     localizer.reset()
-    found = localizer.push(held(level))
+    found = localizer.push(held(pressed(noisy_map(places=TWO_BOARDS), PLACE_MM)))
     told = [e for e in found if e.valid]
     assert len(told) > 30
     assert {e.contact for e in told} == {Contact.PRESS}

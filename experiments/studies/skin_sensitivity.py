@@ -7,7 +7,7 @@ forces, and neither tilt nor width.
 from collections.abc import Iterator
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import matplotlib
 
@@ -40,60 +40,60 @@ SHOWN = {
 }
 
 
-def variants(sensor: Sensor) -> Iterator[tuple[str, str, Sensor, float, float]]:
-    """What is changed, its value, the sensor, the skin's height (mm) and the contact depth (mm); first the design."""
+class Variant(NamedTuple):
+    """What is changed, its value, the sensor, the skin's height and the contact depth."""
+
+    changed: str
+    to: str
+    sensor: Sensor
+    height_mm: float = HEIGHT_MM
+    depth_mm: float = DEPTH_MM
+
+
+def variants(sensor: Sensor) -> Iterator[Variant]:
+    """First the design, then one number changed at a time."""
     skin, board, mesh = sensor.skin, sensor.board, sensor.mesh
-    yield "design", "", sensor, HEIGHT_MM, DEPTH_MM
+    yield Variant("design", "", sensor)
     for value in (0.0, 0.3, 0.5, 0.8):
-        yield (
-            "friction",
-            f"{value:g}",
-            replace(sensor, skin=replace(skin, friction=value)),
-            HEIGHT_MM,
-            DEPTH_MM,
-        )
+        yield Variant("friction", f"{value:g}", replace(sensor, skin=replace(skin, friction=value)))
     for value in (5.0, 6.0, 8.5):
-        yield "height, mm", f"{value:g}", sensor, value, DEPTH_MM
+        yield Variant("height, mm", f"{value:g}", sensor, height_mm=value)
     for value in (0.3, 1.0):
-        yield "depth, mm", f"{value:g}", sensor, HEIGHT_MM, value
+        yield Variant("depth, mm", f"{value:g}", sensor, depth_mm=value)
     for value in (3.0, 5.0):
-        yield "skin, mm", f"{value:g}", replace(sensor, skin_thickness_mm=value), HEIGHT_MM, DEPTH_MM
+        yield Variant("skin, mm", f"{value:g}", replace(sensor, skin_thickness_mm=value))
     for value in (48.0, 54.0):
-        yield "chamber, mm", f"{value:g}", replace(sensor, chamber_mm=(value, value)), HEIGHT_MM, DEPTH_MM
+        yield Variant("chamber, mm", f"{value:g}", replace(sensor, chamber_mm=(value, value)))
     for value in (6.0, 8.0, 12.0):
         bond = replace(board, size_mm=(value, value))
-        yield "board's bond, mm", f"{value:g}", replace(sensor, board=bond), HEIGHT_MM, DEPTH_MM
+        yield Variant("board's bond, mm", f"{value:g}", replace(sensor, board=bond))
     for value in (1.0, 2.4):
         thick = replace(board, thickness_mm=value)
-        yield "board's thickness, mm", f"{value:g}", replace(sensor, board=thick), HEIGHT_MM, DEPTH_MM
+        yield Variant("board's thickness, mm", f"{value:g}", replace(sensor, board=thick))
     for value in (0.035, 0.14):
         soft = replace(skin, youngs_modulus_mpa=value)
-        yield "Young's modulus, MPa", f"{value:g}", replace(sensor, skin=soft), HEIGHT_MM, DEPTH_MM
+        yield Variant("Young's modulus, MPa", f"{value:g}", replace(sensor, skin=soft))
     for value in (1.0, 4.0):
         bulk = replace(skin, bulk_modulus_mpa=value)
-        yield "bulk modulus, MPa", f"{value:g}", replace(sensor, skin=bulk), HEIGHT_MM, DEPTH_MM
+        yield Variant("bulk modulus, MPa", f"{value:g}", replace(sensor, skin=bulk))
     for value in (2.5, 5.0):
         bonded = replace(skin, overlap_mm=value)
-        yield "skin on the base, mm", f"{value:g}", replace(sensor, skin=bonded), HEIGHT_MM, DEPTH_MM
+        yield Variant("skin on the base, mm", f"{value:g}", replace(sensor, skin=bonded))
     for share in (1.0, 0.5):
         elastic = replace(skin, overlap_mm=OVERLAP_MM, base_mpa_mm=wall_stiffness(share * BASE_MPA))
-        yield (
-            f"{OVERLAP_MM:g} mm on a base of, MPa",
-            f"{share * BASE_MPA:g}",
-            replace(sensor, skin=elastic),
-            HEIGHT_MM,
-            DEPTH_MM,
+        yield Variant(
+            f"{OVERLAP_MM:g} mm on a base of, MPa", f"{share * BASE_MPA:g}", replace(sensor, skin=elastic)
         )
     for value in (0.98, 1.05):
         stretched = replace(skin, prestretch=value)
-        yield "prestretch", f"{value:g}", replace(sensor, skin=stretched), HEIGHT_MM, DEPTH_MM
+        yield Variant("prestretch", f"{value:g}", replace(sensor, skin=stretched))
     for name, edge in (("across", (0.0, 10.0)), ("along", (10.0, 0.0))):
-        yield f"edge of 10 mm {name}", "", replace(sensor, indenter_edge_mm=edge), HEIGHT_MM, DEPTH_MM
+        yield Variant(f"edge of 10 mm {name}", "", replace(sensor, indenter_edge_mm=edge))
     for value in (3.0, 12.0):
-        yield "ball, mm", f"{value:g}", replace(sensor, indenter_diameter_mm=value), HEIGHT_MM, DEPTH_MM
+        yield Variant("ball, mm", f"{value:g}", replace(sensor, indenter_diameter_mm=value))
     for size, layers in ((3.4, 1), (2.0, 1), (2.5, 2)):
         finer = replace(sensor, mesh=replace(mesh, size_mm=size, layers=layers))
-        yield "mesh, mm x layers", f"{size:g} x {layers}", finer, HEIGHT_MM, DEPTH_MM
+        yield Variant("mesh, mm x layers", f"{size:g} x {layers}", finer)
 
 
 def sensitivity(

@@ -1,6 +1,7 @@
 """Tracks one contact from touch to release: where it is and how it moves, with a covariance, at each block."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -88,8 +89,8 @@ class Track(NamedTuple):
     pressed on or lifted. gain, depth_mm (off the map's): means; depth_sd_mm. way_mm: since the touch, at most 25.
     evidence: logarithm of the odds of a contact against a signal that needs no map, forgotten over EVIDENCE_MM of way
     and EVIDENCE_S. one_press: whether a press at one place, or a drift, may have made all of the output
-    since the touch. presses: whether a press has made it, and neither a tilt of the device nor its pressure. channels:
-    that it is read from. places: where the contact may be, while several places are left.
+    since the touch. presses: whether then a press has made it, and neither a tilt of the device nor its pressure.
+    channels: that it is read from. places: where the contact may be, while several places are left.
     """
 
     mean: np.ndarray
@@ -114,7 +115,7 @@ class ContactTracker:
 
     surface: the calibrated response. half_mm: half the chamber's sizes. noise_v: (C,) V of one block, with the lag
     undone. floor_v: V, the map's residual. gain_sd: from slide to slide. trigger_v, release_v: V, outputs that begin
-    and end a contact. inflation_v_per_mm: (C,), as in ContactCalibration; None: not known, and no press is told.
+    and end a contact. inflation_v_per_mm: (C,), as in ContactCalibration; none: not known, and no press is told.
     """
 
     def __init__(
@@ -128,7 +129,7 @@ class ContactTracker:
         trigger_v: float,
         release_v: float,
         config: TrackingConfig,
-        inflation_v_per_mm: np.ndarray | None = None,
+        inflation_v_per_mm: Sequence[float] = (),
     ) -> None:
         self._surface, self._half, self._block_s, self._config = surface, half_mm, block_s, config
         self._noise_v, self._floor_v, self._gain_sd = noise_v, floor_v, gain_sd
@@ -136,7 +137,7 @@ class ContactTracker:
         self._recent = np.zeros((ONSET_BLOCKS, len(noise_v)))
         self._smooth = SmoothSignal(noise_v / math.sqrt(STEP_BLOCKS), STEP_BLOCKS * block_s)
         self._evidence = 0.0
-        self._beyond_device = None if inflation_v_per_mm is None else beyond_device(inflation_v_per_mm)
+        self._beyond_device = beyond_device(np.array(inflation_v_per_mm)) if inflation_v_per_mm else None
         self.reset()
 
     def reset(self) -> None:
@@ -234,20 +235,22 @@ class ContactTracker:
         self._steps += 1
         if whole and not self._rested and self._steps * elapsed_s < config.young_s:
             self._rest()
+        one_press = self._smooth.one_way and (
+            self._smooth.changing_s < PRESS_S or self._evidence < SLIDE_EVIDENCE
+        )
         self._track = read(self._bank)._replace(
             evidence=self._evidence,
             channels=len(volts) if usable is None else int(usable.sum()),
-            presses=whole and self._presses(volts),
-            one_press=self._smooth.one_way
-            and (self._smooth.changing_s < PRESS_S or self._evidence < SLIDE_EVIDENCE),
+            one_press=one_press,
+            presses=one_press and whole and self._presses(volts),
         )
         self._lost = self._lost + 1 if self._track.misfit > config.lost else 0
         if self._lost * elapsed_s > LOST_S:
             self._start(anywhere=True, usable=usable)
 
     def _presses(self, volts: np.ndarray) -> bool:
-        """Whether the output (C,) V since the touch is a press's, and not a tilt's or the pressure's."""
-        if self._beyond_device is None or not self._smooth.one_way or self._smooth.changing_s > PRESS_ON_S:
+        """Whether an output (C,) V that has kept one direction is a press's, and not a tilt's or the pressure's."""
+        if self._beyond_device is None or self._smooth.changing_s > PRESS_ON_S:
             return False
         size = float(np.hypot.reduce(volts))
         beyond = float(np.hypot.reduce(self._beyond_device @ volts))

@@ -63,13 +63,18 @@ class SensorSpread:
         check_ranges(self, **dict.fromkeys(sizes, SIZE), width=(-100.0, 100.0), depth_change=(-1e6, 1e6))
 
 
+def tilt_v_per_g(sensor: Sensor) -> np.ndarray:
+    """(C,) V/g of V_x and V_y of each accelerometer."""
+    return np.repeat([a.sensitivity_v_per_g for a in sensor.accelerometers], 2)
+
+
 def design_map(atlas: Atlas, sensor: Sensor, height_mm: float, depth_mm: float) -> ResponseMap:
     """The response map (V) that the atlas gives for a skin height and a contact depth, both within the atlas."""
     half = max(sensor.chamber_mm) / 2 + MARGIN_MM
     grid = np.arange(-half, half + GRID_MM / 2, GRID_MM)
     x, y = (axis.ravel() for axis in np.meshgrid(grid, grid, indexing="ij"))
     level = atlas.pressure_at(height_mm)
-    volts_per_g = np.repeat([a.sensitivity_v_per_g for a in sensor.accelerometers], 2)
+    volts_per_g = tilt_v_per_g(sensor)
 
     def tilt(heading_deg: float | None, depth: float) -> np.ndarray:
         g = np.nan_to_num(atlas.response(x, y, heading_deg, depth, level))[:, :, :2]

@@ -6,6 +6,7 @@ import numpy as np
 
 from features.contact.calibration import encoded
 from features.height import HeightCalibration
+from models.response_map.from_atlas import tilt_v_per_g
 from models.response_map.map import ResponseMap
 from models.response_map.slides import CalibrationSlide
 from pipeline.atlas.atlas import Atlas
@@ -52,8 +53,7 @@ def inflation_v_per_mm(
         return ()
     tilts_g = atlas.statics[:, :, :2].reshape(len(atlas.height_mm), -1)
     per_mm = atlas.height_mm @ tilts_g / (atlas.height_mm @ atlas.height_mm)
-    volts_per_g = np.repeat([a.sensitivity_v_per_g for a in sensor.accelerometers], 2)
-    return tuple((volts_per_g * per_mm).tolist())
+    return tuple((tilt_v_per_g(sensor) * per_mm).tolist())
 
 
 def with_gains(heights: HeightCalibration, gain: np.ndarray) -> HeightCalibration:

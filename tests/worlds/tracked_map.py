@@ -11,6 +11,9 @@ from models.response_map.map import ResponseMap
 
 BLOCK_S = 0.02
 FRICTION_MM = 0.35
+TWO_BOARDS = ((-8.0, 0.0), (8.0, 0.0))
+# V/mm, as of a skin that rises: boards on either side of its middle lean outwards.
+INFLATION = (-0.024, 0.0, 0.024, 0.0)
 
 
 def noisy_map(**changes) -> ResponseMap:
@@ -33,7 +36,7 @@ def tracker(response: ResponseMap, inflation_v_per_mm: tuple[float, ...] = ()) -
         trigger_v=0.005,
         release_v=0.0035,
         config=TrackingConfig(),
-        inflation_v_per_mm=np.array(inflation_v_per_mm) if inflation_v_per_mm else None,
+        inflation_v_per_mm=inflation_v_per_mm,
     )
 
 
@@ -51,6 +54,12 @@ def volts_along(response: ResponseMap, path_mm: np.ndarray, seed: int = 0) -> np
         blocks.append((still + length * (response.response(*at) - still))[0])
     noise = np.random.default_rng(seed).normal(0.0, response.noise_v, (len(path_mm), response.channels))
     return np.array(blocks) + noise
+
+
+def pressed(response: ResponseMap, place_mm: tuple[float, float]) -> np.ndarray:
+    """(C,) V of a press: the friction of a slide is not in it."""
+    x, y = np.array(place_mm[:1]), np.array(place_mm[1:])
+    return (response.response(x, y, 0.0) + response.response(x, y, np.pi))[0] / 2
 
 
 def followed(response: ResponseMap, path_mm: np.ndarray, seed: int = 0) -> list[Track | None]:
