@@ -19,6 +19,7 @@ from features.height import HEIGHT_INPUT, given_height
 from features.stream.conditioning import ONSETS, Blocks, LagUndone
 from features.stream.drift import UNKNOWN, DriftWatch, measures_gravity
 from features.stream.faults import BRIDGED_BLOCKS, Judged, SignalWatch
+from features.stream.gravity import GravityWatch
 from features.stream.tracker import SlideState, SlideTracker
 from features.track_estimate import TOUCH_LIMITS, TrackLimits, agrees, judged, with_track
 from features.vector.energy import energy_width_s
@@ -67,6 +68,7 @@ class Localizer:
         self._watch = SignalWatch(*output_range([*accelerometers, *base]), read)
         self._tracker = SlideTracker(card.conditioning, channels)
         self._drift = DriftWatch(accelerometers, card.conditioning.touch_axes, card.conditioning.scale)
+        self._gravity = GravityWatch(accelerometers, card.conditioning)
         self._lag = LagUndone(card.conditioning, len(self._tracker.touch))
         self._contact = contact_tracker(card, self._lag.noise_gain, math.nan)
         self._contact_step = 0  # of the height that it is for, MAP_STEP_MM off the card's
@@ -188,9 +190,7 @@ class Localizer:
         reason = estimate.reason
         if not (self._whole and (self.card.input == "window" or tracker.usable.all())):
             reason = Reason.DEAD_CHANNEL
-        elif not self._drift.keeps_gravity(
-            tracker.static, np.add.reduce(window.volts, axis=1) / WINDOW_BINS, tracker.usable
-        ):
+        elif not self._gravity.kept:
             reason = Reason.DRIFT
         elif not tracker.moved:
             reason = Reason.TOO_EARLY
@@ -321,6 +321,8 @@ class Localizer:
         if tracker.state is SlideState.SLIDE:
             if not sliding:
                 self._bridged = self._slide_blocks = 0
+                self._gravity.begin()
+            self._gravity.push(tracker.static, tracker.subtracted, tracker.usable & self._healthy)
             if not sliding or tracker.usable is not usable:
                 # The static output stays as it is while something slides.
                 self._last_drift = self._drift.read(tracker.static, tracker.usable)

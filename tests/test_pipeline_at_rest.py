@@ -38,8 +38,11 @@ def with_tone(hz: float, amplitude_v: float) -> Change:
 
 
 def test_the_samples_signal_path_is_the_default() -> None:
-    assert conditioning_for(some(), Conditioning()) == Conditioning()
-    chosen = Conditioning(block_s=0.04, delayed=0.1, scale=1.5)
+    """But for what its slides tell of gravity's length."""
+    found = conditioning_for(some(), Conditioning())
+    assert 0.006 <= found.gravity_sd_g < 0.01
+    assert found == Conditioning(gravity_sd_g=found.gravity_sd_g)
+    chosen = Conditioning(block_s=0.04, delayed=0.1, scale=1.5, gravity_sd_g=0.02)
     assert conditioning_for(some(), chosen) == chosen
 
 
@@ -76,10 +79,12 @@ def test_mains_named_in_the_sensor_counts(tmp_path: Path) -> None:
 
 
 def test_another_sensitivity_gives_the_same_windows_and_slides(tmp_path: Path) -> None:
-    """The sample at 0.2 V/g: a quarter of the volts about the zero, noise too."""
-    lab = changed(tmp_path / "lab", lambda r: 1.65 + (r.volts - 1.65) / 4, some().sensor.scaled(0.25))
+    """The sample at 0.2 V/g: a quarter of the volts, noise too."""
+    lab = changed(tmp_path / "lab", lambda r: r.volts / 4, some().sensor.scaled(0.25))
     path = conditioning_for(lab, Conditioning())
-    assert path == Conditioning(scale=4.0)
+    alike = conditioning_for(some(), Conditioning()).gravity_sd_g
+    assert path.gravity_sd_g == pytest.approx(alike, rel=1e-6)
+    assert path == Conditioning(scale=4.0, gravity_sd_g=path.gravity_sd_g)
     usual, found = labelled_windows(some()), labelled_windows(lab, path)
     assert found.elapsed_s.tolist() == usual.elapsed_s.tolist()
     assert found.volts == pytest.approx(usual.volts, abs=1e-6)

@@ -56,6 +56,8 @@ class Conditioning:
     onset: how a slide begins and ends: "rim", the contact comes in over the chamber's rim and leaves over it, where
         nothing shows; "touch", it comes down and is lifted anywhere, and the output jumps. What lies before and after
         the jump is then no part of the slide.
+    gravity_sd_g: standard deviation in g of the length of gravity over contacts, where accelerometers only tilt
+        (features/stream/gravity.py). The default refuses what no robot's arm does (experiments/LOG.md).
 
     Raises:
         ValueError: a value of another type, not positive or not finite; `delayed` of 1 or more; `release_v` above
@@ -79,6 +81,7 @@ class Conditioning:
     tau_s: float = 0.15
     touch_axes: str = TOUCH_AXES[0]
     onset: str = ONSETS[0]
+    gravity_sd_g: float = 0.0625
 
     def __post_init__(self) -> None:
         if self.touch_axes not in TOUCH_AXES:

@@ -29,9 +29,6 @@ class Drift(NamedTuple):
 
 
 UNKNOWN = Drift()
-# Largest change of gravity's apparent length in a slide. A robot's arm accelerates a skin by less; some signals that
-# are no slide exceed it (experiments/LOG.md).
-GRAVITY_CHANGE_G = 0.25
 
 
 class DriftWatch:
@@ -67,24 +64,6 @@ class DriftWatch:
             self._first[fresh] = static_v.reshape(-1, 3)[fresh]
             self._awaited = self._awaited & ~fresh
             self.complete = not self._awaited.any()
-
-    def keeps_gravity(self, static_v: np.ndarray, subtracted_v: np.ndarray, usable: np.ndarray) -> bool:
-        """Whether gravity keeps its length during a slide, as it must where accelerometers only tilt.
-
-        static_v: (C,) V; subtracted_v: (C,) V, mean of a slide's window; usable: (A,), the accelerometers to check.
-        """
-        static, during = static_v.tolist(), (static_v + subtracted_v).tolist()
-        for n, nominal in enumerate(self._nominal):
-            if nominal is None:
-                continue
-            zero, sensitivity = nominal
-            before_g, during_g = (
-                math.dist(volts[3 * n : 3 * n + 3], (zero, zero, zero)) / sensitivity
-                for volts in (static, during)
-            )
-            if usable[n] and abs(during_g - before_g) > GRAVITY_CHANGE_G:
-                return False
-        return True
 
     def read(self, static_v: np.ndarray, usable: np.ndarray) -> Drift:
         """The drift now. static_v: (C,) V; usable: (A,), the accelerometers to read it from."""

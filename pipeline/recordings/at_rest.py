@@ -8,6 +8,7 @@ import numpy as np
 from features.angles import touch_channels
 from features.stream.conditioning import ONSETS, Conditioning, block_means
 from pipeline.recordings.folder import Folder
+from pipeline.recordings.gravity_length import gravity_sd_g
 
 # V/g of the sensor that the constants in V are made for, the article's MMA7361L.
 REFERENCE_V_PER_G = 0.8
@@ -33,6 +34,7 @@ def conditioning_for(folder: Folder, conditioning: Conditioning) -> Conditioning
     same at any sensitivity and in any unit.
     block_s holds a period of 60 Hz mains where `sensor.toml` names it, or where it shows at rest.
     Where the noise at rest is more than the thresholds allow for, they grow together.
+    gravity_sd_g is what the slides show.
     """
     sensor = folder.sensor
     onset = ONSETS[0 if sensor.measures_gravity else 1]
@@ -47,7 +49,10 @@ def conditioning_for(folder: Folder, conditioning: Conditioning) -> Conditioning
     if conditioning.block_s == USUAL.block_s:
         mains_hz = sensor.mains_hz or _mains_hz(rests, sensor.sample_rate_hz)
         conditioning = replace(conditioning, block_s=1.0 / mains_hz)
-    return _above_noise(rests, sensor.sample_rate_hz, conditioning)
+    conditioning = _above_noise(rests, sensor.sample_rate_hz, conditioning)
+    if conditioning.gravity_sd_g == USUAL.gravity_sd_g:
+        conditioning = replace(conditioning, gravity_sd_g=gravity_sd_g(folder, conditioning))
+    return conditioning
 
 
 def _rests(folder: Folder) -> Iterator[np.ndarray]:

@@ -1,0 +1,89 @@
+"""Whether an output is a tilt: gravity is 1 g long, so that V_z follows from V_x and V_y.
+
+Whatever touches the skin tilts its accelerometers. What moves the device to and fro, or comes in on the wires, changes
+V_x and V_y alone, or V_z by more than a tilt can. With the output s at rest and s + d now, both in g, the tilt keeps
+    a + b = 0,   a = s_x d_x + s_y d_y + (d_x^2 + d_y^2) / 2,   b = s_z d_z + d_z^2 / 2.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from features.stream.conditioning import Conditioning
+from features.stream.drift import measures_gravity
+
+# Memory of the sums, s: longer than a contact takes over an accelerometer, shorter than the pressure's drift.
+MEMORY_S = 8.0
+# V_z swings with the pressure, about once in 5 s on the emulated benches: values nearer in time than this are one.
+INDEPENDENT_S = 1.0
+# Half the logarithm of the odds from which V_z is said not to follow, and the length's change in standard deviations.
+# No slide, recorded or synthetic, comes beyond 1.5 and 1.2 (experiments/LOG.md).
+MOST_AGAINST = 3.0
+MOST_CHANGE_SD = 4.0
+
+
+class GravityWatch:
+    """One stream's. accelerometers: as in the card; the volts that it is given are scaled, as `conditioning` says."""
+
+    def __init__(self, accelerometers: Sequence[Mapping[str, Any]], conditioning: Conditioning) -> None:
+        self._sd_g = conditioning.gravity_sd_g
+        self._memory = 1.0 - conditioning.block_s / MEMORY_S
+        self._independent = conditioning.block_s / INDEPENDENT_S
+        scale = conditioning.scale
+        self._nominal = [
+            (scale * float(a["zero_g_v"]), scale * float(a["sensitivity_v_per_g"]))
+            if measures_gravity(a)
+            else None
+            for a in accelerometers
+        ]
+        self.begin()
+
+    def begin(self) -> None:
+        """A contact begins."""
+        # Of each accelerometer: the sums of 1, a, b, a^2, a b, b^2.
+        self._sums = [[0.0] * 6 for _ in self._nominal]
+
+    def push(self, static_v: np.ndarray, subtracted_v: np.ndarray, usable: np.ndarray) -> None:
+        """One block of a contact: (C,) V at rest, (C,) V less that, and the accelerometers (A,) in use."""
+        static, change, used = static_v.tolist(), subtracted_v.tolist(), usable.tolist()
+        for n, nominal in enumerate(self._nominal):
+            if nominal is None or not used[n]:
+                continue
+            zero, sensitivity = nominal
+            x, y, z = ((v - zero) / sensitivity for v in static[3 * n : 3 * n + 3])
+            dx, dy, dz = (v / sensitivity for v in change[3 * n : 3 * n + 3])
+            a = x * dx + y * dy + 0.5 * (dx * dx + dy * dy)
+            b = z * dz + 0.5 * dz * dz
+            new = (1.0, a, b, a * a, a * b, b * b)
+            self._sums[n] = [
+                self._memory * old + value for old, value in zip(self._sums[n], new, strict=True)
+            ]
+
+    @property
+    def against_g2(self) -> float:
+        """How much better V_z is explained by keeping to itself than by following V_x and V_y: independent values times
+        difference of variance, g^2, summed over the accelerometers.
+
+        Both are judged about their means, since the static V_z may be off by the pressure's swing.
+        """
+        total = 0.0
+        for weight, a, b, aa, ab, _ in self._sums:
+            if weight > 0.0:
+                total += self._independent * (aa + 2.0 * ab - a * (a + 2.0 * b) / weight)
+        return total
+
+    @property
+    def change_g(self) -> float:
+        """Root mean square change of gravity's length since rest, g: the largest of the accelerometers."""
+        squares = [(aa + 2.0 * ab + bb) / weight for weight, _, _, aa, ab, bb in self._sums if weight > 0.0]
+        return math.sqrt(max(0.0, *squares, 0.0))
+
+    @property
+    def kept(self) -> bool:
+        """Whether gravity keeps its length, as far as can be told."""
+        return (
+            self.against_g2 <= MOST_AGAINST * 2.0 * self._sd_g**2
+            and self.change_g <= MOST_CHANGE_SD * self._sd_g
+        )

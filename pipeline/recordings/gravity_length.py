@@ -1,0 +1,42 @@
+"""How well gravity keeps its length in a folder's slides: what V_z shows beside the tilt."""
+
+from dataclasses import asdict
+
+import numpy as np
+
+from features.stream.conditioning import Conditioning, block_means
+from features.stream.gravity import MOST_AGAINST, MOST_CHANGE_SD, GravityWatch
+from pipeline.recordings.folder import Folder
+
+# So many recordings tell it, and none of them comes nearer to a limit than this.
+MOST_RECORDINGS = 24
+MARGIN = 2.0
+# V_z of the emulated benches swings by 0.007 g with the pressure; recordings at steadier pressure tell less of that.
+LEAST_SD_G = 0.006
+
+
+def gravity_sd_g(folder: Folder, conditioning: Conditioning) -> float:
+    """`Conditioning.gravity_sd_g`, so large that no slide of the folder is refused.
+
+    That of `conditioning` where no recording has labelled moments, or the elements do not measure gravity.
+    """
+    known = folder.manifest["motion_start_s"].dropna()
+    if not folder.sensor.measures_gravity or not len(known):
+        return conditioning.gravity_sd_g
+    elements = [asdict(element) for element in folder.sensor.accelerometers]
+    watch = GravityWatch(elements, conditioning)
+    usable = np.ones(len(elements), dtype=bool)
+    sd_g = LEAST_SD_G
+    for name in known.index[:: max(1, len(known) // MOST_RECORDINGS)]:
+        recording = folder.load(str(name))
+        blocks = block_means(recording.volts, conditioning, folder.sensor.sample_rate_hz)
+        resting = int((known[name] - recording.time_s[0]) / conditioning.block_s)
+        if resting < 1:
+            continue
+        static = blocks[:resting].mean(axis=0)
+        watch.begin()
+        for block in blocks[resting:]:
+            watch.push(static, block - static, usable)
+            sd_g = max(sd_g, watch.change_g * MARGIN / MOST_CHANGE_SD)
+            sd_g = max(sd_g, np.sqrt(max(watch.against_g2, 0.0) * MARGIN / (2.0 * MOST_AGAINST)))
+    return float(sd_g)

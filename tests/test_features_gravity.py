@@ -1,0 +1,109 @@
+"""Gravity keeps its length where accelerometers only tilt: V_z then follows from V_x and V_y."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from features.stream.conditioning import Conditioning
+from features.stream.gravity import MEMORY_S, GravityWatch
+from pipeline.recordings.folder import SAMPLE, read_folder
+from pipeline.recordings.gravity_length import LEAST_SD_G, gravity_sd_g
+
+USUAL = Conditioning(gravity_sd_g=0.008)
+BLOCK_S = USUAL.block_s
+ONE = [{"zero_g_v": 1.65, "sensitivity_v_per_g": 0.8}]
+BLOCKS = round(10.0 / BLOCK_S)
+
+
+def turned(angle_rad: np.ndarray, towards_rad: float, static_g: np.ndarray) -> np.ndarray:
+    """(n, 3) g: the static vector turned by angles (n,) about a level axis, by Rodrigues' formula."""
+    axis = np.array([-np.sin(towards_rad), np.cos(towards_rad), 0.0])
+    cos, sin = np.cos(angle_rad)[:, None], np.sin(angle_rad)[:, None]
+    return static_g * cos + np.cross(axis, static_g) * sin + axis * (axis @ static_g) * (1 - cos)
+
+
+def watched(gravity_g: np.ndarray, static_g: np.ndarray, conditioning: Conditioning = USUAL) -> GravityWatch:
+    """What is known after blocks of gravity (n, 3 A) g, of accelerometers alike."""
+    accelerometers = ONE * (gravity_g.shape[1] // 3)
+    watch = GravityWatch(accelerometers, conditioning)
+    usable = np.ones(len(accelerometers), dtype=bool)
+    for g in gravity_g:
+        watch.push(1.65 + 0.8 * static_g, 0.8 * (g - static_g), usable)
+    return watch
+
+
+def waves(amplitude_g: float, channels: tuple[float, ...]) -> np.ndarray:
+    phase = 2 * np.pi * 0.3 * BLOCK_S * np.arange(BLOCKS)
+    return amplitude_g * np.sin(phase)[:, None] * np.array(channels)
+
+
+@given(
+    lean=st.floats(0.0, 0.6),
+    leans_towards=st.floats(0.0, 6.2),
+    angle=st.floats(-0.7, 0.7),
+    towards=st.floats(0.0, 6.2),
+)
+def test_a_tilt_of_any_size_keeps_it(lean: float, leans_towards: float, angle: float, towards: float) -> None:
+    (static,) = turned(np.array([lean]), leans_towards, np.array([0.0, 0.0, 1.0]))
+    watch = watched(turned(angle * np.linspace(0.0, 1.0, BLOCKS), towards, static), static)
+    assert watch.change_g < 1e-7
+    assert watch.against_g2 <= 1e-7
+    assert watch.kept
+
+
+@pytest.mark.parametrize(("amplitude_g", "kept"), [(0.03, True), (0.25, False)])
+def test_a_wave_of_which_v_z_knows_nothing_is_found_where_a_tilt_would_show(
+    amplitude_g: float, kept: bool
+) -> None:
+    """V_z of an upright accelerometer falls by half the square of V_x: a weak wave tells nothing."""
+    static = np.array([0.05, 0.0, 1.0])
+    assert watched(static + waves(amplitude_g, (1.0, 0.0, 0.0)), static).kept is kept
+    assert watched(turned(waves(amplitude_g, (1.0,))[:, 0], 0.0, static), static).kept
+
+
+def test_v_z_may_swing_with_the_pressure_and_its_static_value_be_off() -> None:
+    static = np.array([0.1, 0.0, 0.99])
+    gravity = turned(waves(0.2, (1.0,))[:, 0], 0.7, static) + waves(0.008, (0.0, 0.0, 1.0))
+    assert watched(gravity, static + np.array([0.0, 0.0, 0.008])).kept
+    assert not watched(gravity + waves(0.1, (0.0, 0.0, 1.0)), static).kept
+
+
+def test_the_evidence_of_several_accelerometers_adds_up() -> None:
+    static = np.array([0.05, 0.0, 1.0])
+    wave = static + waves(0.15, (1.0, 0.0, 0.0))
+    one = watched(wave, static)
+    pair = watched(np.tile(wave, 2), np.tile(static, 2))
+    assert pair.against_g2 == pytest.approx(2 * one.against_g2)
+    assert pair.change_g == pytest.approx(one.change_g)
+
+
+def test_it_is_forgotten_and_begins_anew() -> None:
+    static = np.array([0.05, 0.0, 1.0])
+    watch = watched(static + waves(0.3, (1.0, 0.0, 0.0)), static)
+    assert not watch.kept
+    for _ in range(round(4 * MEMORY_S / BLOCK_S)):
+        watch.push(1.65 + 0.8 * static, np.zeros(3), np.ones(1, dtype=bool))
+    assert watch.kept
+    watch = watched(static + waves(0.3, (1.0, 0.0, 0.0)), static)
+    watch.begin()
+    assert watch.kept
+
+
+def test_sensing_elements_of_another_kind_and_those_out_of_use_are_not_judged() -> None:
+    static, wave = np.array([0.05, 0.0, 1.0]), 0.8 * waves(0.5, (1.0, 0.0, 0.0))
+    for accelerometers, usable in (([{"kind": "magnetometer"}], True), (ONE, False)):
+        watch = GravityWatch(accelerometers, USUAL)
+        for change in wave:
+            watch.push(1.65 + 0.8 * static, change, np.array([usable]))
+        assert watch.kept
+
+
+def test_no_slide_of_the_folder_that_told_the_deviation_is_refused() -> None:
+    folder = read_folder(SAMPLE)
+    sd_g = gravity_sd_g(folder, Conditioning())
+    assert LEAST_SD_G <= sd_g < 0.02
+    unlabelled = replace(folder, manifest=folder.manifest.assign(motion_start_s=np.nan))
+    assert gravity_sd_g(unlabelled, Conditioning()) == Conditioning().gravity_sd_g
