@@ -229,7 +229,8 @@ class Localizer:
             elif straight is not None and straight.reason in _OF_THE_SIGNAL and not pressed_alone:
                 estimate = estimate._replace(valid=False, reason=straight.reason)
             elif straight is None and tracker.state is not SlideState.SLIDE and not pressed_alone:
-                estimate = estimate._replace(valid=False, reason=Reason.TOO_EARLY)
+                reason = Reason.TOO_EARLY if self._healthy.any() else Reason.DEAD_CHANNEL
+                estimate = estimate._replace(valid=False, reason=reason)
             estimate = estimate._replace(
                 misfit=math.nan if straight is None else straight.misfit,
                 accelerometers=tracker.usable.tolist().count(True) if straight is not None else 0,
@@ -311,7 +312,8 @@ class Localizer:
     def _advance(self, samples: np.ndarray, shares: tuple[float, float]) -> None:
         tracker = self._tracker
         sliding, usable = tracker.state is SlideState.SLIDE, tracker.usable
-        block = self._without_base(self._watch.push(samples, shares))
+        touched = sliding or tracker.static_output.searching
+        block = self._without_base(self._watch.push(samples, shares, touched))
         tracker.push(self.card.conditioning.scale * block.mean, block.healthy)
         self._count += 1
         self._healthy, self._bridging = block.healthy, block.bridged

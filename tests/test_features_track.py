@@ -178,6 +178,42 @@ def test_a_frozen_channel_is_told_from_a_quiet_stream() -> None:
     assert not healthy
 
 
+def test_a_channel_is_clipped_where_two_blocks_end_alike() -> None:
+    """Some samples at one value may be chance, or a coarse converter; many, twice, at the end of the block are not."""
+    random = np.random.default_rng(4)
+
+    def noisy(level_v: float, limit_v: float = 9.0, step_v: float = 5e-4) -> np.ndarray:
+        samples = level_v + random.normal(0.0, 0.005, (20, 3))
+        samples[:, 0] = np.minimum(samples[:, 0], limit_v)
+        return np.round(samples / step_v) * step_v
+
+    watch = SignalWatch(np.zeros(3), np.full(3, 3.3), np.array([True, True, False]))
+    assert watch.push(noisy(1.65)).healthy.all()
+    # Most of the samples, then all.
+    assert [watch.push(noisy(1.703, 1.7)).healthy.all() for _ in range(4)] == [True, True, False, False]
+    assert not watch.push(noisy(1.8, 1.7)).healthy.any()
+    assert watch.push(noisy(1.65)).healthy.all()
+    # At the end of the range samples are lost, and are bridged for a while.
+    for _ in range(3):
+        judged = watch.push(noisy(1.65, 1.65) * [0.0, 1.0, 1.0])
+        assert judged.healthy.all()
+        assert judged.bridged.all()
+    # A converter whose steps are the noise's size says the same often.
+    coarse = SignalWatch(np.zeros(3), np.full(3, 3.3), np.ones(3, dtype=bool))
+    for _ in range(500):
+        assert coarse.push(noisy(1.65, step_v=0.01)).healthy.all()
+
+
+@pytest.mark.parametrize("steps", [3.0, 10.0])
+def test_noise_is_never_taken_for_clipping(steps: float) -> None:
+    """steps: standard deviation of the noise in steps of the converter."""
+    watch = SignalWatch(np.zeros(3), np.full(3, 3.3), np.ones(3, dtype=bool))
+    random = np.random.default_rng(5)
+    for _ in range(20):
+        noise = np.round(random.normal(0.0, steps, (1000, 20, 3))) * 5e-4
+        assert all(watch.push(block).healthy.all() for block in 1.65 + noise)
+
+
 def test_memory_does_not_grow() -> None:
     tracker = SlideTracker(CONDITIONING, 3)
     means = blocks(still(0.6), pass_over(3.0), still(0.8))

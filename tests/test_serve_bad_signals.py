@@ -7,7 +7,7 @@ import pytest
 from small_bundle import write_small_bundle
 from streams import RATE_HZ, a_sensor, pass_over, still, stream
 
-from features.estimate import Estimate
+from features.estimate import Estimate, Reason
 from serve.localizer import Localizer
 
 SLIDE = stream(still(1.0), pass_over(3.0), still(0.8))
@@ -67,6 +67,22 @@ def test_samples_at_the_ends_of_the_supply_are_lost_ones(localizer: Localizer, v
         lost[begin : begin + 30] = value
         marked[begin : begin + 30] = np.nan
     assert list(map(repr, pushed(localizer, lost))) == list(map(repr, pushed(localizer, marked)))
+
+
+@pytest.mark.parametrize("limit_v", [0.03, 0.06, 0.1])
+def test_a_clipped_slide_is_given_up_and_the_next_one_is_read(localizer: Localizer, limit_v: float) -> None:
+    """What a clipped channel shows passed for another contact, up to 10 mm away."""
+    volts = stream(still(1.0), pass_over(3.0), still(2.0), pass_over(3.0, 0.02), still(0.8))
+    at_rest = volts[:1000].mean(axis=0)
+    clipped = volts.copy()
+    clipped[:, :2] = np.clip(volts[:, :2], at_rest[:2] - limit_v, at_rest[:2] + limit_v)
+    told = pushed(localizer, clipped)
+    beyond = np.abs(volts[:, :2] - at_rest[:2]).max(axis=1).reshape(-1, 20).min(axis=1) > limit_v
+    first, last = np.flatnonzero(beyond)[[0, -1]]
+    # Half of a block has to be clipped, twice, until it is seen.
+    assert not any(e.valid for e in told[first + 5 : 300])
+    assert np.mean([e.reason is Reason.DEAD_CHANNEL for e in told[first + 5 : last - 5]]) > 0.9
+    assert told[-1].valid
 
 
 @pytest.mark.parametrize("part", np.linspace(0.1, 0.75, 12).round(3).tolist())

@@ -196,6 +196,8 @@ def update(
     """
     state, count = bank.state, len(bank)
     channels = np.flatnonzero(np.isfinite(variance))
+    if not len(channels):
+        return 0.0
     shown, by_state = expected(bank, surface)
     volts, shown, by_state = volts[channels], shown[:, channels], by_state[:, channels]
     crossed = bank.covariance @ by_state.transpose(0, 2, 1)

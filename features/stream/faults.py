@@ -4,7 +4,8 @@ A sample is lost where it is not a number, or at an end of the supply's range or
 either end, and converters and drivers write just these where they have no sample. A block's mean is that of the others.
 When a block has lost more than half of a channel's samples, the channel's last mean is used again, for a tenth of a
 second at most; after that the accelerometer is faulty. It is faulty too when one of its channels repeats the same bits
-while another channel changes: a working channel has noise.
+while another channel changes: a working channel has noise. And it is faulty where a channel is clipped: where many
+samples of two blocks in a row have the same largest or the same least value.
 """
 
 from operator import eq
@@ -19,6 +20,13 @@ BRIDGED_BLOCKS = 5
 # Blocks, 0.5 s, that a channel may repeat the same bits while others change. Noise of 5 mV and a converter of 0.5 mV
 # never do that for one block; a coarse converter may.
 FROZEN_BLOCKS = 25
+# A channel is clipped where in so many blocks, each with the same end as the one before, this share of the samples lies
+# at that end, if its noise is so large that usually the other share of a block's samples differ. Normal noise of three
+# steps of the converter has 40 % of 20 samples at one end in 6 of 100 000 blocks.
+CLIPPED_BLOCKS = 2
+CLIPPED_SHARE = 0.4
+DIFFERENT_SHARE = 0.5
+LEAST_SAMPLES = 12  # of a block in which that can be told
 
 
 class Judged(NamedTuple):
@@ -49,17 +57,24 @@ class SignalWatch:
         self._mean = np.zeros(channels)
         self._healthy, self._unbridged = np.ones(channels // 3, bool), np.zeros(channels // 3, bool)
         self._clear = True
+        # (C,) each: the last block's extremes, and whether the channel's noise shows when it is clipped; None: unknown.
+        # (2, C) blocks in a row that end alike, below and above.
+        self._lowest, self._highest = np.full(channels, np.nan), np.full(channels, np.nan)
+        self._noisy: np.ndarray | None = None
+        self._at_end = np.zeros((2, channels), dtype=np.intp)
 
-    def push(self, samples: np.ndarray, shares: tuple[float, float] = WHOLE) -> Judged:
-        """samples: (S, C) V, one block; shares: of its first and last sample, the part within the block."""
+    def push(self, samples: np.ndarray, shares: tuple[float, float] = WHOLE, touched: bool = True) -> Judged:
+        """samples: (S, C) V, one block; shares: of its first and last sample, the part within the block; touched:
+        whether something may touch the skin, without which nothing is clipped."""
         last = self._mean
+        clipped = self._clipped(samples) if touched or self._noisy is None else None
         if (
             np.minimum.reduce(samples, axis=None) > self._highest_low
             and np.maximum.reduce(samples, axis=None) < self._lowest_high
         ):
             self._mean = block_mean(samples, shares)
             # The usual block, in as few calls of numpy as possible.
-            if self._clear and not any(map(eq, self._mean.tolist(), last.tolist())):
+            if self._clear and clipped is None and not any(map(eq, self._mean.tolist(), last.tolist())):
                 return Judged(self._mean, self._healthy, self._unbridged)
             missed = np.zeros(len(last), dtype=bool)
         else:
@@ -70,7 +85,33 @@ class SignalWatch:
         self._missed = np.where(missed, self._missed + 1, 0)
         self._clear = not (missed.any() or still.any())
         bad = (self._missed > BRIDGED_BLOCKS) | (self._still >= FROZEN_BLOCKS)
+        if clipped is not None:
+            bad |= clipped
         return Judged(self._mean, ~self._any(bad), self._any(missed))
+
+    def _clipped(self, samples: np.ndarray) -> np.ndarray | None:
+        """(C,): the clipped channels of a block (S, C) V; None: none is."""
+        lowest, highest = np.minimum.reduce(samples), np.maximum.reduce(samples)
+        before = self._lowest, self._highest
+        self._lowest, self._highest = lowest, highest
+        if self._noisy is None:
+            if (lowest > self._low).all() and (highest < self._high).all():
+                different = np.array([len(np.unique(channel)) for channel in samples.T])
+                self._noisy = (different >= DIFFERENT_SHARE * len(samples)) & (len(samples) >= LEAST_SAMPLES)
+            return None
+        if not (
+            any(map(eq, lowest.tolist(), before[0].tolist()))
+            or any(map(eq, highest.tolist(), before[1].tolist()))
+        ):
+            self._at_end[:] = 0
+            return None
+        for n, (now, then) in enumerate(((lowest, before[0]), (highest, before[1]))):
+            # Either end of the range stands for a lost sample.
+            same = (now == then) & (now > self._low) & (now < self._high) & self._noisy
+            same &= (samples == now).mean(axis=0) >= CLIPPED_SHARE
+            self._at_end[n] = np.where(same, self._at_end[n] + 1, 0)
+        clipped = self._at_end.max(axis=0) >= CLIPPED_BLOCKS
+        return clipped if clipped.any() else None
 
     def _mean_of_good(
         self, samples: np.ndarray, shares: tuple[float, float]
