@@ -25,11 +25,11 @@ class TrackLimits:
     hypotheses near the best one. misfit: largest chi-square over its degrees of freedom. partial: largest weight of
     hypotheses that the contact is being pressed on or lifted, unless more channels than that has unknowns have followed
     it for partial_way_mm. evidence: least logarithm of the odds of a contact against a smooth signal of no known
-    origin. way_mm: least way. stopped_mm_s: a contact slower than this has stopped. agreement: largest squared
-    Mahalanobis distance of the straight slide from the track, four degrees of freedom. press_mm_s, press_sd_mm:
-    largest speed and standard deviation of the place of a press that is told. straight_misfit: largest reduced
-    chi-square of the straight slide; straight_way_mm: its least way. shared: share of the track's half-widths about its
-    own estimate that the straight slide's intervals hold too; None: they stay as they are.
+    origin. way_mm: least way. stopped_mm_s: a contact slower than this has stopped; stopped_way_mm: its least way.
+    agreement: largest squared Mahalanobis distance of the straight slide from the track, four degrees of freedom.
+    press_mm_s, press_sd_mm: largest speed and standard deviation of the place of a press that is told. straight_misfit:
+    largest reduced chi-square of the straight slide; straight_way_mm: its least way. shared: share of the track's
+    half-widths about its own estimate that the straight slide's intervals hold too; None: they stay as they are.
     """
 
     half_width: float = 1.9
@@ -46,6 +46,7 @@ class TrackLimits:
     evidence: float = -1.0
     way_mm: float = 1.5
     stopped_mm_s: float = 0.15
+    stopped_way_mm: float = 4.0
     press_mm_s: float = 0.3
     press_sd_mm: float = 1.0
     agreement: float = 25.0
@@ -162,13 +163,16 @@ def _reason(
         return Reason.NOT_THIS_SENSOR
     if track.way_mm < limits.way_mm:
         return Reason.TOO_EARLY
-    if track.evidence < limits.evidence:
+    # A contact adds to the output: none has a negative gain.
+    if track.evidence < limits.evidence or track.gain <= 0.0:
         return Reason.NOT_THIS_SENSOR
     unclear = place_sd_mm > limits.place_sd_mm or (
         heading_sd_deg > limits.heading_sd_deg and contact is not Contact.STOPPED
     )
     # What one press at a place nearby shows as well is ambiguous.
     unclear = unclear or track.one_press or track.certain < limits.certain
+    # A signal that comes and rests fits a contact that has hardly moved.
+    unclear = unclear or (contact is Contact.STOPPED and track.way_mm < limits.stopped_way_mm)
     if unclear or (track.partial > limits.partial and not lifted):
         return Reason.AMBIGUOUS
     return Reason.NONE

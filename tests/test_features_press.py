@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from tracked_map import BLOCK_S, INFLATION, TWO_BOARDS, noisy_map, pressed, tracks_of
 
-from features.contact.tracker import Track
+from features.contact.tracker import PRESS_ON_S, Track
 from features.contact.whole_device import beyond_device
 from features.estimate import Contact, Estimate, Reason
 from features.stream.tracker import SlideState
@@ -116,12 +116,16 @@ def test_without_what_the_pressure_does_or_with_one_board_no_press_is_told(
     assert {e.reason for e in found} <= {Reason.AMBIGUOUS, Reason.TOO_EARLY, Reason.NOT_THIS_SENSOR}
 
 
-def test_a_press_that_comes_on_slowly_is_not_told() -> None:
-    """A drift of single channels takes any direction; it needs more than three seconds."""
+@pytest.mark.parametrize("seconds", [9.0, 30.0])
+def test_a_press_that_comes_on_slowly_is_not_told(seconds: float) -> None:
+    """A drift of single channels takes any direction, and goes on for longer than it takes to press something on. What
+    drifts on is small beside what has drifted, and is no press then either."""
     response = noisy_map(places=TWO_BOARDS)
     level = pressed(response, (12.0, 9.0))
-    share = np.clip(np.arange(500) * BLOCK_S / 9.0, 0.0, 1.0)
-    volts = share[:, None] * level + np.random.default_rng(2).normal(0.0, 1e-3, (500, 4))
+    blocks = round(1.2 * seconds / BLOCK_S)
+    share = np.clip(np.arange(blocks) * BLOCK_S / seconds, 0.0, 1.0)
+    volts = share[:, None] * level + np.random.default_rng(2).normal(0.0, 1e-3, (blocks, 4))
     found = estimates(tracks_of(response, volts, INFLATION))
-    late = found[len(found) // 2 : len(found) // 2 + 100]
+    late = found[round((PRESS_ON_S + 1.0) / BLOCK_S) :]
+    assert late
     assert not any(e.valid and e.contact is Contact.PRESS for e in late)

@@ -10,8 +10,9 @@ import math
 
 import numpy as np
 
-# V/s^1.5: rest, then from a contact of 0.3 mm/s to one of 15 mm/s over 25 mV/mm that change within 5 mm.
-STRENGTHS = 1e-3 * np.array([0.02, 0.5, 2.0, 8.0, 32.0, 128.0, 512.0])
+# V/s^1.5: rest, then from a contact of 0.3 mm/s to one of 15 mm/s over 25 mV/mm that change within 5 mm, and waves of
+# 5 Hz, which no contact makes.
+STRENGTHS = 1e-3 * np.array([0.02, 0.5, 2.0, 8.0, 32.0, 128.0, 512.0, 2048.0, 8192.0])
 DOUBLINGS = 16  # of the Riccati recursion's steps; the slowest strength settles in 2500 of them
 SWITCH = 0.01  # probability a step that the strength or the family changes
 # Of the amplitude: how far a press leaves its direction while the object is pressed on (synthetic presses).
@@ -26,7 +27,8 @@ RESTING_S = 0.5
 class SmoothSignal:
     """One stream. noise_v: (C,) V of one step's measurement; step_s: its length.
 
-    changing_s: time for which the amplitude along the outputs' common direction has not rested.
+    changing_s: time for which the amplitude along the outputs' common direction has not rested. changed_s: the longest
+    such time since the reset.
     """
 
     def __init__(self, noise_v: np.ndarray, step_s: float) -> None:
@@ -47,7 +49,7 @@ class SmoothSignal:
         self._steps, self._lowest, self._highest = 1, 0.0, 0.0
         self._direction = level / max(float(np.hypot.reduce(level)), 1e-9)
         self._lately = float(level @ self._direction)
-        self.changing_s = 0.0
+        self.changing_s = self.changed_s = 0.0
         self._along.reset(
             np.array([level @ self._direction]), np.array([slope_v_s / self._noise @ self._direction])
         )
@@ -75,6 +77,7 @@ class SmoothSignal:
         self._lately += min(self._step_s / RESTING_S, 1.0) * (level - self._lately)
         changing = abs(level - self._lately) > RESTING * abs(level)
         self.changing_s = self.changing_s + self._step_s if changing else 0.0
+        self.changed_s = max(self.changed_s, self.changing_s)
         return float(most + np.log(total))
 
     def _push_along(self, whitened: np.ndarray) -> np.ndarray:

@@ -52,12 +52,12 @@ EVIDENCE_AGAINST_S = (
 # A press rests sooner than this: an output that changes for longer along one direction is a slide's or a drift's, and
 # a slide's from this evidence on (synthetic slides and drifts).
 PRESS_S = 2.0
-SLIDE_EVIDENCE = 1.0
+SLIDE_EVIDENCE = 3.0
 # A press that is told apart from all that the whole device does: so large a share of the output is beyond that, the
-# output is so many times the trigger, and it came on within this time (experiments/LOG.md).
+# output is so many times the trigger, and it never changed for longer than this (experiments/LOG.md).
 TOUCH_SHARE = 0.3
 PRESS_TRIGGERS = 4.0
-PRESS_ON_S = 3.0
+PRESS_ON_S = 4.0
 
 
 @dataclass(frozen=True)
@@ -250,7 +250,7 @@ class ContactTracker:
 
     def _presses(self, volts: np.ndarray) -> bool:
         """Whether an output (C,) V that has kept one direction is a press's, and not a tilt's or the pressure's."""
-        if self._beyond_device is None or self._smooth.changing_s > PRESS_ON_S:
+        if self._beyond_device is None or self._smooth.changed_s > PRESS_ON_S:
             return False
         size = float(np.hypot.reduce(volts))
         beyond = float(np.hypot.reduce(self._beyond_device @ volts))
