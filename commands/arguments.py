@@ -26,7 +26,7 @@ def add_commands(parser: Parser, commands: Sequence[Command]) -> None:
     for command in commands:
         text = inspect.getdoc(command) or ""
         subparser = subparsers.add_parser(
-            command.__name__.rstrip("_"),
+            command.__name__.rstrip("_").replace("_", "-"),
             help=text.partition("\n")[0].replace("%", "%%"),
             description=text,
             formatter_class=argparse.RawDescriptionHelpFormatter,

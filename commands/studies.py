@@ -1,4 +1,4 @@
-"""Subcommands that compare and measure: article, compare, few, drift, sensitivity, bench."""
+"""Subcommands that compare and measure: article, compare, few, drift, false-alarms, sensitivity, bench."""
 
 import argparse
 import json
@@ -146,6 +146,45 @@ def drift(parser: Parser) -> Run:
     return run
 
 
+def false_alarms(parser: Parser) -> Run:
+    """how often a bundle takes for a contact what is none
+
+    Reads synthetic streams of a sensor that nothing touches, of 13 kinds: at
+    rest; the device tilted, rocked and swayed; its pressure changed; waves,
+    bumps, chirps, random walks, drifts, steps and taps of 5 to 300 mV. V_z
+    stays in every second stream of the latter. Prints one JSON object: for
+    each kind the time (s) for which something seemed to slide, the share of
+    it (%) with a valid estimate, and how many streams have one. A second of
+    signal takes about 50 ms. Logged in MLflow.
+
+        softslide false-alarms --model my-model --recordings my-recordings
+    """
+    arguments.model(parser)
+    arguments.recordings(parser, "of the bundle's sensor: its static output is used")
+    parser.add_argument(
+        "--streams", type=int, default=12, metavar="N", help="streams of each kind (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--seconds", type=float, default=25.0, metavar="S", help="of each signal (default: %(default)s)"
+    )
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="(default: %(default)s)")
+    arguments.jobs(parser, 1, "streams that are read at a time")
+
+    def run(given: argparse.Namespace) -> None:
+        from experiments.studies.false_alarms import false_alarms
+
+        figures = false_alarms(
+            given.model, given.recordings, given.streams, given.seconds, given.seed, given.jobs
+        )
+        known = {
+            kind: {key: None if value != value else round(value, 3) for key, value in found.items()}
+            for kind, found in figures.items()
+        }
+        print(json.dumps(known, indent=1))
+
+    return run
+
+
 def sensitivity(parser: Parser) -> Run:
     """what each assumption about the skin moves
 
@@ -285,4 +324,4 @@ def _measured(given: argparse.Namespace) -> dict[str, Any]:
     return bench(given.model, given.decisions)
 
 
-COMMANDS = (article, compare, few, drift, sensitivity, bench)
+COMMANDS = (article, compare, few, drift, false_alarms, sensitivity, bench)

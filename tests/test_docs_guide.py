@@ -20,7 +20,7 @@ TEXT = (Path(__file__).parents[1] / "docs" / "guide.md").read_text(encoding="utf
 # Of the sample's slides: quick ones are short. Fewer do for commands that fit nothing.
 FASTEST, FITTED = 6, 36
 # What takes half a minute and more, and what needs a trained bundle: in the long test.
-SLOW = ("design", "plan", "train", "export", "drift", "article")
+SLOW = ("design", "plan", "train", "export", "drift", "false-alarms", "article")
 # What waits for a port, or serves until it is stopped; and where it runs.
 ELSEWHERE = {
     "record": "test_experiments_record.py",

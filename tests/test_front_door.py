@@ -212,6 +212,7 @@ CALLS = {
     "plan": ["--sensor", SAMPLE / "sensor.toml", "--out", "out"],
     "record": ["--source", "udp://:9", "--plan", SAMPLE / "manifest.csv", "--out", "out"],
     "drift": ["--model", SAMPLE, "--recordings", SAMPLE],
+    "false-alarms": ["--model", SAMPLE, "--recordings", SAMPLE],
     "sensitivity": [],
     "bench": [],
     "predict": ["--model", "BUNDLE", "slide.parquet"],
