@@ -71,6 +71,15 @@ def test_v_z_may_swing_with_the_pressure_and_its_static_value_be_off() -> None:
     assert not watched(gravity + waves(0.1, (0.0, 0.0, 1.0)), static).kept
 
 
+@pytest.mark.parametrize("off", [(0.0625, 0.0), (0.0, -0.0625), (-0.05, 0.05)])
+def test_a_tilt_keeps_it_where_the_zeros_have_drifted(off: tuple[float, float]) -> None:
+    """By 50 mV: static V_x and V_y are then not what gravity shows."""
+    static = np.array([0.09, 0.0, 0.995])
+    tilts = turned(waves(0.35, (1.0,))[:, 0], 0.8, static)
+    shift = np.array([*off, 0.0])
+    assert watched(tilts + shift, static + shift).kept
+
+
 def test_the_evidence_of_several_accelerometers_adds_up() -> None:
     static = np.array([0.05, 0.0, 1.0])
     wave = static + waves(0.15, (1.0, 0.0, 0.0))
