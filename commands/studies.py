@@ -2,6 +2,7 @@
 
 import argparse
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -167,7 +168,9 @@ def false_alarms(parser: Parser) -> Run:
     parser.add_argument(
         "--seconds", type=float, default=25.0, metavar="S", help="of each signal (default: %(default)s)"
     )
-    parser.add_argument("--seed", type=int, default=0, metavar="N", help="(default: %(default)s)")
+    parser.add_argument(
+        "--seed", type=int, default=0, metavar="N", help="of all that is random (default: %(default)s)"
+    )
     arguments.jobs(parser, 1, "streams that are read at a time")
 
     def run(given: argparse.Namespace) -> None:
@@ -176,11 +179,7 @@ def false_alarms(parser: Parser) -> Run:
         figures = false_alarms(
             given.model, given.recordings, given.streams, given.seconds, given.seed, given.jobs
         )
-        known = {
-            kind: {key: None if value != value else round(value, 3) for key, value in found.items()}
-            for kind, found in figures.items()
-        }
-        print(json.dumps(known, indent=1))
+        print(json.dumps({kind: _rounded(found, 3) for kind, found in figures.items()}, indent=1))
 
     return run
 
@@ -208,11 +207,7 @@ def sensitivity(parser: Parser) -> Run:
         if given.picture and given.picture.suffix not in (".svg", ".png", ".pdf"):
             raise InputError(f"{given.picture}: name a .svg, .png or .pdf", "picture")
         for row in sensitivity(given.sensor, given.picture):
-            numbers = {
-                key: None if value != value else round(value, 4) if isinstance(value, float) else value
-                for key, value in row.items()
-            }
-            print(json.dumps(numbers), flush=True)
+            print(json.dumps(_rounded(row, 4)), flush=True)
 
     return run
 
@@ -307,6 +302,14 @@ def bench(parser: Parser) -> Run:
         print(json.dumps(results))
 
     return run
+
+
+def _rounded(row: Mapping[str, Any], digits: int) -> dict[str, Any]:
+    """A row for JSON, which has no NaN."""
+    return {
+        key: None if value != value else round(value, digits) if isinstance(value, float) else value
+        for key, value in row.items()
+    }
 
 
 def _measured(given: argparse.Namespace) -> dict[str, Any]:

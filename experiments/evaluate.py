@@ -29,7 +29,7 @@ from experiments.evaluation.scoring import (
     summary,
 )
 from experiments.evaluation.tracks import Track, by_split, line, tracks, with_truth
-from experiments.provenance import bundle_hash, data_hashes
+from experiments.provenance import bundle_hash, data_tags
 from experiments.tracking.run import UNTRACKED, Run, flattened, tracked
 from features.errors import InputError
 from pipeline.progress import progress_bar
@@ -114,7 +114,7 @@ def _logged(
 ) -> AbstractContextManager[Run]:
     """The run, tagged with what bundle and data hash to."""
     digest = bundle_hash(bundle)
-    tags = {"bundle": digest} | {f"data.{name}": value for name, value in data_hashes(folder).items()}
+    tags = {"bundle": digest} | data_tags(folder)
     parent = {"bundle": digest, "command": "train"}
     name = f"{bundle.name} on {folder.sensor.name}"
     return tracked("evaluate", name, configuration, out, tags=tags, parent=parent, store=store)

@@ -12,7 +12,7 @@ from scipy.special import stdtrit
 from experiments.evaluation.archive import Archive
 from experiments.evaluation.readout import check_fits, open_localizer, predictions
 from experiments.evaluation.scoring import score
-from experiments.provenance import bundle_hash, data_hashes
+from experiments.provenance import bundle_hash, data_tags
 from experiments.tracking.registry import CHAMPION, MODEL, champion, fetched, make_champion, version_of
 from experiments.tracking.run import Run, tracked
 from features.card import read_card
@@ -73,7 +73,7 @@ def promote(
         "margin": margin,
         "champion": reigning,
     }
-    tags = {"bundle": digest} | {f"data.{name}": value for name, value in data_hashes(folder).items()}
+    tags = {"bundle": digest} | data_tags(folder)
     parent = {"bundle": digest, "command": "train"}
     with tracked(
         "promote",

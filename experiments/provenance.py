@@ -32,6 +32,11 @@ def data_hashes(folder: Folder) -> dict[str, str]:
     }
 
 
+def data_tags(folder: Folder) -> dict[str, str]:
+    """`data_hashes` as tags of a run."""
+    return {f"data.{name}": digest for name, digest in data_hashes(folder).items()}
+
+
 def bundle_hash(bundle: Path) -> str:
     """SHA-256 of a bundle's card, which holds its graph's: what a bundle is known by in the store."""
     return hashlib.sha256((bundle / "model.json").read_bytes()).hexdigest()

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from experiments.evaluation.readout import check_fits, open_localizer
-from experiments.provenance import bundle_hash, data_hashes
+from experiments.provenance import bundle_hash, data_tags
 from experiments.tracking.study import tracked_study
 from features.errors import InputError
 from features.stream.tracker import SlideState
@@ -83,8 +83,7 @@ def false_alarms(
         "seconds": seconds,
         "seed": seed,
     }
-    tags = {"bundle": bundle_hash(bundle)}
-    tags |= {f"data.{name}": digest for name, digest in data_hashes(folder).items()}
+    tags = {"bundle": bundle_hash(bundle)} | data_tags(folder)
     name = f"false alarms of {localizer.card.model} on {folder.sensor.name}"
     beside = Path("false-alarms")
     with tracked_study("false-alarms", name, configuration, beside, tags=tags, store=store) as (_, part):

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from experiments.provenance import data_hashes
+from experiments.provenance import data_tags
 from experiments.tracking.study import tracked_study
 from features.errors import InputError
 from models.cnn.fit import CnnConfig
@@ -58,7 +58,7 @@ def few(
         "splits": list(splits),
         "plan": None if plan is None else str(plan),
     }
-    tags = {f"data.{name}": digest for name, digest in data_hashes(folder).items()}
+    tags = data_tags(folder)
     name = f"few on {folder.sensor.name}"
     with tracked_study("few", name, configuration, Path("few"), tags=tags, store=store) as (_, part):
         for row in rows:

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from experiments.evaluation.scoring import signed_errors
-from experiments.provenance import bundle_hash, data_hashes
+from experiments.provenance import bundle_hash, data_tags
 from experiments.tracking.study import tracked_study
 from features.errors import InputError
 from pipeline.recordings.folder import Folder, read_folder
@@ -101,8 +101,7 @@ def drift(
         raise InputError(f"{bundle}: reads a base, of which drifts are not made; name a bundle without one")
     model = card.model
     configuration = {"bundle": str(bundle), "recordings": str(recordings), "every": every}
-    tags = {"bundle": bundle_hash(bundle)}
-    tags |= {f"data.{name}": digest for name, digest in data_hashes(folder).items()}
+    tags = {"bundle": bundle_hash(bundle)} | data_tags(folder)
     name = f"drift of {model} on {folder.sensor.name}"
     with tracked_study("drift", name, configuration, Path("drift"), tags=tags, store=store) as (_, part):
         figures = study(bundle, folder)

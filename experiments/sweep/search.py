@@ -22,7 +22,7 @@ from optuna.storages import JournalStorage
 from optuna.storages.journal import JournalFileBackend
 from optuna.trial import FrozenTrial, Trial, TrialState
 
-from experiments.provenance import data_hashes
+from experiments.provenance import data_tags
 from experiments.sweep.pictures import pictures, report
 from experiments.sweep.space import Sweep, read_sweep
 from experiments.sweep.trial import overall, run_trial
@@ -61,7 +61,7 @@ def sweep(config: Path, scheduler: str = "", store: str | None = None) -> str:
         raise InputError(f"{plan.recordings}: no labelled calibration slides to hold lines out of")
     design = design_for(plan.model, folder, plan.atlas)
     optuna.logging.set_verbosity(optuna.logging.WARNING)
-    hashes = {f"data.{name}": digest for name, digest in data_hashes(folder).items()}
+    hashes = data_tags(folder)
     hashes |= {} if design is None else {"atlas": atlas_hash(design)}
     with _journal(config.with_suffix(".journal")) as journal:
         study = _study(plan, hashes, journal)

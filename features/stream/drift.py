@@ -43,12 +43,7 @@ class DriftWatch:
         self, accelerometers: Sequence[Mapping[str, Any]], touch_axes: str = "xy", scale: float = 1.0
     ) -> None:
         self._scale, self._axes = scale, len(touch_axes)
-        self._nominal = [
-            (scale * float(a["zero_g_v"]), scale * float(a["sensitivity_v_per_g"]))
-            if measures_gravity(a)
-            else None
-            for a in accelerometers
-        ]
+        self._nominal = nominal_outputs(accelerometers, scale)
         self.reset()
 
     def reset(self) -> None:
@@ -84,6 +79,19 @@ class DriftWatch:
             return UNKNOWN
         shift /= self._scale
         return Drift(shift, lengths / upright, turns / upright) if upright else Drift(shift)
+
+
+def nominal_outputs(
+    accelerometers: Sequence[Mapping[str, Any]], scale: float
+) -> list[tuple[float, float] | None]:
+    """Of each accelerometer of a card its output without acceleration, V, and what 1 g adds, both scaled; None for an
+    element of another kind."""
+    return [
+        (scale * float(a["zero_g_v"]), scale * float(a["sensitivity_v_per_g"]))
+        if measures_gravity(a)
+        else None
+        for a in accelerometers
+    ]
 
 
 def measures_gravity(element: Mapping[str, Any]) -> bool:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from features.stream.conditioning import Conditioning
-from features.stream.drift import measures_gravity
+from features.stream.drift import nominal_outputs
 
 # Memory of the sums, s: longer than a contact takes over an accelerometer, shorter than the pressure's drift.
 MEMORY_S = 8.0
@@ -33,13 +33,7 @@ class GravityWatch:
         self._sd_g = conditioning.gravity_sd_g
         self._memory = 1.0 - conditioning.block_s / MEMORY_S
         self._independent = conditioning.block_s / INDEPENDENT_S
-        scale = conditioning.scale
-        self._nominal = [
-            (scale * float(a["zero_g_v"]), scale * float(a["sensitivity_v_per_g"]))
-            if measures_gravity(a)
-            else None
-            for a in accelerometers
-        ]
+        self._nominal = nominal_outputs(accelerometers, conditioning.scale)
         self.begin()
 
     def begin(self) -> None:
@@ -82,7 +76,7 @@ class GravityWatch:
         squares = [
             (aa + 2.0 * ab + bb) / weight for weight, _, _, aa, ab, bb, _ in self._sums if weight > 0.0
         ]
-        return math.sqrt(max(0.0, *squares, 0.0))
+        return math.sqrt(max(0.0, max(squares, default=0.0)))
 
     @property
     def kept(self) -> bool:

@@ -36,7 +36,7 @@ def conditioning_for(folder: Folder, conditioning: Conditioning) -> Conditioning
     Where the noise at rest is more than the thresholds allow for, they grow together.
     gravity_sd_g is what the slides show.
     """
-    sensor = folder.sensor
+    sensor, folder = folder.sensor, _some(folder)
     onset = ONSETS[0 if sensor.measures_gravity else 1]
     conditioning = replace(conditioning, touch_axes=sensor.touch_axes, onset=onset)
     if conditioning.scale == USUAL.scale and not sensor.measures_gravity:
@@ -55,13 +55,18 @@ def conditioning_for(folder: Folder, conditioning: Conditioning) -> Conditioning
     return conditioning
 
 
+def _some(folder: Folder) -> Folder:
+    """Recordings enough to tell, of those whose moments are labelled."""
+    known = folder.manifest.dropna(subset=["motion_start_s"])
+    return replace(folder, manifest=known.iloc[:: max(1, len(known) // MOST_RECORDINGS)])
+
+
 def _rests(folder: Folder) -> Iterator[np.ndarray]:
-    """Outputs (n, C) V that answer to a touch, before the motion of some recordings whose moments are labelled."""
+    """Outputs (n, C) V that answer to a touch, before the motion of recordings whose moments are labelled."""
     touch = touch_channels(len(folder.sensor.channels), folder.sensor.touch_axes)
-    known = folder.manifest["motion_start_s"].dropna()
-    for name in known.index[:: max(1, len(known) // MOST_RECORDINGS)]:
+    for name, moves_s in folder.manifest["motion_start_s"].items():
         recording = folder.load(str(name))
-        rest = recording.volts[recording.time_s < known[name] - USUAL.block_s][:, touch]
+        rest = recording.volts[recording.time_s < moves_s - USUAL.block_s][:, touch]
         if len(rest) > LEAST_REST_S * folder.sensor.sample_rate_hz:
             yield rest
 

@@ -8,8 +8,7 @@ from features.stream.conditioning import Conditioning, block_means
 from features.stream.gravity import MOST_AGAINST, MOST_CHANGE_SD, GravityWatch
 from pipeline.recordings.folder import Folder
 
-# So many recordings tell it, and none of them comes nearer to a limit than this.
-MOST_RECORDINGS = 24
+# The limits are so many times what the slides reach at most.
 MARGIN = 2.0
 # V_z of the emulated benches swings by 0.007 g with the pressure; recordings at steadier pressure tell less of that.
 LEAST_SD_G = 0.006
@@ -27,7 +26,7 @@ def gravity_sd_g(folder: Folder, conditioning: Conditioning) -> float:
     watch = GravityWatch(elements, conditioning)
     usable = np.ones(len(elements), dtype=bool)
     sd_g = LEAST_SD_G
-    for name in known.index[:: max(1, len(known) // MOST_RECORDINGS)]:
+    for name in known.index:
         recording = folder.load(str(name))
         blocks = block_means(recording.volts, conditioning, folder.sensor.sample_rate_hz)
         resting = int((known[name] - recording.time_s[0]) / conditioning.block_s)

@@ -108,7 +108,7 @@ def draw_slide(
             f"no line of offset {d.offset_mm[0]:g}..{d.offset_mm[1]:g} mm crosses {d.chord_mm:g} mm of the chamber "
             "over solved positions; widen offset_mm or lower chord_mm"
         )
-    speed = _log_uniform(random, d.speed_mm_s)
+    speed = log_uniform(random, d.speed_mm_s)
     end = random.uniform()
     travel = whole * (random.uniform(*d.stop_share) if end < d.stopping + d.turning else 1.0)
     # A ramp never takes more than a quarter of the stroke, so that the speed is reached.
@@ -136,8 +136,8 @@ def draw_slide(
         depth_slope=slope,
         name=f"s{number:05d}",
         split=split,
-        motion_start_s=_log_uniform(random, d.rest_s),
-        rest_after_s=_log_uniform(random, d.rest_s),
+        motion_start_s=log_uniform(random, d.rest_s),
+        rest_after_s=log_uniform(random, d.rest_s),
         posture_deg=(float(posture[0]), float(posture[1])),
         gain=1 + d.repeatability * random.standard_normal(),
     )
@@ -164,5 +164,6 @@ def _draw_depth(
     return depth, float(np.clip(change, -room, room)) / travel
 
 
-def _log_uniform(random: np.random.Generator, bounds: tuple[float, float]) -> float:
+def log_uniform(random: np.random.Generator, bounds: tuple[float, float]) -> float:
+    """A draw between the bounds, its logarithm uniform."""
     return float(np.exp(random.uniform(*np.log(bounds))))

@@ -9,6 +9,7 @@ from collections.abc import Callable
 import numpy as np
 
 from pipeline.sensor import Sensor
+from pipeline.synthesis.distribution import log_uniform
 from pipeline.synthesis.electronics import ElectronicsSpread, draw_electronics, volts
 
 REST_S = 3.0  # before the signal, in which a localizer learns the static output
@@ -28,7 +29,7 @@ def rest(static_g: np.ndarray, time_s: np.ndarray, random: np.random.Generator) 
 
 def tilt(static_g: np.ndarray, time_s: np.ndarray, random: np.random.Generator) -> np.ndarray:
     """The device is tilted by 2 to 20 deg within 1 to 30 s, about any level axis, and stays so."""
-    angle, duration_s = _log_uniform(random, 2.0, 20.0), _log_uniform(random, 1.0, 30.0)
+    angle, duration_s = log_uniform(random, (2.0, 20.0)), log_uniform(random, (1.0, 30.0))
     towards = random.uniform(0, 2 * np.pi)
     grown = angle * _smooth_step(time_s / duration_s)
     return _turned(static_g, np.deg2rad(grown), towards)
@@ -36,7 +37,7 @@ def tilt(static_g: np.ndarray, time_s: np.ndarray, random: np.random.Generator) 
 
 def rocking(static_g: np.ndarray, time_s: np.ndarray, random: np.random.Generator) -> np.ndarray:
     """The device is tilted to and fro by 0.4 to 20 deg."""
-    angle, towards = _log_uniform(random, 0.4, 20.0), random.uniform(0, 2 * np.pi)
+    angle, towards = log_uniform(random, (0.4, 20.0)), random.uniform(0, 2 * np.pi)
     return _turned(static_g, np.deg2rad(angle * _wave(time_s, random)), towards)
 
 
@@ -53,7 +54,7 @@ def pressure(static_g: np.ndarray, time_s: np.ndarray, random: np.random.Generat
     if random.random() < 0.5:
         change = share * _wave(time_s, random)
     else:
-        change = share * _smooth_step(time_s / _log_uniform(random, 0.2, 5.0))
+        change = share * _smooth_step(time_s / log_uniform(random, (0.2, 5.0)))
     xy = static_g[:, :2, None] * (1.0 + change)
     z = np.sqrt(np.maximum((static_g**2).sum(axis=1)[:, None] - (xy**2).sum(axis=1), 0.0))
     return np.concatenate([xy, z[:, None]], axis=1) - static_g[:, :, None]
@@ -61,7 +62,7 @@ def pressure(static_g: np.ndarray, time_s: np.ndarray, random: np.random.Generat
 
 def wave(static_g: np.ndarray, time_s: np.ndarray, random: np.random.Generator) -> np.ndarray:
     """A sine in each channel, of its own amplitude and phase and one frequency."""
-    frequency = _log_uniform(random, *WAVE_HZ)
+    frequency = log_uniform(random, WAVE_HZ)
     phase = random.uniform(0, 2 * np.pi, (*static_g.shape, 1))
     return _channels(
         static_g, random, _smooth_step(time_s / BEGINS_S) * np.sin(2 * np.pi * frequency * time_s + phase)
@@ -75,7 +76,7 @@ def line_wave(static_g: np.ndarray, time_s: np.ndarray, random: np.random.Genera
 
 def bumps(static_g: np.ndarray, time_s: np.ndarray, random: np.random.Generator) -> np.ndarray:
     """In each channel a bump of 0.3 to 4 s and its slope, in any proportion: what a slide's output looks like."""
-    width_s = _log_uniform(random, 0.3, 4.0)
+    width_s = log_uniform(random, (0.3, 4.0))
     middle_s = 4.0 * width_s + random.uniform(0.0, 0.3, (*static_g.shape, 1)) * width_s
     u = (time_s - middle_s) / width_s
     mix = random.normal(size=(2, *static_g.shape, 1))
@@ -85,7 +86,7 @@ def bumps(static_g: np.ndarray, time_s: np.ndarray, random: np.random.Generator)
 
 def chirp(static_g: np.ndarray, time_s: np.ndarray, random: np.random.Generator) -> np.ndarray:
     """A sine in each channel whose frequency rises tenfold in 5 to 25 s, then stays."""
-    low_hz, duration_s = _log_uniform(random, 0.05, 0.5), random.uniform(5.0, 25.0)
+    low_hz, duration_s = log_uniform(random, (0.05, 0.5)), random.uniform(5.0, 25.0)
     frequency = low_hz * 10.0 ** np.minimum(time_s / duration_s, 1.0)
     turns = np.cumsum(frequency) * (time_s[1] - time_s[0])
     phase = random.uniform(0, 2 * np.pi, (*static_g.shape, 1))
@@ -95,7 +96,7 @@ def chirp(static_g: np.ndarray, time_s: np.ndarray, random: np.random.Generator)
 def walk(static_g: np.ndarray, time_s: np.ndarray, random: np.random.Generator) -> np.ndarray:
     """A random walk in each channel, smoothed over 0.1 to 2 s."""
     step_s = time_s[1] - time_s[0]
-    smooth = max(round(_log_uniform(random, 0.1, 2.0) / step_s), 1)
+    smooth = max(round(log_uniform(random, (0.1, 2.0)) / step_s), 1)
     steps = random.normal(size=(*static_g.shape, len(time_s)))
     walked = np.cumsum(steps, axis=-1)
     summed = np.cumsum(walked, axis=-1)
@@ -110,7 +111,7 @@ def drift(static_g: np.ndarray, time_s: np.ndarray, random: np.random.Generator)
 
 def step(static_g: np.ndarray, time_s: np.ndarray, random: np.random.Generator) -> np.ndarray:
     """The channels change along one direction within 0.1 to 3 s, and stay so: a wire or a strap that is moved."""
-    duration_s = _log_uniform(random, 0.1, 3.0)
+    duration_s = log_uniform(random, (0.1, 3.0))
     return _channels(static_g, random, _smooth_step(time_s / duration_s))
 
 
@@ -119,7 +120,7 @@ def taps(static_g: np.ndarray, time_s: np.ndarray, random: np.random.Generator) 
     signal = np.zeros((*static_g.shape, len(time_s)))
     at_s = 0.0
     while (at_s := at_s + random.uniform(1.0, 4.0)) < time_s[-1]:
-        width_s = _log_uniform(random, 0.03, 0.3) / 2
+        width_s = log_uniform(random, (0.03, 0.3)) / 2
         signal += random.normal(size=(*static_g.shape, 1)) * np.exp(-(((time_s - at_s) / width_s) ** 2))
     return _channels(static_g, random, signal)
 
@@ -150,12 +151,8 @@ def untouched(
     return volts(gravity_g, draw_electronics(sensor, exact, random), random)
 
 
-def _log_uniform(random: np.random.Generator, low: float, high: float) -> float:
-    return float(np.exp(random.uniform(np.log(low), np.log(high))))
-
-
 def _largest(random: np.random.Generator) -> float:
-    return _log_uniform(random, *LARGEST_G)
+    return log_uniform(random, LARGEST_G)
 
 
 def _smooth_step(u: np.ndarray) -> np.ndarray:
@@ -165,7 +162,7 @@ def _smooth_step(u: np.ndarray) -> np.ndarray:
 
 def _wave(time_s: np.ndarray, random: np.random.Generator) -> np.ndarray:
     """(n,) a sine from 0, of WAVE_HZ."""
-    return np.sin(2 * np.pi * _log_uniform(random, *WAVE_HZ) * time_s)
+    return np.sin(2 * np.pi * log_uniform(random, WAVE_HZ) * time_s)
 
 
 def _turned(static_g: np.ndarray, angle_rad: np.ndarray, towards_rad: float) -> np.ndarray:

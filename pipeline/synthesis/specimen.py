@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.sensor import Sensor
-from pipeline.synthesis.distribution import Distribution
+from pipeline.synthesis.distribution import Distribution, log_uniform
 from pipeline.synthesis.electronics import Electronics, draw_electronics, ideal_electronics
 
 # Of a seed's streams of random numbers, the specimen's.
@@ -42,17 +42,14 @@ def draw_specimen(sensor: Sensor, distribution: Distribution, seed: int) -> Spec
     random = np.random.default_rng([seed, _STREAM])
     d = distribution
 
-    def log_uniform(bounds: tuple[float, float]) -> float:
-        return float(np.exp(random.uniform(*np.log(bounds))))
-
     return Specimen(
         draw_electronics(sensor, d.electronics, random),
         delayed=float(random.uniform(*d.delayed)),
-        tau_s=log_uniform(d.tau_s),
-        vibration_g=log_uniform(d.vibration_g),
+        tau_s=log_uniform(random, d.tau_s),
+        vibration_g=log_uniform(random, d.vibration_g),
         vibration_hz=float(random.uniform(*d.vibration_hz)),
-        ripple=log_uniform(d.ripple),
-        ripple_hz=log_uniform(d.ripple_hz),
+        ripple=log_uniform(random, d.ripple),
+        ripple_hz=log_uniform(random, d.ripple_hz),
         friction_mm=d.friction_mm,
         drift_g=d.drift_g,
     )

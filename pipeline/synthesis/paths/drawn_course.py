@@ -8,6 +8,7 @@ import numpy as np
 from pipeline.atlas.atlas import Atlas
 from pipeline.sensor import Sensor
 from pipeline.skin.lines import reach_mm
+from pipeline.synthesis.distribution import log_uniform
 from pipeline.synthesis.paths.course import STEP_MM, Course
 from pipeline.synthesis.paths.distribution import PathDistribution
 from pipeline.synthesis.slide_plan import CLEAR_MM, crossing
@@ -36,7 +37,7 @@ class Draw:
         return -self.height_mm - CLEAR_MM
 
     def log_uniform(self, bounds: tuple[float, float]) -> float:
-        return float(np.exp(self.random.uniform(*np.log(bounds))))
+        return log_uniform(self.random, bounds)
 
     def reach(self) -> np.ndarray:
         """Half sizes (2,) mm beyond which motion begins and ends."""
