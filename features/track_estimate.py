@@ -6,11 +6,13 @@ with the track, it is the estimate: it knows more, and is sharper.
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from features.angles import wrapped_deg
-from features.contact.tracker import Track
+from features.card import HALF_WIDTH_SD
+from features.contact.tracker import StraightFit, Track
 from features.estimate import Contact, Estimate, Reason
 from features.stream.tracker import SlideState
 
@@ -27,6 +29,8 @@ class TrackLimits:
     it for partial_way_mm. evidence: least logarithm of the odds of a contact against a smooth signal of no known
     origin. way_mm: least way. stopped_mm_s: a contact slower than this has stopped; stopped_way_mm: its least way.
     agreement: largest squared Mahalanobis distance of the straight slide from the track, four degrees of freedom.
+    stopping_s: for which a line is held while a contact seems to be slower than slow_share of the slide, or is lost;
+    it rests once it is slower than creep_share, and has stopped for good after pause_s.
     press_mm_s, press_sd_mm: largest speed and standard deviation of the place of a press that is told. straight_misfit:
     largest reduced chi-square of the straight slide; straight_way_mm: its least way. shared: share of the track's
     half-widths about its own estimate that the straight slide's intervals hold too; None: they stay as they are.
@@ -38,7 +42,7 @@ class TrackLimits:
     speed_mm_s: float = 0.02
     heading_deg: float = 0.3
     place_sd_mm: float = 1.6
-    heading_sd_deg: float = 15.0
+    heading_sd_deg: float = 12.0
     certain: float = 0.97
     misfit: float = 2.2
     partial: float = 0.3
@@ -50,6 +54,10 @@ class TrackLimits:
     press_mm_s: float = 0.3
     press_sd_mm: float = 1.0
     agreement: float = 25.0
+    stopping_s: float = 0.3
+    pause_s: float = 0.6
+    slow_share: float = 0.5
+    creep_share: float = 0.05
     straight_misfit: float = 2.0
     straight_way_mm: float = 8.0
     shared: float | None = 0.5
@@ -178,7 +186,7 @@ def _reason(
     return Reason.NONE
 
 
-def agrees(straight: Estimate, track: Track, limits: TrackLimits, since_s: float = 0.0) -> bool:
+def agrees(straight: Estimate, track: Track, since_s: float, limits: TrackLimits) -> bool:
     """Whether the straight slide explains the output, and goes where the track does, or did `since_s` ago."""
     if straight.misfit > limits.straight_misfit or track.way_mm < limits.straight_way_mm:
         return False
@@ -189,6 +197,123 @@ def agrees(straight: Estimate, track: Track, limits: TrackLimits, since_s: float
     floor = np.array([limits.place_mm, limits.place_mm, limits.speed_mm_s, limits.speed_mm_s])
     spread = track.covariance + np.diag(floor**2)
     return bool(apart @ np.linalg.solve(spread, apart) <= limits.agreement)
+
+
+def explains(straight: Estimate, limits: TrackLimits) -> bool:
+    """Whether a straight slide fits the output, be it sharp or not."""
+    return straight.reason in (Reason.NONE, Reason.AMBIGUOUS) and straight.misfit <= limits.straight_misfit
+
+
+def crosses(straight: Estimate, tracked: Estimate, limits: TrackLimits) -> bool:
+    """Whether the straight slide goes another way than the track, further than a valid heading may err."""
+    return abs(wrapped_deg(straight.direction_deg - tracked.direction_deg)) > limits.heading_sd_deg
+
+
+def straight_fit(straight: Estimate, elapsed_s: float, map_depth_mm: float) -> StraightFit:
+    """The straight slide as a hypothesis for the tracker. elapsed_s: that it was fitted to; map_depth_mm: the
+    calibration's contact depth."""
+    known = math.isfinite(straight.depth_mm)
+    return StraightFit(
+        x_mm=straight.x_mm,
+        y_mm=straight.y_mm,
+        heading=math.radians(straight.direction_deg),
+        speed_mm_s=straight.speed_mm_s,
+        depth_mm=straight.depth_mm - map_depth_mm if known else 0.0,
+        place_sd_mm=(straight.offset_hi_mm - straight.offset_mm) / HALF_WIDTH_SD,
+        heading_sd=math.radians(straight.direction_hi_deg - straight.direction_deg) / HALF_WIDTH_SD,
+        speed_sd=math.log(straight.speed_hi_mm_s / straight.speed_mm_s) / HALF_WIDTH_SD,
+        depth_sd_mm=(straight.depth_hi_mm - straight.depth_mm) / HALF_WIDTH_SD if known else 0.0,
+        way_mm=straight.speed_mm_s * elapsed_s,
+    )
+
+
+def same_line(straight: Estimate, line: Estimate) -> bool:
+    """Whether two straight slides go the same way, at one speed and distance: each is within what the other allows."""
+    turn = wrapped_deg(straight.direction_deg - line.direction_deg)
+    turn_half = (
+        straight.direction_hi_deg - straight.direction_lo_deg + line.direction_hi_deg - line.direction_lo_deg
+    ) / 2
+    offset_half = (straight.offset_hi_mm - straight.offset_lo_mm + line.offset_hi_mm - line.offset_lo_mm) / 2
+    faster = abs(math.log(straight.speed_mm_s / line.speed_mm_s))
+    return (
+        abs(turn) <= turn_half
+        and abs(straight.offset_mm - line.offset_mm) <= offset_half
+        and faster
+        <= math.log(straight.speed_hi_mm_s / straight.speed_lo_mm_s * line.speed_hi_mm_s / line.speed_lo_mm_s)
+        / 2
+    )
+
+
+def stops_on(
+    line: Estimate, track: Estimate, elapsed_s: float, longest_mm: float, limits: TrackLimits
+) -> bool:
+    """Whether a track is of a contact that slows down or rests on a line that it agreed with until `elapsed_s` ago.
+
+    longest_mm: how far it would be along the line, had it gone on.
+
+    A stop is quicker than the skin, whose creep shows as a motion: until it is over, a track that has lost the contact
+    says nothing against the line.
+    """
+    along_mm, across_mm = _on_line(line, track)
+    half_mm = math.hypot(
+        line.offset_hi_mm - line.offset_mm, track.x_hi_mm - track.x_mm, track.y_hi_mm - track.y_mm
+    )
+    near_mm = math.sqrt(limits.agreement) * half_mm / limits.half_width
+    if abs(across_mm) > near_mm or not -near_mm <= along_mm <= longest_mm + near_mm:
+        return False
+    if track.reason in (Reason.NONE, Reason.AMBIGUOUS) and rests(track, line, limits):
+        return True
+    slow = track.speed_mm_s < limits.slow_share * line.speed_mm_s
+    return elapsed_s <= limits.stopping_s and (slow or track.reason is Reason.NOT_THIS_SENSOR)
+
+
+def rests(track: Estimate, line: Estimate, limits: TrackLimits) -> bool:
+    """Whether a contact that slid along the line has come to rest, creep apart, as far as its track can tell."""
+    creep_mm_s = max(limits.stopped_mm_s, limits.creep_share * line.speed_mm_s)
+    return track.speed_mm_s < creep_mm_s or track.speed_lo_mm_s <= 0.0
+
+
+def stopped_on(line: Estimate, track: Estimate, limits: TrackLimits, ended: bool) -> Estimate:
+    """The track of a contact that stops on a line: the line with its direction and distance, and how far it went.
+
+    ended: the stop is no pause, so that the slide has ended. Then, and until the contact rests, the speed is the
+    slide's.
+    """
+    along_mm, _ = _on_line(line, track)
+    angle = math.radians(line.direction_deg)
+    now = {"x_mm": line.x_mm + along_mm * math.cos(angle), "y_mm": line.y_mm + along_mm * math.sin(angle)}
+    at_rest = ended or rests(track, line, limits)
+    if at_rest:
+        now |= {"vx_mm_s": 0.0, "vy_mm_s": 0.0, "speed_mm_s": 0.0}
+    changed: dict[str, Any] = {}
+    for name, value in now.items():
+        low, high = _ends(name)
+        half = (getattr(track, high) - getattr(track, low)) / 2
+        changed |= {name: value, low: value - half, high: value + half}
+    for name in ("direction_deg", "offset_mm", "depth_mm", *(["speed_mm_s"] if ended or not at_rest else [])):
+        changed |= {each: getattr(line, each) for each in (name, *_ends(name))}
+    return track._replace(
+        state=SlideState.ENDED if ended else track.state,
+        valid=True,
+        reason=Reason.NONE,
+        contact=Contact.STOPPED if at_rest else Contact.SLIDE,
+        places=(),
+        **changed,
+    )
+
+
+def _ends(name: str) -> tuple[str, str]:
+    """Names of the interval of a quantity, x_lo_mm and x_hi_mm of x_mm."""
+    quantity, unit = name.split("_", 1)
+    return f"{quantity}_lo_{unit}", f"{quantity}_hi_{unit}"
+
+
+def _on_line(line: Estimate, track: Estimate) -> tuple[float, float]:
+    """How far (mm) a track is along a line from where the line was fitted, and across it to the left."""
+    angle = math.radians(line.direction_deg)
+    cos, sin = math.cos(angle), math.sin(angle)
+    dx, dy = track.x_mm - line.x_mm, track.y_mm - line.y_mm
+    return dx * cos + dy * sin, dy * cos - dx * sin
 
 
 def with_track(straight: Estimate, tracked: Estimate, shared: float | None) -> Estimate:
@@ -226,8 +351,7 @@ def with_track(straight: Estimate, tracked: Estimate, shared: float | None) -> E
         return straight
     wider = {}
     for name in ("direction_deg", "speed_mm_s", "offset_mm", "x_mm", "y_mm", "vx_mm_s", "vy_mm_s"):
-        quantity, unit = name.split("_", 1)
-        low, high = f"{quantity}_lo_{unit}", f"{quantity}_hi_{unit}"
+        low, high = _ends(name)
         value, apart = getattr(straight, name), getattr(tracked, name) - getattr(straight, name)
         if name == "direction_deg":
             apart = wrapped_deg(apart)

@@ -1,15 +1,17 @@
 """The runtime: load a bundle, push volts, read estimates. It needs numpy and ONNX Runtime alone."""
 
 import math
+from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import onnxruntime as ort
 
 from features.angles import touch_channels
 from features.card import Card
+from features.contact.touch_down import TouchDownTracker
 from features.contact.tracker import Track
 from features.departure import held_at_rim
 from features.errors import InputError
@@ -21,7 +23,19 @@ from features.stream.drift import UNKNOWN, DriftWatch, measures_gravity
 from features.stream.faults import BRIDGED_BLOCKS, Judged, SignalWatch
 from features.stream.gravity import GravityWatch
 from features.stream.tracker import SlideState, SlideTracker
-from features.track_estimate import TOUCH_LIMITS, TrackLimits, agrees, judged, with_track
+from features.track_estimate import (
+    TOUCH_LIMITS,
+    TrackLimits,
+    agrees,
+    crosses,
+    explains,
+    judged,
+    same_line,
+    stopped_on,
+    stops_on,
+    straight_fit,
+    with_track,
+)
 from features.vector.energy import energy_width_s
 from features.vector.feature_vector import feature_vector
 from features.window import WINDOW_BINS, Window
@@ -35,9 +49,20 @@ BRIDGED_SHARE = 0.05
 DRIFT_BLOCKS = 50
 # The tracker's map is of the skin's height rounded to this, 0.3 % of the response, and mixed anew for another one.
 MAP_STEP_MM = 0.03
+# Blocks, 0.1 s, between two straight fits that are kept, and 0.2 s between two that the tracker is offered.
+FIT_BLOCKS, OFFER_BLOCKS = 5, 10
+# Fits, 0.3 s, that a stop takes to show in the track, at most (synthetic slides, experiments/LOG.md).
+KEPT_FITS = 4
 _OUTPUT = ["estimate"]
 # What forbids any estimate from the signal, not only that of a straight slide.
 _OF_THE_SIGNAL = (Reason.DEAD_CHANNEL, Reason.DRIFT, Reason.TOO_EARLY)
+
+
+class _Fit(NamedTuple):
+    """A straight slide, and after how many blocks it was fitted."""
+
+    blocks: int
+    estimate: Estimate
 
 
 class Localizer:
@@ -72,7 +97,12 @@ class Localizer:
         self._lag = LagUndone(card.conditioning, len(self._tracker.touch))
         self._contact = contact_tracker(card, self._lag.noise_gain, math.nan)
         self._contact_step = 0  # of the height that it is for, MAP_STEP_MM off the card's
-        self._limits = TOUCH_LIMITS if card.conditioning.onset == ONSETS[1] else TrackLimits()
+        # The last straight slide that was fitted, and the last ones that the track agreed with: the newest of a contact
+        # that stops is of some of the stop.
+        self._fit: _Fit | None = None
+        self._lines: deque[_Fit] = deque(maxlen=KEPT_FITS)
+        self._touches_down = card.conditioning.onset == ONSETS[1]
+        self._limits = TOUCH_LIMITS if self._touches_down else TrackLimits()
         self._forces = None if card.force is None else ForceReader(card.force)
         self._inputs = {
             "volts": np.zeros((1, channels, WINDOW_BINS), np.float32),
@@ -141,7 +171,10 @@ class Localizer:
         if tracker.state is SlideState.ENDED:
             assert self._held is not None
             return self._held[1]._replace(time_s=time_s)
-        straight = None if window is None else self._straight(window, time_s)
+        if self._fit is not None and self._fit.blocks == self._count:
+            straight: Estimate | None = self._fit.estimate._replace(time_s=time_s)
+        else:
+            straight = None if window is None else self._straight(window, time_s)
         return self._chosen(straight, time_s)
 
     @property
@@ -198,40 +231,68 @@ class Localizer:
             valid=reason is Reason.NONE, reason=reason, accelerometers=tracker.usable.tolist().count(True)
         )
 
+    def _fit_line(self) -> None:
+        """Fits a straight slide, and takes it into the tracker where that has lost the contact."""
+        window = self._tracker.window()
+        if self._track is None or self._touches_down or window is None:
+            return
+        straight = self._straight(window, 0.0)
+        self._fit = _Fit(self._count, straight)
+        if not straight.valid:
+            return
+        if agrees(straight, *self._clear_track(), self._limits):
+            self._lines.append(self._fit)
+        elif (
+            self._count % OFFER_BLOCKS == 0
+            and explains(straight, self._limits)
+            and not self._judged(self._track, 0.0).valid
+        ):
+            assert self._contact is not None
+            assert not isinstance(self._contact, TouchDownTracker)
+            assert self.card.contact is not None
+            self._contact.offer(straight_fit(straight, window.elapsed_s, self.card.contact.depth_mm))
+
+    def _judged(self, track: Track, time_s: float) -> Estimate:
+        card, state = self.card, self._tracker.state
+        assert card.contact is not None
+        return judged(track, time_s, state, card.reference_mm, card.contact.depth_mm, self._limits)
+
+    def _clear_track(self) -> tuple[Track, float]:
+        """The track when the output was last above the trigger, and how long ago that was, s."""
+        assert self._track is not None
+        clear, at = self._clear or (self._track, self._count)
+        # The window ends as a contact is lifted that comes down anywhere, and so does its track.
+        return clear, 0.0 if self._touches_down else self._seconds_since(at)
+
+    def _seconds_since(self, blocks: int) -> float:
+        return (self._count - blocks) * self.card.conditioning.block_s
+
+    def _on_the_line(self, straight: Estimate, tracked: Estimate) -> Estimate:
+        """The track, or the line that it agreed with where the contact stops on it.
+
+        Where the slide has ended with a stop, a fit of all before the stop says the most, if it is of the same line.
+        """
+        line, limits = self._lines[0], self._limits
+        since_s, rested_s = self._seconds_since(self._lines[-1].blocks), self._tracker.rested_s
+        ended = rested_s > 0.0 and since_s <= rested_s + limits.stopping_s
+        if ended and straight.valid and same_line(straight, line.estimate):
+            # What was fitted ends where the contact rests.
+            at_end = tracked._replace(x_mm=straight.x_mm, y_mm=straight.y_mm)
+            return stopped_on(straight, at_end, limits, ended)
+        longest_mm = self._seconds_since(line.blocks) * line.estimate.speed_mm_s
+        if ended or stops_on(line.estimate, tracked, since_s, longest_mm, limits):
+            return stopped_on(line.estimate, tracked, limits, ended or since_s > limits.pause_s)
+        return tracked
+
     def _chosen(self, straight: Estimate | None, time_s: float) -> Estimate:
-        """The straight slide where it fits, else the track; what is common to both is added."""
+        """The straight slide or the track; what is common to both is added."""
         tracker, track = self._tracker, self._track
-        touch = self.card.conditioning.onset == ONSETS[1]
+        touch = self._touches_down
         # Where contacts are lifted anywhere, the whole slide tells more than the track of it.
         if track is None or (touch and straight is not None and tracker.state is not SlideState.SLIDE):
             estimate = straight or Estimate(time_s, tracker.state, reason=self._no_contact())
         else:
-            assert self.card.contact is not None
-            estimate = judged(
-                track,
-                time_s,
-                tracker.state,
-                self.card.reference_mm,
-                self.card.contact.depth_mm,
-                self._limits,
-            )
-            # A press needs no way, and no slide.
-            pressed_alone = (
-                estimate.valid
-                and estimate.contact is Contact.PRESS
-                and (straight is None or straight.reason is Reason.TOO_EARLY)
-            )
-            clear, at = self._clear or (track, self._count)
-            # The window ends as a contact is lifted that comes down anywhere, and so does its track.
-            since_s = 0.0 if touch else (self._count - at) * self.card.conditioning.block_s
-            if straight is not None and straight.valid and agrees(straight, clear, self._limits, since_s):
-                estimate = with_track(straight, estimate, self._limits.shared)
-            elif straight is not None and straight.reason in _OF_THE_SIGNAL and not pressed_alone:
-                estimate = estimate._replace(valid=False, reason=straight.reason)
-            elif straight is None and tracker.state is not SlideState.SLIDE and not pressed_alone:
-                reason = Reason.TOO_EARLY if self._healthy.any() else Reason.DEAD_CHANNEL
-                estimate = estimate._replace(valid=False, reason=reason)
-            estimate = estimate._replace(
+            estimate = self._of_both(straight, track, time_s)._replace(
                 misfit=math.nan if straight is None else straight.misfit,
                 accelerometers=tracker.usable.tolist().count(True) if straight is not None else 0,
             )
@@ -245,6 +306,44 @@ class Localizer:
             estimate = self._forces.with_force(estimate, gain)
         return estimate._replace(**self._last_drift._asdict(), skin_height_mm=self._height_mm)
 
+    def _of_both(self, straight: Estimate | None, track: Track, time_s: float) -> Estimate:
+        """The straight slide where the track agrees with it, the line where the contact stops on it, else the track.
+
+        Where both explain the output and go different ways it is ambiguous.
+        """
+        state, limits = self._tracker.state, self._limits
+        tracked = self._judged(track, time_s)
+        # A press needs no way, and no slide.
+        pressed = tracked.valid and tracked.contact is Contact.PRESS
+        if straight is None:
+            if state is SlideState.SLIDE or pressed:
+                return tracked
+            reason = Reason.TOO_EARLY if self._healthy.any() else Reason.DEAD_CHANNEL
+            return tracked._replace(valid=False, reason=reason)
+        if straight.valid and agrees(straight, *self._clear_track(), limits):
+            if self._tracker.rested_s == 0.0:
+                return with_track(straight, tracked, limits.shared)
+            if not self._lines:
+                self._lines.append(_Fit(self._count, straight))
+        if straight.reason in _OF_THE_SIGNAL:
+            if pressed and straight.reason is Reason.TOO_EARLY:
+                return tracked
+            return tracked._replace(valid=False, reason=straight.reason)
+        if self._touches_down:
+            return tracked
+        if self._lines:
+            if not tracked.valid and straight.valid and same_line(straight, self._lines[0].estimate):
+                # A track that has lost the contact says nothing against a line that it agreed with.
+                return with_track(straight, tracked, limits.shared)
+            tracked = self._on_the_line(straight, tracked)
+        if (
+            tracked.contact is Contact.SLIDE
+            and explains(straight, limits)
+            and crosses(straight, tracked, limits)
+        ):
+            return tracked._replace(valid=False, reason=Reason.AMBIGUOUS)
+        return tracked
+
     def _no_contact(self) -> Reason:
         if not self._healthy.any():
             return Reason.DEAD_CHANNEL
@@ -256,6 +355,8 @@ class Localizer:
         # The track when the output was last above the trigger, and after how many blocks that was: below it, at the
         # skin's rim, a track wanders, and does not tell whether a slide was straight.
         self._clear: tuple[Track, int] | None = None
+        self._fit = None
+        self._lines.clear()
         if self._contact is not None:
             self._contact.reset()
 
@@ -322,6 +423,8 @@ class Localizer:
             self._drift.note(tracker.static, tracker.known)
         if tracker.state is SlideState.SLIDE:
             if not sliding:
+                self._fit = None
+                self._lines.clear()
                 self._bridged = self._slide_blocks = 0
                 self._gravity.begin()
             self._gravity.push(tracker.static, tracker.subtracted, tracker.usable & self._healthy)
@@ -333,6 +436,8 @@ class Localizer:
             bridged = bool((block.bridged & tracker.usable).any())
             self._bridged += bridged
             self._whole = not bridged and self._bridged <= BRIDGED_SHARE * self._slide_blocks
+            if self._count % FIT_BLOCKS == 0:
+                self._fit_line()
         elif tracker.final is None:
             self._held = None
         elif self._held is None or self._held[0] is not tracker.final:

@@ -89,7 +89,7 @@ def test_a_straight_slide_is_compared_where_it_was_when_the_track_was_clear(
     limits = TrackLimits()
     farthest_mm = np.sqrt(limits.agreement * (0.09 + limits.place_mm**2))
     if abs(off_mm - farthest_mm) > 1e-6:
-        assert agrees(straight, track, limits, since_s) == (off_mm < farthest_mm)
+        assert agrees(straight, track, since_s, limits) == (off_mm < farthest_mm)
 
 
 @pytest.mark.parametrize(("channels", "way_mm", "told"), [(4, 10.0, True), (2, 10.0, False), (4, 2.0, False)])

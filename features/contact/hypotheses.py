@@ -85,8 +85,9 @@ class Hypotheses:
 
     @property
     def sound(self) -> np.ndarray:
-        """(N,) bool: whose weight and state are finite."""
-        return np.isfinite(self.log_weight) & np.isfinite(self.state).all(1)
+        """(N,) bool: whose weight and state are finite, and whose variances are not negative."""
+        variance = self.covariance.diagonal(0, 1, 2)
+        return np.isfinite(self.log_weight) & np.isfinite(self.state).all(1) & (variance >= 0.0).all(1)
 
     def beyond_mm(self, half_mm: tuple[float, float]) -> np.ndarray:
         """(N,) mm: how far outside the chamber, of half the sizes half_mm, each place is; negative inside."""
@@ -215,13 +216,26 @@ def update(
     covariance = bank.covariance - crossed @ inverse @ crossed.transpose(0, 2, 1)
     bank.covariance = 0.5 * (covariance + covariance.transpose(0, 2, 1))
     # One outlying block must not decide between hypotheses: its likelihood is cut off.
-    evidence = np.minimum(chi_square, OUTLIER) + np.log(np.maximum(np.linalg.det(spread), 1e-300))
+    evidence = np.minimum(chi_square, OUTLIER) + _log_determinants(spread)
     before = np.logaddexp.reduce(bank.log_weight)
     bank.log_weight -= 0.5 * evidence
     log_density = float(np.logaddexp.reduce(bank.log_weight) - before)
-    bank.log_weight -= bank.log_weight.max()
+    best = bank.log_weight.max()
+    if np.isfinite(best):
+        bank.log_weight -= best
     bank.misfit += min(elapsed_s / MISFIT_S, 1.0) * (chi_square / len(channels) - bank.misfit)
     return log_density
+
+
+def _log_determinants(spread: np.ndarray) -> np.ndarray:
+    """(N,) of covariances (N, C, C); infinite for one that is not positive definite, which predicts nothing."""
+    try:
+        factor = np.linalg.cholesky(spread)
+    except np.linalg.LinAlgError:
+        size = np.linalg.eigvalsh(np.nan_to_num(spread))
+        good = size[:, 0] > 0.0
+        return np.where(good, np.log(np.where(good[:, None], size, 1.0)).sum(1), np.inf)
+    return 2.0 * np.log(factor.diagonal(0, 1, 2)).sum(1)
 
 
 OUTLIER = 60.0  # chi-square beyond which one measurement tells nothing more

@@ -66,14 +66,17 @@ CORNER_RAD = (-1.2, 1.2)
 def branched(
     bank: Hypotheses, parents: int, log_odds: float, gain_sd: float, probabilities: Manoeuvres
 ) -> Hypotheses:
-    """The bank and the children of its best hypotheses: of at most `parents`, within `log_odds` of the best."""
+    """The bank and the children of its best hypotheses: of at most `parents`, within `log_odds` of the best.
+
+    A parent's way counts for the manoeuvres of this branching; it and its children begin the next with none.
+    """
     order = np.argsort(-bank.log_weight, kind="stable")[:parents]
     best = order[bank.log_weight[order] > -log_odds]
     p = probabilities
-    parent = bank.take(best)
+    way = np.maximum(bank.way_mm[best], 0.02)
     bank.way_mm[best] = 0.0
+    parent = bank.take(best)
     rate = (p.prior_count + parent.manoeuvres) / (p.prior_mm + parent.age_mm)
-    way = np.maximum(parent.way_mm, 0.02)
     chance = np.minimum(rate * way, 0.6)
     speed = np.abs(parent.state[:, SPEED])
     change = (p.speed * speed) ** 2 + p.speed_mm_s**2
@@ -156,6 +159,7 @@ def _child(parent: Hypotheses, chance: np.ndarray | float) -> Hypotheses:
     child = parent.take(slice(None))
     child.log_weight += np.log(chance)
     child.manoeuvres += 1.0
+    child.way_mm[:] = 0.0
     return child
 
 

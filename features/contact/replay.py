@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from features.contact.touch_down import TouchDownTracker
-from features.contact.tracker import ContactTracker, Track
+from features.contact.tracker import ContactTracker, StraightFit, Track
 from features.stream.faults import FROZEN_BLOCKS
 
 
@@ -45,6 +45,11 @@ class ReplayingTracker:
             self._go_back(usable)
         self._keep(block)
         return self._tracker.push(*block)
+
+    def offer(self, fit: StraightFit) -> None:
+        """As `ContactTracker.offer`."""
+        assert isinstance(self._tracker, ContactTracker)
+        self._tracker.offer(fit)
 
     def _start_anew(self) -> None:
         # Two copies, so that the older is never younger than the longest fault that is not yet found.

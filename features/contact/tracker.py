@@ -1,6 +1,7 @@
 """Tracks one contact from touch to release: where it is and how it moves, with a covariance, at each block."""
 
 import math
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -8,11 +9,17 @@ from typing import NamedTuple
 import numpy as np
 
 from features.contact.hypotheses import (
+    ACCELERATION,
+    CURVATURE,
     DEPTH,
+    FRICTION,
     GAIN,
     HEADING,
+    MANOEUVRE_MM,
     PARTIAL_SHARE,
     PEAK_SHARE,
+    RESIDUAL,
+    RISE,
     SPEED,
     Hypotheses,
     MotionNoise,
@@ -20,6 +27,7 @@ from features.contact.hypotheses import (
     Y,
     joined,
     predict,
+    started,
     update,
 )
 from features.contact.manoeuvres import Manoeuvres, branched, merged
@@ -58,6 +66,11 @@ SLIDE_EVIDENCE = 3.0
 TOUCH_SHARE = 0.3
 PRESS_TRIGGERS = 4.0
 PRESS_ON_S = 4.0
+# A straight fit is weighed by the last 2 s of measurements, by a tenth of that at least; before them it is as likely as
+# not. With 0.8 s it won against true changes of speed (synthetic paths, experiments/LOG.md).
+PAST_STEPS = 50
+LEAST_PAST_STEPS = 5
+STRAIGHT = 0.5
 
 
 @dataclass(frozen=True)
@@ -110,6 +123,30 @@ class Track(NamedTuple):
     places: tuple[Place, ...] = ()
 
 
+class StraightFit(NamedTuple):
+    """A straight slide at constant speed, as it stands now: x, y (mm), heading (rad), speed (mm/s), depth (mm off the
+    map's), their standard deviations (the speed's as a share of it), and the way so far (mm)."""
+
+    x_mm: float
+    y_mm: float
+    heading: float
+    speed_mm_s: float
+    depth_mm: float
+    place_sd_mm: float
+    heading_sd: float
+    speed_sd: float
+    depth_sd_mm: float
+    way_mm: float
+
+
+class _Step(NamedTuple):
+    """One measurement (C,) V, its variance (C,) V^2, and the logarithm of its predicted density under the bank."""
+
+    volts: np.ndarray
+    variance: np.ndarray
+    log_density: float
+
+
 class ContactTracker:
     """One stream's tracker.
 
@@ -135,7 +172,8 @@ class ContactTracker:
         self._noise_v, self._floor_v, self._gain_sd = noise_v, floor_v, gain_sd
         self._trigger_v, self._release_v = trigger_v, release_v
         self._recent = np.zeros((ONSET_BLOCKS, len(noise_v)))
-        self._smooth = SmoothSignal(noise_v / math.sqrt(STEP_BLOCKS), STEP_BLOCKS * block_s)
+        self._every = self._watched = np.ones(len(noise_v), dtype=bool)
+        self._smooth = self._alternatives()
         self._evidence = 0.0
         self._beyond_device = beyond_device(np.array(inflation_v_per_mm)) if inflation_v_per_mm else None
         self.reset()
@@ -146,6 +184,7 @@ class ContactTracker:
         self._track: Track | None = None
         self._rested = False
         self._filled = self._steps = self._blocks = self._quiet = self._lost = 0
+        self._past: deque[_Step] = deque(maxlen=PAST_STEPS)
 
     @property
     def tracking(self) -> bool:
@@ -188,10 +227,11 @@ class ContactTracker:
             self._config.touch_most,
             anywhere,
         )
-        self._smooth.reset(seen.level, seen.slope)
+        self._watch(self._every if usable is None else usable, seen.level, seen.slope)
         self._blocks = self._steps = self._quiet = self._lost = 0
         self._evidence = 0.0
         self._rested = False
+        self._past.clear()
         self._track = None if self._bank is None else read(self._bank)
 
     def _step(self, usable: np.ndarray | None) -> None:
@@ -203,10 +243,14 @@ class ContactTracker:
         if self._quiet * elapsed_s > RELEASE_S:
             self._bank = self._track = None
             return
-        variance = self._noise_v**2 / STEP_BLOCKS
-        whole = usable is None or bool(usable.all())
-        if usable is not None and not whole:
-            variance = np.where(usable, variance, np.inf)
+        use = self._every if usable is None else usable
+        if not use.any():
+            return
+        whole = bool(use.all())
+        variance = np.where(use, self._noise_v**2 / STEP_BLOCKS, np.inf)
+        if not np.array_equal(use, self._watched):
+            # An accelerometer has failed: the alternatives, too, are of the channels that are left.
+            self._watch(use, volts, np.zeros_like(volts))
         predict(
             self._bank,
             elapsed_s,
@@ -215,9 +259,8 @@ class ContactTracker:
             config.noise,
         )
         gained = update(self._bank, volts, variance, self._surface, elapsed_s)
-        simple = self._smooth.push(volts)
-        # The alternatives know no channel that is left out.
-        gained = gained - simple if whole else 0.0
+        self._past.append(_Step(volts, variance, gained))
+        gained -= self._smooth.push(volts[use])
         sound = self._bank.sound
         if not sound.all():
             # A signal that no contact makes can drive a covariance out of the positive definite.
@@ -235,18 +278,78 @@ class ContactTracker:
         self._steps += 1
         if whole and not self._rested and self._steps * elapsed_s < config.young_s:
             self._rest()
-        one_press = self._smooth.one_way and (
-            self._smooth.changing_s < PRESS_S or self._evidence < SLIDE_EVIDENCE
-        )
-        self._track = read(self._bank)._replace(
-            evidence=self._evidence,
-            channels=len(volts) if usable is None else int(usable.sum()),
-            one_press=one_press,
-            presses=one_press and whole and self._presses(volts),
-        )
+        self._track = self._read_track()
         self._lost = self._lost + 1 if self._track.misfit > config.lost else 0
         if self._lost * elapsed_s > LOST_S:
             self._start(anywhere=True, usable=usable)
+
+    def offer(self, fit: StraightFit) -> None:
+        """Takes a fit into the bank, with the weight that the last measurements give it.
+
+        Its filter goes through them from where the line was then, so that its likelihood is of the same measurements as
+        the bank's.
+        """
+        if self._bank is None or len(self._past) < LEAST_PAST_STEPS:
+            return
+        elapsed_s, since_s = STEP_BLOCKS * self._block_s, self._blocks % STEP_BLOCKS * self._block_s
+        line = self._on_line(fit, len(self._past) * elapsed_s + since_s)
+        odds = math.log(STRAIGHT)
+        for volts, variance, log_density in self._past:
+            peak_v = float(np.abs(volts).max())
+            predict(line, elapsed_s, self._floor_v + PEAK_SHARE * peak_v, 0.0, self._config.noise)
+            odds += update(line, volts, variance, self._surface, elapsed_s) - log_density
+        if not line.sound.all() or not math.isfinite(odds):
+            return
+        line.age_mm[:] = min(fit.way_mm, MANOEUVRE_MM)
+        line.log_weight += np.logaddexp.reduce(self._bank.log_weight) + odds
+        self._bank = joined([self._bank, line])
+        self._bank.log_weight -= self._bank.log_weight.max()
+        self._track = _moved_on(self._read_track(), since_s)
+
+    def _on_line(self, fit: StraightFit, ago_s: float) -> Hypotheses:
+        """The hypothesis that a straight fit was so long ago."""
+        cos, sin = math.cos(fit.heading), math.sin(fit.heading)
+        state = np.zeros((1, RESIDUAL + self._surface.channels))
+        sd = np.full(state.shape, self._floor_v)
+        way_mm = fit.speed_mm_s * ago_s
+        state[:, X], state[:, Y] = fit.x_mm - way_mm * cos, fit.y_mm - way_mm * sin
+        state[:, HEADING], state[:, SPEED], state[:, GAIN], state[:, DEPTH] = (
+            fit.heading,
+            fit.speed_mm_s,
+            1.0,
+            fit.depth_mm,
+        )
+        state[:, FRICTION] = cos, sin
+        sd[:, X] = sd[:, Y] = fit.place_sd_mm + fit.speed_sd * way_mm
+        sd[:, HEADING], sd[:, SPEED] = fit.heading_sd, fit.speed_sd * fit.speed_mm_s
+        sd[:, ACCELERATION], sd[:, CURVATURE], sd[:, GAIN] = 0.0, 0.001, self._gain_sd
+        sd[:, DEPTH], sd[:, RISE], sd[:, FRICTION] = fit.depth_sd_mm, 0.0, 0.02
+        line = started(state, sd, np.zeros(1), partial=False)
+        return line
+
+    def _read_track(self) -> Track:
+        assert self._bank is not None
+        one_press = self._smooth.one_way and (
+            self._smooth.changing_s < PRESS_S or self._evidence < SLIDE_EVIDENCE
+        )
+        volts = self._recent[-STEP_BLOCKS:].mean(axis=0)
+        return read(self._bank)._replace(
+            evidence=self._evidence,
+            channels=int(self._watched.sum()),
+            one_press=one_press,
+            presses=one_press and bool(self._watched.all()) and self._presses(volts),
+        )
+
+    def _watch(self, use: np.ndarray, level_v: np.ndarray, slope_v_s: np.ndarray) -> None:
+        """Starts the alternatives to a contact on these channels (C,) bool from a level (C,) and a slope (C,)."""
+        if not np.array_equal(use, self._watched):
+            self._watched = use.copy()
+            self._smooth = self._alternatives()
+        self._smooth.reset(level_v[use], slope_v_s[use])
+
+    def _alternatives(self) -> SmoothSignal:
+        noise_v = self._noise_v[self._watched] / math.sqrt(STEP_BLOCKS)
+        return SmoothSignal(noise_v, STEP_BLOCKS * self._block_s)
 
     def _presses(self, volts: np.ndarray) -> bool:
         """Whether an output (C,) V that has kept one direction is a press's, and not a tilt's or the pressure's."""

@@ -41,10 +41,12 @@ class SlideState(StrEnum):
 
 
 class EndedSlide(NamedTuple):
-    """The last slide: its window, and the accelerometers (A,) that it was read from."""
+    """The last slide: its window, the accelerometers (A,) that it was read from, and for how many blocks the contact
+    had stopped when that was noticed, 0 if it was released."""
 
     window: Window
     usable: np.ndarray
+    rested: int
 
 
 class SlideTracker:
@@ -116,6 +118,11 @@ class SlideTracker:
     def final(self) -> Window | None:
         """The last slide that has ended."""
         return None if self._last is None else self._last.window
+
+    @property
+    def rested_s(self) -> float:
+        """For how long the contact of the last slide had stopped when that was noticed; 0 if it was released."""
+        return 0.0 if self._last is None else self._last.rested * self.conditioning.block_s
 
     def window(self) -> Window | None:
         """The slide so far in equal bins; the last one when it has ended; else None."""
@@ -244,7 +251,8 @@ class SlideTracker:
         """
         self._slide = None
         if self._moved:
-            self._last = EndedSlide(slide.window(max(blocks, self.conditioning.least_blocks)), slide.usable)
+            window = slide.window(max(blocks, self.conditioning.least_blocks))
+            self._last = EndedSlide(window, slide.usable, 0 if level is None else slide.blocks - blocks)
         elif level is not None and not self._from_stop and self._jumped(slide, level):
             self._learn_static()
             return

@@ -1,0 +1,106 @@
+"""Slides that end with a stop on the skin, through a real bundle: they keep their line and their speed.
+
+The bundle in `worlds/stopping_sensor` is of a synthetic sensor: `softslide synthesize --slides 138 --seed 301 --config
+stop.toml` with `stopping = 0.3`, then `softslide train`. The slides are the same sensor's, drawn anew here.
+"""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from features.angles import wrapped_deg
+from features.estimate import Contact, Estimate
+from features.stream.tracker import SlideState
+from pipeline.atlas.atlas import read_atlas
+from pipeline.recordings.folder import Recording
+from pipeline.synthesis.distribution import Distribution
+from pipeline.synthesis.slide_plan import Slide
+from pipeline.synthesis.specimen import Specimen, draw_specimen
+from pipeline.synthesis.synthesize import noise_of, plan, record, sensor_of
+from serve.localizer import Localizer
+
+SEED = 301
+# On less than half of the way not every slide is known yet.
+STOPPING = Distribution(
+    stopping=1.0, turning=0.0, stop_share=(0.5, 0.9), rest_s=(1.0, 3.0), speed_mm_s=(2.0, 13.0)
+)
+SLIDES = range(200, 212)
+
+
+@pytest.fixture(scope="module")
+def localizer() -> Localizer:
+    return Localizer.load(Path(__file__).parent / "worlds" / "stopping_sensor")
+
+
+@pytest.fixture(scope="module")
+def specimen() -> Specimen:
+    return draw_specimen(sensor_of(read_atlas()), STOPPING, SEED)
+
+
+def stopped_slide(specimen: Specimen, number: int, **changes: float) -> tuple[Slide, Recording]:
+    atlas = read_atlas()
+    slide = replace(plan(number, SEED, atlas, sensor_of(atlas), STOPPING), **changes)
+    return slide, record(slide, specimen, atlas, noise_of(number, SEED))
+
+
+@pytest.fixture(scope="module")
+def streams(localizer: Localizer, specimen: Specimen) -> list[tuple[Slide, list[Estimate]]]:
+    found = []
+    for number in SLIDES:
+        slide, recording = stopped_slide(specimen, number, rest_after_s=3.0)
+        localizer.reset()
+        found.append((slide, localizer.push(recording.volts)))
+    return found
+
+
+def errors(slide: Slide, estimate: Estimate) -> np.ndarray:
+    """Direction deg, speed %, offset mm (3,)."""
+    turn = float(wrapped_deg(estimate.direction_deg - slide.direction_deg))
+    faster = 100 * (estimate.speed_mm_s / slide.stroke.speed_mm_s - 1)
+    return np.abs([turn, faster, estimate.offset_mm - slide.offset_mm])
+
+
+def end_s(slide: Slide) -> float:
+    return slide.motion_start_s + slide.stroke.duration_s
+
+
+@pytest.mark.parametrize("later_s", [0.0, 2.5])
+def test_a_slide_that_stops_keeps_the_line_and_speed_that_it_had(
+    streams: list[tuple[Slide, list[Estimate]]], later_s: float
+) -> None:
+    """As the motion ends, and once the contact rests. Where its output is below the noise, it looks as if released."""
+    found, resting = [], []
+    for slide, estimates in streams:
+        at = [e for e in estimates if e.time_s <= end_s(slide) + later_s][-1]
+        assert at.valid, (slide.name, at.reason)
+        found.append(errors(slide, at))
+        if later_s:
+            assert at.state is SlideState.ENDED
+            resting.append(at.contact is Contact.STOPPED)
+            assert (at.vx_mm_s == 0.0 and at.vy_mm_s == 0.0) == resting[-1]
+    assert sum(resting) >= 0.75 * len(resting)
+    assert (np.mean(found, axis=0) < [0.4, 0.8, 0.1]).all(), np.mean(found, axis=0)
+    assert (np.max(found, axis=0) < [3.0, 5.0, 0.5]).all(), np.max(found, axis=0)
+
+
+def test_no_slide_goes_another_way_for_long(streams: list[tuple[Slide, list[Estimate]]]) -> None:
+    """Never five estimates in a row that are valid and more than 20 degrees off, nor as it creeps at rest."""
+    for slide, estimates in streams:
+        wrong = 0
+        for estimate in estimates:
+            wrong = wrong + 1 if estimate.valid and errors(slide, estimate)[0] > 20.0 else 0
+            assert wrong < 5, (slide.name, estimate.time_s)
+
+
+def test_while_a_contact_pauses_its_speed_is_zero(streams: list[tuple[Slide, list[Estimate]]]) -> None:
+    """Between the stop and the end of the slide the contact rests where it is."""
+    resting = [
+        estimate
+        for _, estimates in streams
+        for estimate in estimates
+        if estimate.contact is Contact.STOPPED and estimate.state is SlideState.SLIDE
+    ]
+    assert len(resting) > 100
+    assert {estimate.speed_mm_s for estimate in resting} == {0.0}
