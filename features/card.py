@@ -237,9 +237,11 @@ def _force(table: dict[str, Any]) -> ForceMap:
 
 
 def _contact(table: dict[str, Any]) -> ContactCalibration:
-    # Bundles made before presses were told know no inflation.
-    lists = {"chamber_mm", "noise_v"} | {"inflation_v_per_mm"} & table.keys()
-    return ContactCalibration(**{**table, **{name: tuple(table[name]) for name in lists}})
+    # Bundles made before presses or heights were told know no inflation and no static output.
+    lists = {"chamber_mm", "noise_v"} | {"inflation_v_per_mm", "static_v"} & table.keys()
+    rows = tuple(tuple(row) for row in table.get("static_covariance_v2", ()))
+    lists_of = {name: tuple(table[name]) for name in lists}
+    return ContactCalibration(**{**table, **lists_of, "static_covariance_v2": rows})
 
 
 def _heights(table: dict[str, Any]) -> HeightCalibration:

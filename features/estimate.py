@@ -28,7 +28,8 @@ class Reason(StrEnum):
     enough. ambiguous: several places or headings explain the output. off_map: the contact is where the calibration
     does not reach, or its speed is outside the range. not_this_sensor: the output fits no contact on this skin.
     drift: gravity's length changes with the output, as it does not on a skin that only tilts. dead_channel: an
-    accelerometer is lost, frozen or clipped.
+    accelerometer is lost, frozen or clipped. skin_height: the static output shows the skin at a height that the
+    calibration does not reach, as of another pressure.
     """
 
     NONE = ""
@@ -40,6 +41,7 @@ class Reason(StrEnum):
     NOT_THIS_SENSOR = "not_this_sensor"
     DRIFT = "drift"
     DEAD_CHANNEL = "dead_channel"
+    SKIN_HEIGHT = "skin_height"
 
 
 class Estimate(NamedTuple):

@@ -18,6 +18,9 @@ HEIGHT_INPUT = "height_off_mm"
 MOUNTED_SD = 5.0
 # Share of the range of heights that the static output has to tell a height within, as a standard deviation.
 TELLING_SHARE = 0.25
+# What a height beyond the calibration's is off by at least before it counts: the response changes by 9 % a mm on
+# `bench-depth`, and by 2 % (`gain_sd` of `bench-a`) from slide to slide anyway.
+LEAST_OFF_MM = 0.2
 MARGIN_MM = 0.1  # beyond the calibration's heights: what a laser may err by
 
 
@@ -56,6 +59,11 @@ class HeightCalibration:
             raise ValueError(f"heights: a static output is not finite or beyond {LARGEST:g}")
         self.splines()
 
+    @property
+    def range_off_mm(self) -> tuple[float, float]:
+        """The calibration's least and largest height, less height_mm."""
+        return self.lowest_mm - self.height_mm, self.highest_mm - self.height_mm
+
     def splines(self) -> np.ndarray:
         """(K, K, C) V/mm: the splines of H."""
         return decoded(self.coefficients, (self.knots, self.knots, len(self.static_v)), self.scale_v)
@@ -73,7 +81,7 @@ class HeightCalibration:
         off_mm = float((weight * slope) @ off_v) / information
         beside = np.abs(off_v - off_mm * slope) / self.static_sd_v
         height_mm = self.height_mm + off_mm
-        margin_mm = MOUNTED_SD * sd_mm
+        margin_mm = max(LEAST_OFF_MM, MOUNTED_SD * sd_mm)
         inside = self.lowest_mm - margin_mm <= height_mm <= self.highest_mm + margin_mm
         if not (inside and beside.max() < MOUNTED_SD):
             return math.nan

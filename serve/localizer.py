@@ -18,6 +18,7 @@ from features.errors import InputError
 from features.estimate import Contact, Estimate, Reason, decode
 from features.force import ForceReader
 from features.height import HEIGHT_INPUT, given_height
+from features.rest_height import rest_height
 from features.stream.conditioning import ONSETS, Blocks, LagUndone
 from features.stream.drift import UNKNOWN, DriftWatch, measures_gravity
 from features.stream.faults import BRIDGED_BLOCKS, Judged, SignalWatch
@@ -56,6 +57,8 @@ KEPT_FITS = 4
 _OUTPUT = ["estimate"]
 # What forbids any estimate from the signal, not only that of a straight slide.
 _OF_THE_SIGNAL = (Reason.DEAD_CHANNEL, Reason.DRIFT, Reason.TOO_EARLY)
+# What forbids it whatever the skin's height.
+_WITHOUT_HEIGHT = (Reason.DEAD_CHANNEL, Reason.UNKNOWN_ZERO)
 
 
 class _Fit(NamedTuple):
@@ -103,6 +106,7 @@ class Localizer:
         self._lines: deque[_Fit] = deque(maxlen=KEPT_FITS)
         self._touches_down = card.conditioning.onset == ONSETS[1]
         self._limits = TOUCH_LIMITS if self._touches_down else TrackLimits()
+        self._rest_height = rest_height(card.contact, card.heights, accelerometers, card.conditioning.scale)
         self._forces = None if card.force is None else ForceReader(card.force)
         self._inputs = {
             "volts": np.zeros((1, channels, WINDOW_BINS), np.float32),
@@ -133,6 +137,7 @@ class Localizer:
         self._forget_contact()
         self._height_mm = math.nan
         self._take_height(self._given_mm)
+        self._other_height = False
         self._count = 0
         self._bridged = 0
         self._slide_blocks = 0
@@ -304,6 +309,8 @@ class Localizer:
             if track is not None and estimate.contact is Contact.PRESS:
                 gain = min(max(track.gain, 0.0), 1.0)
             estimate = self._forces.with_force(estimate, gain)
+        if self._other_height and estimate.reason not in _WITHOUT_HEIGHT:
+            estimate = estimate._replace(valid=False, reason=Reason.SKIN_HEIGHT)
         return estimate._replace(**self._last_drift._asdict(), skin_height_mm=self._height_mm)
 
     def _of_both(self, straight: Estimate | None, track: Track, time_s: float) -> Estimate:
@@ -382,9 +389,12 @@ class Localizer:
     def _read_height(self) -> None:
         """The skin's height, from what is at rest: it stays what it was while an accelerometer is not."""
         tracker = self._tracker
-        if self.card.heights is None or not math.isnan(self._given_mm) or not tracker.known.all():
+        if not math.isnan(self._given_mm) or not tracker.known.all():
             return
-        self._take_height(self.card.heights.told(tracker.static[tracker.touch]))
+        if self._rest_height is not None:
+            self._other_height = self._rest_height.is_other(tracker.static)
+        if self.card.heights is not None:
+            self._take_height(self.card.heights.told(tracker.static[tracker.touch]))
 
     def _take_height(self, height_mm: float) -> None:
         """Reads the map at this height of the skin; NaN: at the height that most of its recordings had."""

@@ -12,6 +12,7 @@ from features.contact.response_surface import PARTS, ResponseSurface
 # Far beyond any skin; they bound the memory.
 MOST_KNOTS = 200
 LARGEST = 1e6
+LEAST_EIGENVALUE = 1e-9  # of a correlation matrix that is inverted in double precision
 
 
 @dataclass(frozen=True)
@@ -23,6 +24,8 @@ class ContactCalibration:
     chamber_mm: sizes of the chamber. depth_mm: the calibration's. noise_v: (C,) V, of a block's mean. floor_v: V, the
     map's residual. gain_sd: of the gain from slide to slide. depth_sd_mm: of the contact depth about the calibration's.
     inflation_v_per_mm: (C,) V/mm, by which the output at rest changes as the skin rises; none: not known.
+    static_v: (3 A,) V, the output at rest over the calibration, all three of each accelerometer, at the height that
+    the map is of; static_covariance_v2: (3 A, 3 A) V^2, from slide to slide; none: not known.
 
     Raises:
         ValueError: a number is out of range, or the coefficients are not as many as K and C say.
@@ -40,6 +43,8 @@ class ContactCalibration:
     gain_sd: float
     depth_sd_mm: float = 0.02
     inflation_v_per_mm: tuple[float, ...] = ()
+    static_v: tuple[float, ...] = ()
+    static_covariance_v2: tuple[tuple[float, ...], ...] = ()
 
     def __post_init__(self) -> None:
         numbers = (self.scale_v, self.half_mm, self.spacing_mm, *self.chamber_mm, *self.noise_v, self.floor_v)
@@ -53,7 +58,27 @@ class ContactCalibration:
         for value in inflation:
             if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < LARGEST:
                 raise ValueError(f"contact: inflation_v_per_mm {value!r:.40}: out of range")
+        self._check_static()
         self.surface()
+
+    def _check_static(self) -> None:
+        if not self.static_v and not self.static_covariance_v2:
+            return
+        channels = len(self.static_v)
+        covariance = np.array(self.static_covariance_v2, dtype=float)
+        if covariance.shape != (channels, channels) or 2 * channels != 3 * len(self.noise_v):
+            raise ValueError(
+                f"contact: static_v has {channels} channels, static_covariance_v2 or noise_v others"
+            )
+        if not (np.abs(np.array(self.static_v, dtype=float)) < LARGEST).all():
+            raise ValueError(f"contact: static_v is not finite or beyond {LARGEST:g}")
+        variance = covariance.diagonal()
+        if not ((variance > 0) & (variance < LARGEST)).all() or not (np.abs(covariance) < LARGEST).all():
+            raise ValueError("contact: a number of static_covariance_v2 is out of range")
+        correlation = covariance / np.sqrt(np.outer(variance, variance))
+        symmetric = np.allclose(correlation, correlation.T)
+        if not symmetric or not np.linalg.eigvalsh(correlation)[0] > LEAST_EIGENVALUE:
+            raise ValueError("contact: static_covariance_v2 is no covariance, or cannot be inverted")
 
     def surface(self) -> ResponseSurface:
         """The response map, ready to be read."""

@@ -29,6 +29,7 @@ from models.response_map.heights import inflation_v_per_mm
 from models.response_map.map import ResponseMap
 from models.response_map.select import CalibratedMap, calibrated_map
 from models.response_map.slides import LEAST_HEIGHTS_MM
+from models.response_map.static_scatter import static_scatter
 from pipeline.atlas.atlas import Atlas
 from pipeline.recordings.folder import Folder
 from pipeline.recordings.heights import HEIGHT
@@ -119,6 +120,9 @@ def fit_cnn(
         if not found.response.rim:
             validity = replace(validity, misfit=OTHER_DAY * validity.misfit)
         summary = summary | _held_out_summary(held)
+    main_mm = None if found.heights is None else found.heights.height_mm
+    sensor = found.folder.sensor.scaled(config.conditioning.scale)
+    inflation = inflation_v_per_mm(found.heights, atlas, sensor, found.summary)
     graph = export_graph(network, len(folder.sensor.accelerometers))
     return FittedModel(
         name="cnn",
@@ -131,7 +135,9 @@ def fit_cnn(
         conditioning=config.conditioning,
         summary=dict(summary),
         contact=contact_calibration(
-            found.response, inflation_v_per_mm(found.heights, atlas, found.folder.sensor)
+            found.response,
+            inflation,
+            static_scatter(found.folder, config.conditioning, main_mm) if inflation else None,
         ),
         force=None
         if atlas is None

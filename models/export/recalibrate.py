@@ -18,6 +18,7 @@ from models.graph.packing import pack
 from models.response_map.contact_card import contact_calibration, response_of
 from models.response_map.gains import Gains, fit_gains, labelled_contacts
 from models.response_map.heights import with_gains
+from models.response_map.static_scatter import static_outputs
 from pipeline.recordings.folder import Folder
 from pipeline.staging import staged
 from serve.bundle import open_bundle
@@ -59,8 +60,20 @@ def recalibrate(bundle: Path, folder: Folder, out: Path, data: dict[str, str]) -
     found = _summary(card, gains, len(slides), len(presses), left_out)
     with staged(out) as made:
         (made / "model.onnx").write_bytes(graph)
-        write_card(_renewed(card, gains, graph, {**found, "data": data}), made / "model.json")
+        renewed = _at_rest_of(_renewed(card, gains, graph, {**found, "data": data}), folder)
+        write_card(renewed, made / "model.json")
     return found
+
+
+def _at_rest_of(card: Card, folder: Folder) -> Card:
+    """The card with these recordings' static output, that of today's mounting; of a bundle over heights it stays."""
+    contact, heights = card.contact, card.heights
+    if contact is None or heights is not None or not contact.static_v:
+        return card
+    statics = list(static_outputs(folder, card.conditioning).values())
+    if not statics:
+        return card
+    return replace(card, contact=replace(contact, static_v=tuple(np.mean(statics, axis=0).tolist())))
 
 
 def _with_gains(graph: onnx.ModelProto, gains: Gains, path: Path) -> onnx.ModelProto:
@@ -81,12 +94,15 @@ def _with_gains(graph: onnx.ModelProto, gains: Gains, path: Path) -> onnx.ModelP
 
 
 def _renewed(card: Card, gains: Gains, graph: bytes, found: dict[str, Any]) -> Card:
-    response = response_of(card).scaled(gains.gain)
+    assert card.contact is not None
+    contact = contact_calibration(response_of(card).scaled(gains.gain))
+    at_rest = ("inflation_v_per_mm", "static_v", "static_covariance_v2")
+    contact = replace(contact, **{name: getattr(card.contact, name) for name in at_rest})
     session = session_of(graph)
     inputs = {name: np.array(value, np.float32) for name, value in card.golden["inputs"].items()}
     return replace(
         card,
-        contact=contact_calibration(response, card.contact.inflation_v_per_mm if card.contact else ()),
+        contact=contact,
         heights=None if card.heights is None else with_gains(card.heights, gains.gain),
         golden={**card.golden, "estimate": session.run(None, inputs)[0][0].tolist()},
         graph_sha256=sha256(graph).hexdigest(),

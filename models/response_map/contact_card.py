@@ -8,12 +8,14 @@ from features.card import Card
 from features.contact.calibration import ContactCalibration, encoded
 from features.stream.conditioning import ONSETS
 from models.response_map.map import PARTS, ResponseMap
+from models.response_map.static_scatter import StaticScatter
 
 
 def contact_calibration(
-    response: ResponseMap, inflation_v_per_mm: tuple[float, ...] = ()
+    response: ResponseMap, inflation_v_per_mm: tuple[float, ...] = (), static: StaticScatter | None = None
 ) -> ContactCalibration:
-    """What a device needs of the map to track contacts. inflation_v_per_mm: as there; none: not known."""
+    """What a device needs of the map to track contacts. inflation_v_per_mm: as there; none: not known. static: of the
+    output at rest."""
     assert response.noise_v is not None
     text, scale = encoded(np.concatenate([response.coefficients, response.depth_slope[None]]))
     return ContactCalibration(
@@ -29,6 +31,8 @@ def contact_calibration(
         gain_sd=float(response.gain_sd),
         depth_sd_mm=response.depth_sd_mm or ContactCalibration.depth_sd_mm,
         inflation_v_per_mm=inflation_v_per_mm,
+        static_v=() if static is None else tuple(static.mean_v.tolist()),
+        static_covariance_v2=() if static is None else tuple(map(tuple, static.covariance_v2.tolist())),
     )
 
 

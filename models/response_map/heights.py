@@ -1,5 +1,6 @@
 """A map over heights of the skin as the model card's section `heights`, with what the static output tells of them."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -9,11 +10,9 @@ from features.height import HeightCalibration
 from models.response_map.from_atlas import tilt_v_per_g
 from models.response_map.map import ResponseMap
 from models.response_map.slides import CalibrationSlide
+from models.response_map.static_scatter import LEAST_STATIC_SD_V
 from pipeline.atlas.atlas import Atlas
 from pipeline.sensor import Sensor
-
-# Of the static output about its line, at least: one step of the article's converter.
-LEAST_STATIC_SD_V = 5e-4
 
 
 def calibrated_heights(response: ResponseMap, slides: list[CalibrationSlide]) -> HeightCalibration | None:
@@ -43,17 +42,22 @@ def calibrated_heights(response: ResponseMap, slides: list[CalibrationSlide]) ->
 
 
 def inflation_v_per_mm(
-    heights: HeightCalibration | None, atlas: Atlas | None, sensor: Sensor
+    heights: HeightCalibration | None, atlas: Atlas | None, sensor: Sensor, fit: Mapping[str, float]
 ) -> tuple[float, ...]:
     """(C,) V/mm, by which the output at rest changes as the skin rises: as recordings of several heights tell it, else
-    as the solved design does, on the whole of its way from the flat skin; none: neither is known."""
+    as the solved design does, on the whole of its way from the flat skin; none: neither is known.
+
+    fit: figures of the calibration; a board that tilts `NAME_gain` times as far in a contact does so at
+    rest.
+    """
     if heights is not None:
         return heights.static_v_per_mm
     if atlas is None:
         return ()
     tilts_g = atlas.statics[:, :, :2].reshape(len(atlas.height_mm), -1)
     per_mm = atlas.height_mm @ tilts_g / (atlas.height_mm @ atlas.height_mm)
-    return tuple((tilt_v_per_g(sensor) * per_mm).tolist())
+    gain = np.repeat([fit.get(f"{board.name}_gain", 1.0) for board in sensor.accelerometers], 2)
+    return tuple((tilt_v_per_g(sensor) * gain * per_mm).tolist())
 
 
 def with_gains(heights: HeightCalibration, gain: np.ndarray) -> HeightCalibration:

@@ -87,6 +87,8 @@ def _with_accelerometers(card: Card, count: int) -> Card:
             scale_v=scale_v,
             noise_v=noise_v,
             inflation_v_per_mm=inflation,
+            static_v=(),
+            static_covariance_v2=(),
         )
     return replace(card, channels=names, sensor=sensor, contact=contact, base=None)
 

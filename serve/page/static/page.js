@@ -34,6 +34,7 @@ const REASONS = {
   not_this_sensor: "the output fits no contact on this skin",
   drift: "gravity's length has changed: the sensor has drifted",
   dead_channel: "a sensing element is lost, frozen or clipped",
+  skin_height: "the skin stands at another height than in the calibration: check the pressure",
 };
 // Points of the path that are kept; a contact of four minutes.
 const LONGEST_PATH = 10000;

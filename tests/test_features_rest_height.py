@@ -1,0 +1,170 @@
+"""What the static output tells of the skin's height: a law for each thing that changes it."""
+
+import math
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from small_bundle import write_small_bundle
+from streams import RATE_HZ, a_sensor
+from tracked_map import TWO_BOARDS, noisy_map
+
+from features.contact.calibration import ContactCalibration, encoded
+from features.estimate import Reason
+from features.height import LEAST_OFF_MM, HeightCalibration
+from features.rest_height import RestHeight, rest_height
+from features.stream.conditioning import Conditioning
+from models.response_map.contact_card import contact_calibration
+from models.response_map.static_scatter import LEAST_RECORDINGS, scatter_about, static_scatter
+from pipeline.recordings.folder import SAMPLE, read_folder
+from serve.localizer import Localizer
+
+# Volts of 0.8 V/g about 1.65 V; two boards that lean over by 5 degrees, away from each other, as the chamber's do.
+LEVEL = np.array([1.65, 1.65, 2.45])
+LEAN_V = 0.07
+RISE_V_PER_MM = 0.01
+
+
+def statics_of(boards: int) -> np.ndarray:
+    signs = np.array([-1.0, 1.0])[2 - boards :]
+    return np.concatenate([LEVEL + np.array([sign * LEAN_V, 0.0, 0.0]) for sign in signs])
+
+
+def rise_of(boards: int) -> np.ndarray:
+    """(3 A,) V/mm"""
+    signs = np.array([-1.0, 1.0])[2 - boards :]
+    return np.concatenate([[sign * RISE_V_PER_MM, 0.0, 0.0] for sign in signs])
+
+
+def leaning(static_v: np.ndarray, x_deg: float, y_deg: float) -> np.ndarray:
+    """(3 A,) V: the same of a device that leans over towards x and then y."""
+    (cx, sx), (cy, sy) = ((np.cos(a), np.sin(a)) for a in np.radians([x_deg, y_deg]))
+    turn = np.array([[1, 0, 0], [0, cy, sy], [0, -sy, cy]]) @ np.array([[cx, 0, sx], [0, 1, 0], [-sx, 0, cx]])
+    return (1.65 + (static_v - 1.65).reshape(-1, 3) @ turn.T).ravel()
+
+
+def scattered(boards: int, tilt_deg: float, count: int = 60) -> np.ndarray:
+    """(n, 3 A) V: statics of slides, the device's tilt drawn anew for each."""
+    random = np.random.default_rng(7)
+    tilts = tilt_deg * random.standard_normal((count, 2))
+    return [leaning(statics_of(boards), *tilt) for tilt in tilts] + random.normal(
+        0.0, 3e-4, (count, 3 * boards)
+    )
+
+
+def calibration(boards: int, tilt_deg: float) -> ContactCalibration:
+    statics = scattered(boards, tilt_deg)
+    places = TWO_BOARDS[:boards]
+    touch = [c for c in range(3 * boards) if c % 3 < 2]
+    rise = tuple(rise_of(boards)[touch].tolist())
+    found = scatter_about(np.ones((len(statics), 1)), statics)
+    return contact_calibration(noisy_map(places=places), rise, found)
+
+
+def judge(boards: int, tilt_deg: float, heights: HeightCalibration | None = None) -> RestHeight:
+    accelerometers = [asdict(a) for a in a_sensor(boards).accelerometers]
+    return RestHeight(calibration(boards, tilt_deg), heights, accelerometers, 1.0)
+
+
+@pytest.mark.parametrize("tilt_deg", [0.0, 1.0])
+def test_two_accelerometers_notice_a_height_however_the_device_stands(tilt_deg: float) -> None:
+    height = judge(2, tilt_deg)
+    for off_mm in (-0.6, 0.5):
+        for lean_deg in ((0.0, 0.0), (3.0, -2.0)):
+            static = leaning(statics_of(2) + off_mm * rise_of(2), *lean_deg)
+            assert height.off_mm(static) == pytest.approx(off_mm, abs=0.1)
+            assert height.is_other(static)
+
+
+def test_a_tilt_or_a_gain_common_to_all_is_no_height() -> None:
+    height = judge(2, 0.0)
+    for static in (leaning(statics_of(2), 4.0, 0.0), 1.65 + 1.05 * (statics_of(2) - 1.65)):
+        assert abs(height.off_mm(static)) < LEAST_OFF_MM / 2
+        assert not height.is_other(static)
+
+
+@pytest.mark.parametrize(("boards", "tilt_deg"), [(1, 0.0), (1, 1.0), (2, 0.0), (2, 1.0)])
+def test_a_static_output_that_scatters_as_in_the_calibration_is_no_height(
+    boards: int, tilt_deg: float
+) -> None:
+    height = judge(boards, tilt_deg)
+    assert not any(height.is_other(static) for static in scattered(boards, tilt_deg, 400))
+
+
+def test_one_accelerometer_notices_a_height_where_its_tilt_does_not_scatter() -> None:
+    static = statics_of(1) + 0.6 * rise_of(1)
+    assert judge(1, 0.0).is_other(static)
+    assert not judge(1, 1.0).is_other(static)
+
+
+def test_one_accelerometer_takes_another_gain_or_mounting_for_no_height() -> None:
+    height = judge(1, 0.0)
+    assert not height.is_other(1.65 + 1.05 * (statics_of(1) - 1.65))
+    remounted = leaning(statics_of(1), 1.0, 1.0)
+    assert math.isnan(height.off_mm(remounted))
+    assert not height.is_other(remounted)
+
+
+def test_heights_of_the_calibration_are_none_but_its_own() -> None:
+    flat, scale_v = encoded(np.zeros((4, 4, 1)))
+    heights = HeightCalibration(flat, scale_v, 4, 7.0, 6.0, 8.0, (0.0,), (0.0,), (1.0,))
+    height = judge(2, 0.0, heights)
+    beyond = [height.is_other(statics_of(2) + off_mm * rise_of(2)) for off_mm in (-1.5, -0.9, 0.9, 1.5)]
+    assert beyond == [True, False, False, True]
+
+
+def test_too_few_recordings_tell_no_scatter() -> None:
+    folder = read_folder(SAMPLE).select("calibration")
+    some = replace(folder, manifest=folder.manifest.iloc[: LEAST_RECORDINGS - 1])
+    assert static_scatter(some, Conditioning()) is None
+    found = static_scatter(folder, Conditioning())
+    assert found is not None
+    assert found.mean_v == pytest.approx([1.7, 1.65, 2.45], abs=0.05)
+
+
+def resting(boards: int, off_mm: float) -> np.ndarray:
+    """(n, 3 A) V: two seconds at rest, then two of a signal as of a contact."""
+    time_s = np.arange(round(4.0 * RATE_HZ)) / RATE_HZ
+    volts = statics_of(boards) + off_mm * rise_of(boards) + np.zeros((len(time_s), 3 * boards))
+    volts[:, 0] += 0.08 * np.clip(time_s - 2.0, 0.0, 1.0)
+    return volts + np.random.default_rng(3).normal(0.0, 2e-3, volts.shape)
+
+
+@pytest.fixture(scope="module")
+def bundle(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("bundle") / "model"
+    return write_small_bundle(folder, a_sensor(2), contact=calibration(2, 0.0))
+
+
+def test_no_estimate_is_valid_at_another_height(bundle: Path) -> None:
+    localizer = Localizer.load(bundle)
+    told = localizer.push(resting(2, 0.6))
+    assert not any(e.valid for e in told)
+    assert {e.reason for e in told if e.time_s > 1.1} == {Reason.SKIN_HEIGHT}
+    localizer.reset()
+    assert Reason.SKIN_HEIGHT not in {e.reason for e in localizer.push(resting(2, 0.0))}
+
+
+def test_an_old_card_does_not_look(tmp_path: Path) -> None:
+    old = replace(calibration(2, 0.0), static_v=(), static_covariance_v2=())
+    assert rest_height(old, None, [], 1.0) is None
+    localizer = Localizer.load(write_small_bundle(tmp_path / "old", a_sensor(2), contact=old))
+    assert Reason.SKIN_HEIGHT not in {e.reason for e in localizer.push(resting(2, 0.6))}
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"static_v": (1.7, 1.65, 2.4)},
+        {"static_v": (math.nan,) * 6},
+        {"static_covariance_v2": ()},
+        {"static_covariance_v2": tuple(map(tuple, np.ones((6, 6))))},
+        {"static_covariance_v2": tuple(map(tuple, -np.eye(6)))},
+        {"static_covariance_v2": tuple(map(tuple, np.triu(np.ones((6, 6)))))},
+    ],
+)
+def test_a_static_output_that_cannot_be_is_refused(change: dict[str, object]) -> None:
+    whole = asdict(calibration(2, 0.0))
+    with pytest.raises(ValueError, match="contact"):
+        ContactCalibration(**{**whole, **change})
