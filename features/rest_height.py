@@ -37,9 +37,10 @@ class RestHeight:
         self._static = np.array(contact.static_v)
         zero = np.repeat([pair[0] for pair in nominal_outputs(accelerometers, scale) if pair], 3)
         gravity = (self._static - zero).reshape(boards, 3)
-        # V_z hardly changes with height; it tells a change of gain.
         change = np.zeros((boards, 3))
         change[:, :2] = np.reshape(contact.inflation_v_per_mm, (boards, 2))
+        # Gravity keeps its length.
+        change -= gravity * ((gravity * change).sum(axis=1) / (gravity**2).sum(axis=1))[:, None]
         covariance = np.array(contact.static_covariance_v2)
         others = [GAIN_SD * gravity]
         if boards > 1:

@@ -9,7 +9,7 @@ from models.response_map.slides import LEAST_REST_BLOCKS
 from pipeline.recordings.folder import Folder
 from pipeline.recordings.heights import HEIGHT
 
-# Of a static output, at least: one step of the article's converter.
+# Of each static output by itself: one step of the article's converter.
 LEAST_STATIC_SD_V = 5e-4
 LEAST_RECORDINGS = 12  # twice the outputs of two accelerometers; fewer tell no covariance
 
@@ -56,5 +56,5 @@ def scatter_about(design: np.ndarray, statics: np.ndarray) -> StaticScatter:
     line = np.linalg.lstsq(design, statics, rcond=None)[0]
     left = statics - design @ line
     covariance = left.T @ left / (len(left) - design.shape[1])
-    covariance += np.diag(np.maximum(LEAST_STATIC_SD_V**2 - covariance.diagonal(), 0.0))
-    return StaticScatter(line[0], covariance)
+    # Each output's own: where a tilt makes all scatter alike, their differences hardly do.
+    return StaticScatter(line[0], covariance + LEAST_STATIC_SD_V**2 * np.eye(len(covariance)))
