@@ -29,6 +29,7 @@ class TrackLimits:
     it for partial_way_mm. evidence: least logarithm of the odds of a contact against a smooth signal of no known
     origin. way_mm: least way. stopped_mm_s: a contact slower than this has stopped; stopped_way_mm: its least way.
     agreement: largest squared Mahalanobis distance of the straight slide from the track, four degrees of freedom.
+    same: up to which they say the same.
     stopping_s: for which a line is held while a contact seems to be slower than slow_share of the slide, or is lost;
     it rests once it is slower than creep_share, and has stopped for good after pause_s.
     press_mm_s, press_sd_mm: largest speed and standard deviation of the place of a press that is told. straight_misfit:
@@ -54,6 +55,7 @@ class TrackLimits:
     press_mm_s: float = 0.3
     press_sd_mm: float = 1.0
     agreement: float = 25.0
+    same: float = 0.5
     stopping_s: float = 0.3
     pause_s: float = 0.6
     slow_share: float = 0.5
@@ -186,17 +188,18 @@ def _reason(
     return Reason.NONE
 
 
-def agrees(straight: Estimate, track: Track, since_s: float, limits: TrackLimits) -> bool:
-    """Whether the straight slide explains the output, and goes where the track does, or did `since_s` ago."""
+def apart(straight: Estimate, track: Track, since_s: float, limits: TrackLimits) -> float:
+    """The squared Mahalanobis distance of the straight slide, as it was `since_s` ago, from the track; infinite where
+    the straight slide does not explain the output, or the way is short."""
     if straight.misfit > limits.straight_misfit or track.way_mm < limits.straight_way_mm:
-        return False
+        return math.inf
     velocity = np.array([straight.vx_mm_s, straight.vy_mm_s])
     place = np.array([straight.x_mm, straight.y_mm]) - since_s * velocity
-    apart = np.concatenate([place, velocity]) - track.mean
+    off = np.concatenate([place, velocity]) - track.mean
     # The floors of the intervals, as standard deviations: both read the same blocks.
     floor = np.array([limits.place_mm, limits.place_mm, limits.speed_mm_s, limits.speed_mm_s])
     spread = track.covariance + np.diag(floor**2)
-    return bool(apart @ np.linalg.solve(spread, apart) <= limits.agreement)
+    return float(off @ np.linalg.solve(spread, off))
 
 
 def explains(straight: Estimate, limits: TrackLimits) -> bool:

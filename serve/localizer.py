@@ -27,7 +27,7 @@ from features.stream.tracker import SlideState, SlideTracker
 from features.track_estimate import (
     TOUCH_LIMITS,
     TrackLimits,
-    agrees,
+    apart,
     crosses,
     explains,
     judged,
@@ -245,7 +245,7 @@ class Localizer:
         self._fit = _Fit(self._count, straight)
         if not straight.valid:
             return
-        if agrees(straight, *self._clear_track(), self._limits):
+        if apart(straight, *self._clear_track(), self._limits) <= self._limits.agreement:
             self._lines.append(self._fit)
         elif (
             self._count % OFFER_BLOCKS == 0
@@ -327,9 +327,10 @@ class Localizer:
                 return tracked
             reason = Reason.TOO_EARLY if self._healthy.any() else Reason.DEAD_CHANNEL
             return tracked._replace(valid=False, reason=reason)
-        if straight.valid and agrees(straight, *self._clear_track(), limits):
+        off = apart(straight, *self._clear_track(), limits) if straight.valid else math.inf
+        if off <= limits.agreement:
             if self._tracker.rested_s == 0.0:
-                return with_track(straight, tracked, limits.shared)
+                return with_track(straight, tracked, None if off <= limits.same else limits.shared)
             if not self._lines:
                 self._lines.append(_Fit(self._count, straight))
         if straight.reason in _OF_THE_SIGNAL:

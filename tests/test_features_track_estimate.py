@@ -9,7 +9,7 @@ from features.angles import wrapped_deg
 from features.contact.tracker import Track
 from features.estimate import Contact, Estimate, Reason
 from features.stream.tracker import SlideState
-from features.track_estimate import TOUCH_LIMITS, TrackLimits, agrees, judged, with_track
+from features.track_estimate import TOUCH_LIMITS, TrackLimits, apart, judged, with_track
 
 QUANTITIES = (("speed", "mm_s"), ("offset", "mm"), ("x", "mm"), ("y", "mm"), ("vx", "mm_s"), ("vy", "mm_s"))
 
@@ -89,7 +89,7 @@ def test_a_straight_slide_is_compared_where_it_was_when_the_track_was_clear(
     limits = TrackLimits()
     farthest_mm = np.sqrt(limits.agreement * (0.09 + limits.place_mm**2))
     if abs(off_mm - farthest_mm) > 1e-6:
-        assert agrees(straight, track, since_s, limits) == (off_mm < farthest_mm)
+        assert (apart(straight, track, since_s, limits) <= limits.agreement) == (off_mm < farthest_mm)
 
 
 @pytest.mark.parametrize(("channels", "way_mm", "told"), [(4, 10.0, True), (2, 10.0, False), (4, 2.0, False)])
