@@ -17,7 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from experiments.provenance import data_hashes, machine, source_hash
+from experiments.code_hash import code_hash
+from experiments.provenance import data_hashes, machine
 from features.height import HeightCalibration
 from features.stream.conditioning import Conditioning
 from models.response_map.config import CalibrationConfig
@@ -31,8 +32,8 @@ from pipeline.recordings.folder import Folder
 
 # Files of some 200 kB each; beyond these the ones that were used longest ago are removed.
 MOST = 50
-# What the map is computed from and by. experiments/ is not among them: it computes none of it.
-ROOMS = ("features", "pipeline", "models")
+# What computes the map.
+MAKER = "models.response_map.select"
 LIBRARIES = ("numpy", "scipy")
 
 Arrays = dict[str, np.ndarray]
@@ -73,7 +74,7 @@ def _key(folder: Folder, atlas: Atlas | None, settings: list[dict[str, Any]]) ->
         "data": data_hashes(folder),
         "atlas": None if atlas is None else atlas_hash(atlas),
         "settings": settings,
-        "code": source_hash(ROOMS),
+        "code": code_hash([MAKER]),
         "libraries": {name: version(name) for name in LIBRARIES},
         "processor": machine()["processor"],
     }

@@ -5,12 +5,12 @@ import json
 import os
 import platform
 import subprocess
-from collections.abc import Iterable
 from dataclasses import asdict
 from importlib.metadata import distributions
 from pathlib import Path
 from typing import Any
 
+from experiments.code_hash import code_hash
 from pipeline.recordings.folder import Folder
 
 
@@ -43,7 +43,7 @@ def bundle_hash(bundle: Path) -> str:
 
 
 def code_revision() -> str:
-    """The commit that runs, with `+changes` where files differ from it; `unknown` outside a clone."""
+    """The commit that runs, where files differ from it with `+` and their hash; `unknown` outside a clone."""
     here = Path(__file__).parent
 
     def git(*arguments: str) -> str:
@@ -52,19 +52,10 @@ def code_revision() -> str:
         ).stdout.strip()
 
     try:
-        return git("rev-parse", "HEAD") + ("+changes" if git("status", "--porcelain", "-uno") else "")
+        changed = git("status", "--porcelain", "-uno")
+        return git("rev-parse", "HEAD") + (f"+{code_hash()[:12]}" if changed else "")
     except (OSError, subprocess.CalledProcessError):
         return "unknown"
-
-
-def source_hash(rooms: Iterable[str]) -> str:
-    """SHA-256 of the rooms' source as it lies there: of what runs, committed or not, in a clone or installed."""
-    here = Path(__file__).parents[1]
-    sources = hashlib.sha256()
-    for path in sorted(path for room in rooms for path in (here / room).rglob("*.py")):
-        sources.update(f"{path.relative_to(here).as_posix()}\0".encode())
-        sources.update(hashlib.sha256(path.read_bytes()).digest())
-    return sources.hexdigest()
 
 
 def packages() -> str:

@@ -7,6 +7,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+import pandas as pd
 import pytest
 from small_bundle import write_small_bundle
 from team_server import PATIENCE_S, free_port
@@ -84,6 +85,30 @@ def test_what_changed_is_done_again(bundle: Path, tmp_path: Path) -> None:
     other = write_small_bundle(tmp_path / "other", SENSOR, direction_deg=31.0)
     list(predictions(other, folder, Archive(1, "", work)))
     assert len(list(work.iterdir())) == 3
+
+
+def test_each_uncommitted_edit_has_chunks_of_its_own(
+    bundle: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """But not one of a comment."""
+    code = tmp_path / "code"
+    (code / "experiments").mkdir(parents=True)
+    monkeypatch.setattr("experiments.code_hash.ROOT", code)
+    folder, work = a_folder(tmp_path / "lab", one={}), tmp_path / "work"
+
+    def make(*_: object) -> pd.DataFrame:
+        return pd.DataFrame({"a": [1]})
+
+    make.__module__ = "experiments.reader"
+
+    def count(source: str) -> int:
+        """How many chunks are kept after a call with this code."""
+        (code / "experiments" / "reader.py").write_text(source)
+        list(Archive(1, "", work).tables("a", make, bundle, folder, ["one"]))
+        return len(list(work.iterdir()))
+
+    sources = ("gain = 1\n", "gain = 2\n", "gain = 3\n", "gain = 3  # of the amplifier\n")
+    assert [count(source) for source in sources] == [1, 2, 3, 3]
 
 
 @pytest.fixture(scope="module")

@@ -131,7 +131,7 @@ def test_other_settings_and_other_code_are_noticed(
 ) -> None:
     found(lab)
     assert found(lab, CalibrationConfig(iterations=1, gain_sd=0.02))[1] is False
-    monkeypatch.setattr(module, "ROOMS", ("features", "pipeline"))
+    monkeypatch.setattr(module, "MAKER", "models.registry")
     assert found(lab)[1] is False
 
 

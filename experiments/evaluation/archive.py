@@ -13,7 +13,8 @@ from typing import Any
 
 import pandas as pd
 
-from experiments.provenance import bundle_hash, code_revision
+from experiments.code_hash import code_hash
+from experiments.provenance import bundle_hash
 from pipeline.recordings.folder import Folder
 from pipeline.recordings.truth import truth_path
 from pipeline.staging import whole, writing
@@ -44,7 +45,7 @@ class Archive:
             # Workers were started in folders of their own.
             bundle, folder = bundle.resolve(), folder.at_its_place()
         chunks = [_only(folder, list(names[n : n + CHUNK])) for n in range(0, len(names), CHUNK)]
-        of_all = [what, bundle_hash(bundle), code_revision()]
+        of_all = [what, bundle_hash(bundle), code_hash([make.__module__])]
         places = [self._place(of_all, chunk) for chunk in chunks]
         done = {place for place in places if place and place.exists()}
         missing = [chunk for chunk, place in zip(chunks, places, strict=True) if place not in done]

@@ -1,0 +1,86 @@
+"""The hash of code: what a statement does counts, wherever it is imported from; prose does not."""
+
+from pathlib import Path
+
+import pytest
+
+from experiments.code_hash import ROOMS, code_hash
+
+LEVEL = '''"""What a level is."""
+
+def level(volts):
+    """Its mean."""
+    from features.gain import GAIN  # found in a function, too
+
+    return GAIN * sum(volts)
+'''
+
+
+@pytest.fixture
+def tree(tmp_path: Path) -> Path:
+    """An entry that imports a module, which imports another and names a file of data; and one that nobody imports."""
+    for room in ROOMS:
+        (tmp_path / room).mkdir()
+    files = {
+        "experiments/entry.py": "from pipeline import level\nimport json\n",
+        "pipeline/__init__.py": "",
+        "pipeline/level.py": LEVEL,
+        "features/gain.py": 'GAIN = 2.0\nLIMITS = "limits.toml"\nOTHER = "no such.toml"\n',
+        "features/limits.toml": "low = 1\n",
+        "models/other.py": "x = 1\n",
+    }
+    for name, text in files.items():
+        (tmp_path / name).write_text(text)
+    return tmp_path
+
+
+def entry_hash(tree: Path) -> str:
+    return code_hash(["experiments.entry"], tree)
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new"),
+    [
+        ("experiments/entry.py", "import json", "import math"),
+        ("pipeline/level.py", "sum(volts)", "max(volts)"),
+        ("pipeline/level.py", "def level(volts)", "def level(volts, *, n=0)"),
+        ("features/gain.py", "2.0", "2.5"),
+        ("features/limits.toml", "1", "2"),
+        ("pipeline/__init__.py", "", "x = 1\n"),
+    ],
+)
+def test_a_statement_and_a_file_of_data_count(tree: Path, name: str, old: str, new: str) -> None:
+    before = entry_hash(tree)
+    path = tree / name
+    path.write_text(path.read_text().replace(old, new))
+    assert entry_hash(tree) != before
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new"),
+    [
+        ("pipeline/level.py", "# found in a function, too", "# here"),
+        ("pipeline/level.py", '"""Its mean."""', '"""The mean of it, in V."""'),
+        ("pipeline/level.py", '    """Its mean."""\n', ""),
+        ("pipeline/level.py", '"""What a level is."""\n\n', ""),
+        ("pipeline/level.py", "GAIN * sum(volts)", "(\n        GAIN * sum(volts)\n    )"),
+        ("models/other.py", "1", "2"),
+    ],
+)
+def test_prose_layout_and_what_is_not_imported_do_not(tree: Path, name: str, old: str, new: str) -> None:
+    before = entry_hash(tree)
+    path = tree / name
+    assert old in path.read_text()
+    path.write_text(path.read_text().replace(old, new))
+    assert entry_hash(tree) == before
+
+
+def test_without_names_it_is_that_of_all(tree: Path) -> None:
+    before = code_hash(root=tree)
+    (tree / "models" / "other.py").write_text("x = 2\n")
+    assert code_hash(root=tree) != before
+
+
+def test_no_such_module_is_named(tree: Path) -> None:
+    with pytest.raises(ValueError, match=r"holds no module models\.none"):
+        code_hash(["models.none"], tree)
