@@ -1,7 +1,7 @@
 """softslide: where is it, which way, how fast? One command, a subcommand for each job.
 
 Each subcommand is a function in commands/. Here is what holds for all of them: exit statuses, and errors in one line.
-`import softslide` offers the same jobs as functions (docs/api.md).
+`import softslide` offers some of these jobs as functions (docs/api.md).
 """
 
 import argparse

@@ -226,14 +226,8 @@ def bench(parser: Parser) -> Run:
     code; the bundle's size in kB. One thread. The last line is one JSON
     object.
 
-    With --results that is every figure that the documents' tables claim: what
-    is measured, or was found by evaluations (--evaluated), is put into the
-    file beside the others. With --rewrite the tables are written from it.
-
         OMP_NUM_THREADS=1 softslide bench
         softslide bench --model my-model
-        softslide bench --results docs/results.json --evaluated bench-a=results-a
-        softslide bench --results docs/results.json --rewrite README.md docs/results.md
     """
     arguments.model(parser, required=False, help="a bundle from 'train' (default: measure the skin)")
     parser.add_argument(
@@ -249,57 +243,13 @@ def bench(parser: Parser) -> Run:
         help="what the live page costs instead (needs the live extra): share of a core, ms that estimates and frames "
         "are late, for the stream alone and with 0, 1 and 4 viewers, each over N estimates",
     )
-    parser.add_argument(
-        "--results",
-        type=Path,
-        metavar="results.json",
-        help="the figures that documents claim; tables.toml beside it says which table shows which (default: none)",
-    )
-    parser.add_argument(
-        "--evaluated",
-        nargs="+",
-        default=[],
-        metavar="NAME=DIR",
-        help="take the figures of these evaluations, by the name of their source in it (default: none; measure)",
-    )
-    parser.add_argument(
-        "--rewrite",
-        nargs="+",
-        type=Path,
-        default=[],
-        metavar="FILE",
-        help="write the tables of these documents from it, after what is measured or taken (default: none; measure)",
-    )
 
     def run(given: argparse.Namespace) -> None:
         if given.model is None and given.page:
             raise InputError("measures a bundle; name one with --model", "page")
         if given.decisions < 1:
             raise InputError(f"{given.decisions}: measure at least one", "decisions")
-        if given.page and given.results is not None:
-            raise InputError("no document shows its figures; leave --results out", "page")
-        if given.results is None:
-            for name in ("evaluated", "rewrite"):
-                if getattr(given, name):
-                    raise InputError("needs a file of figures; name one with --results", name)
-            print(json.dumps(_measured(given)))
-            return
-        from experiments.bench import documents
-
-        results = documents.read_results(given.results)
-        tables = documents.read_tables(given.results.with_name("tables.toml"))
-        for word in given.evaluated:
-            source, _, folder = word.partition("=")
-            documents.take_evaluation(results, source, Path(folder), tables)
-        measures = given.model is not None or not (given.evaluated or given.rewrite)
-        if measures:
-            documents.take(results, "bench" if given.model is None else "device", _measured(given))
-        if measures or given.evaluated:
-            documents.write_results(given.results, results)
-        for document in given.rewrite:
-            changed = documents.rewrite(document, results, tables)
-            print(f"{document}: {'rewritten' if changed else 'as it was'}")
-        print(json.dumps(results))
+        print(json.dumps(_measured(given)))
 
     return run
 

@@ -20,16 +20,16 @@ def code_hash(modules: Iterable[str] = (), root: Path | None = None) -> str:
     """SHA-256 of the statements of modules, and of those that they import from the rooms, anywhere in them.
 
     Files of package data count by their bytes where a module names one that lies beside it. What is imported by a name
-    that is computed is not found: name it too. modules: by their dotted names; none: all there are. root: the folder
-    that holds the rooms (default: this project's).
+    that is computed is not found: name it too. modules: by their dotted names, or files by their paths from root; none:
+    all modules. root: the folder that holds the rooms (default: this project's).
 
     Raises:
-        ValueError: there is no such module.
+        ValueError: there is no such module or file.
     """
     root = ROOT if root is None else root
     named = list(modules) or _all_modules(root)
     if missing := [name for name in named if _file_of(name, root) is None]:
-        raise ValueError(f"{root}: holds no module {missing[0]}")
+        raise ValueError(f"{root}: holds no {missing[0]}")
     digest = hashlib.sha256()
     for path in _closure(named, root):
         content = path.read_bytes()
@@ -53,6 +53,8 @@ def _closure(modules: Iterable[str], root: Path) -> list[Path]:
         if path is None or path in found:
             continue
         found.add(path)
+        if path.suffix != ".py":
+            continue
         imported, files = _names(path.read_bytes())
         found |= {path.parent / file for file in files if (path.parent / file).is_file()}
         waiting += [name for name in imported if name.partition(".")[0] in ROOMS]
@@ -61,7 +63,9 @@ def _closure(modules: Iterable[str], root: Path) -> list[Path]:
 
 def _file_of(module: str, root: Path) -> Path | None:
     place = root.joinpath(*module.split("."))
-    files = (place.with_name(f"{place.name}.py"), place / "__init__.py")
+    files = (
+        (root / module,) if "/" in module else (place.with_name(f"{place.name}.py"), place / "__init__.py")
+    )
     return next((file for file in files if file.is_file()), None)
 
 

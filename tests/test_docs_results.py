@@ -1,15 +1,28 @@
-"""The tables of README.md and docs/results.md are what docs/results.json gives, and every figure has its command."""
+"""The tables of README.md and docs/results.md are what docs/results.json gives, and every figure has its command and is
+of the present code, or the document says that it is not."""
 
 import json
 import re
 import shlex
 import shutil
+import subprocess
 from pathlib import Path
 
 import pytest
 
 import softslide
-from experiments.bench.documents import keys_of, read_results, read_tables, rewrite
+from experiments.bench.documents import (
+    filled,
+    hash_of,
+    keys_of,
+    outdated,
+    read_results,
+    read_tables,
+    rewrite,
+    write_results,
+)
+from experiments.bench.results import TAKEN, Bench, main
+from experiments.code_hash import ROOMS
 
 ROOT = Path(__file__).parents[1]
 RESULTS, TABLES = ROOT / "docs" / "results.json", ROOT / "docs" / "tables.toml"
@@ -23,7 +36,7 @@ def test_the_documents_are_what_the_figures_give(tmp_path: Path) -> None:
         copy = tmp_path / Path(name).name
         shutil.copy(ROOT / name, copy)
         shown |= set(re.findall(r"<!-- table: ([\w-]+) -->", copy.read_text(encoding="utf-8")))
-        assert not rewrite(copy, results, tables), f"{name}: run softslide bench --rewrite"
+        assert not rewrite(copy, results, tables), f"{name}: run python -m experiments.bench.results"
     assert shown == set(tables)
 
 
@@ -39,12 +52,24 @@ def test_every_figure_has_its_commands_its_day_and_a_table() -> None:
         assert keys_of(name, tables.values())
 
 
+def test_no_figure_is_of_earlier_code_unless_its_source_says_so() -> None:
+    results = read_results(RESULTS)
+    silent = [name for name in outdated(results) if "stale" not in results[name]]
+    assert not silent, "run python -m experiments.bench.results with --renew, or with --mark and the reason"
+
+
 @pytest.fixture
-def claims(tmp_path: Path) -> Path:
-    """A results.json of two figures, its tables, and a document."""
+def claims(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A results.json of two figures, its tables, a document, and the code that the figures depend on."""
+    for room in ROOMS:
+        (tmp_path / room).mkdir()
+    (tmp_path / "models" / "level.py").write_text("LEVEL = 1  # V\n")
+    monkeypatch.setattr("experiments.code_hash.ROOT", tmp_path)
     source = {
         "commands": ["softslide bench"],
         "date": "2026-01-01",
+        "code": ["models.level"],
+        "hash": hash_of({"code": ["models.level"]}),
         "figures": {"splits/a/mean": 0.12345, "share": 1},
     }
     (tmp_path / "results.json").write_text(json.dumps({"lab": source}))
@@ -54,25 +79,119 @@ def claims(tmp_path: Path) -> Path:
     return tmp_path / "results.json"
 
 
-def bench(results: Path, *options: str) -> int:
-    return softslide.main(["bench", "--results", str(results), *options])
+def call(results: Path, *options: str) -> int:
+    page = results.with_name("page.md")
+    return main(["--results", str(results), "--documents", str(page), *options])
 
 
 def test_a_table_is_written_once_and_then_stays(claims: Path) -> None:
     page = claims.with_name("page.md")
-    assert bench(claims, "--rewrite", str(page)) == 0
+    assert call(claims) == 0
     first = page.read_text()
     assert first == (
         "Before.\n<!-- table: errors -->\n| split | error, held |\n|---|---|\n| `a` | 0.12 mm, 100 % |\n"
         "<!-- end of table -->\nAfter.\n"
     )
-    assert bench(claims, "--rewrite", str(page)) == 0
+    assert call(claims) == 0
     assert page.read_text() == first
 
 
-def test_an_evaluation_gives_the_figures_that_tables_show(
+def test_figures_of_earlier_code_are_found_and_shown_as_such(
     claims: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    code = claims.with_name("models") / "level.py"
+    code.write_text('"""A level."""\nLEVEL = 1\n')
+    assert call(claims, "--stale") == 0
+    assert capsys.readouterr().out == ""
+    code.write_text("LEVEL = 2\n")
+    assert outdated(read_results(claims)) == ["lab"]
+    assert call(claims, "--stale") == 1
+    assert capsys.readouterr().out == "lab: 2026-01-01: not marked\n"
+    assert call(claims, "--mark", "another level") == 0
+    told = "*`lab`: measured with an earlier version of the code (2026-01-01): another level.*"
+    page = claims.with_name("page.md")
+    assert f"100 % |\n\n{told}\n<!-- end of table -->" in page.read_text()
+    assert call(claims, "--stale") == 0
+    assert call(claims, "--entered", "lab") == 0
+    assert told not in page.read_text()
+    assert outdated(read_results(claims)) == []
+
+
+def test_stale_figures_are_renewed_by_their_commands(
+    claims: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The figures are of the code that ran, were it edited meanwhile."""
+    results, code = read_results(claims), claims.with_name("models") / "level.py"
+    code.write_text("LEVEL = 2\n")
+    measured = hash_of(results["lab"])
+    ran = []
+
+    def run(words: list[str], **options: object) -> subprocess.CompletedProcess[str]:
+        code.write_text("LEVEL = 3\n")
+        ran.append((words[1:], options["cwd"]))
+        printed = "it takes minutes\n" + json.dumps({"splits": {"a": {"mean": 0.5}}, "share": 0.25})
+        return subprocess.CompletedProcess(words, 0, printed)
+
+    monkeypatch.setattr(subprocess, "run", run)
+    (tmp_path / "all" / "bench-a").mkdir(parents=True)
+    work = tmp_path / "work"
+    assert call(claims, "--renew", "--work", str(work), "--recordings-root", str(tmp_path / "all")) == 0
+    assert ran == [(["-m", "softslide", "bench"], work)]
+    assert (work / "bench-a").is_dir()
+    source = read_results(claims)["lab"]
+    assert source["figures"] == {"splits/a/mean": 0.5, "share": 0.25}
+    assert source["hash"] == measured
+    assert outdated({"lab": source}) == ["lab"]
+    assert call(claims, "--renew", "--work", str(work)) == 2
+
+
+def test_what_cannot_be_taken_is_to_be_entered_by_hand(
+    claims: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    results = read_results(claims)
+    results["lab"]["commands"] = ["make real"]
+    write_results(claims, results)
+    assert call(claims, "--renew", "lab", "--work", str(tmp_path / "work")) == 0
+    assert "run make real; enter splits/a/mean, share in results.json" in capsys.readouterr().out
+
+
+def test_figures_over_several_seeds_are_their_range(claims: Path, tmp_path: Path) -> None:
+    results = read_results(claims)
+    results["lab"]["commands"] = [f"softslide article --recordings p --out a-{n}" for n in (0, 1)]
+    for n in (0, 1):
+        (tmp_path / f"a-{n}").mkdir()
+        rows = f"as published,0,{8 + n},{2.5 - n}\nas published,1.5,1,1\nt from the edge,0,1,1\n"
+        table = "variant,least_speed_mm_s,slides,speed_percent_mean\n" + rows
+        (tmp_path / f"a-{n}" / "variants.csv").write_text(table)
+    TAKEN["article"](results, "lab", Bench(tmp_path), {})
+    found = {key: value for key, value in results["lab"]["figures"].items() if key.startswith("published")}
+    assert found == {
+        "published/slides/min": 8,
+        "published/slides/max": 9,
+        "published/speed_percent_mean/min": 1.5,
+        "published/speed_percent_mean/max": 2.5,
+    }
+
+
+def test_draws_are_averaged_and_a_plan_is_apart(claims: Path, tmp_path: Path) -> None:
+    results = read_results(claims)
+    results["lab"]["commands"] = ["softslide few", "softslide few --plan p"]
+    rows = [{"slides": 4, "draw": n, "offset_mm_mean": 0.1 + 0.2 * n, "offset_mm_max": 1.0} for n in range(2)]
+    plan = {"slides": 12, "offset_mm_mean": 0.3, "offset_mm_max": 1.0}
+    printed = ["".join(f"{json.dumps(row)}\n" for row in rows), f"{json.dumps(plan)}\n"]
+    bench = Bench(tmp_path, dict(zip(results["lab"]["commands"], printed, strict=True)))
+    TAKEN["few"](results, "lab", bench, {})
+    assert results["lab"]["figures"]["4/offset_mm"] == pytest.approx(0.2)
+    assert results["lab"]["figures"]["12-planned/offset_mm"] == 0.3
+
+
+def test_a_table_names_each_stale_source_once() -> None:
+    lab = {"figures": {"a": 1.0, "b": 2.0}, "date": "2026-01-01", "stale": "why"}
+    table = filled("| {lab/a:2} | {lab/b:2} | {new/c:2} |\n", {"lab": lab, "new": {"figures": {"c": 3.0}}})
+    assert table.count("earlier version") == 1
+
+
+def test_an_evaluation_gives_the_figures_that_tables_show(claims: Path) -> None:
     lab = claims.with_name("lab")
     lab.mkdir()
     metrics = {
@@ -81,12 +200,11 @@ def test_an_evaluation_gives_the_figures_that_tables_show(
         "bounds": [{"name": "speed", "measured": 1.0}],
     }
     (lab / "metrics.json").write_text(json.dumps(metrics))
-    assert bench(claims, "--evaluated", f"lab={lab}") == 0
+    assert call(claims, "--evaluated", f"lab={lab}") == 0
     source = read_results(claims)["lab"]
     assert source["figures"] == {"splits/a/mean": 0.5, "share": 0.8}
     assert source["commands"] == ["softslide bench"]
     assert source["date"] > "2026-01-01"
-    assert json.loads(capsys.readouterr().out.splitlines()[-1]) == {"lab": source}
 
 
 @pytest.mark.parametrize(
@@ -104,10 +222,10 @@ def test_an_evaluation_gives_the_figures_that_tables_show(
             "no table 'x'",
         ),
         (lambda place: (place / "page.md").unlink(), "page.md"),
-        (lambda place: (place / "results.json").write_text('{"lab": {}}'), "commands, date and figures"),
+        (lambda place: (place / "results.json").write_text('{"lab": {}}'), "commands, date, code"),
         (
             lambda place: (place / "results.json").write_text(
-                '{"lab": {"commands": [], "date": "", "figures": {}}}'
+                '{"lab": {"commands": [], "date": "", "code": [], "hash": "", "figures": {}}}'
             ),
             "no figure 'splits/a/mean' of 'lab'",
         ),
@@ -117,7 +235,7 @@ def test_what_is_missing_is_said_in_one_line(
     claims: Path, capsys: pytest.CaptureFixture[str], break_it, says: str
 ) -> None:
     break_it(claims.parent)
-    assert bench(claims, "--rewrite", str(claims.with_name("page.md"))) == 2
+    assert call(claims) == 2
     told = capsys.readouterr().err
     assert told.count("\n") == 1
     assert says in told

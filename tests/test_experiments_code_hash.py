@@ -81,6 +81,15 @@ def test_without_names_it_is_that_of_all(tree: Path) -> None:
     assert code_hash(root=tree) != before
 
 
-def test_no_such_module_is_named(tree: Path) -> None:
-    with pytest.raises(ValueError, match=r"holds no module models\.none"):
-        code_hash(["models.none"], tree)
+def test_a_file_is_named_by_its_path(tree: Path) -> None:
+    (tree / "docs").mkdir()
+    (tree / "docs" / "six.toml").write_text("a = 1\n")
+    before = code_hash(["models.other", "docs/six.toml"], tree)
+    (tree / "docs" / "six.toml").write_text("a = 2\n")
+    assert code_hash(["models.other", "docs/six.toml"], tree) != before
+
+
+@pytest.mark.parametrize("name", ["models.none", "docs/none.toml"])
+def test_what_is_not_there_is_named(tree: Path, name: str) -> None:
+    with pytest.raises(ValueError, match=f"holds no {name}"):
+        code_hash([name], tree)

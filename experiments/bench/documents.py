@@ -1,9 +1,10 @@
 """Tables of README.md and docs/results.md, written from one file of figures.
 
-`docs/results.json` holds the figures by source, each source with the commands that make it and the day they were run;
-`docs/tables.toml` the tables as Markdown with a place for each figure, `{source/key:format}`. A document marks where a
-table stands: `<!-- table: NAME -->`, the table, `<!-- end of table -->`. A format is a number of significant digits,
-`.2f` and its like, or `%` for a share times a hundred.
+`docs/results.json` holds the figures by source, each source with the commands that make it, the day they were run, the
+code that they depend on and its hash on that day; `docs/tables.toml` the tables as Markdown with a place for each
+figure, `{source/key:format}`. A document marks where a table stands: `<!-- table: NAME -->`, the table, `<!-- end of
+table -->`. A format is a number of significant digits, `.2f` and its like, or `%` for a share times a hundred. A source
+that is marked as stale, with the reason, has a line that says so below each table that shows it.
 """
 
 import datetime
@@ -13,6 +14,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from experiments.code_hash import code_hash
 from experiments.pages.page import number
 from features.errors import InputError
 from pipeline.toml_tables import read_toml
@@ -24,7 +26,9 @@ DIGITS = 5
 
 
 def read_results(path: Path) -> dict[str, Any]:
-    """The sources by name, each with `commands`, `date` and `figures`.
+    """The sources by name, each with `commands`, `date`, `figures`, `code` (as `code_hash` takes it) and its `hash`.
+
+    A source may have `stale`: why its figures are of earlier code.
 
     Raises:
         InputError: there is no such file, or it holds something else.
@@ -32,12 +36,12 @@ def read_results(path: Path) -> dict[str, Any]:
     try:
         results = json.loads(path.read_text(encoding="utf-8"))
         for source in results.values():
-            _ = source["commands"], source["date"], source["figures"].items()
+            _ = [source[key] for key in ("commands", "date", "code", "hash")], source["figures"].items()
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}); name docs/results.json") from None
     except (ValueError, KeyError, TypeError, AttributeError):
         raise InputError(
-            f"{path}: holds no sources with commands, date and figures; see docs/results.json"
+            f"{path}: holds no sources with commands, date, code, hash and figures; see docs/results.json"
         ) from None
     return results
 
@@ -84,7 +88,7 @@ def rewrite(document: Path, results: Mapping[str, Any], tables: Mapping[str, str
 
 
 def filled(table: str, results: Mapping[str, Any]) -> str:
-    """The table with every figure in its place.
+    """The table with every figure in its place, and a line for each stale source below it.
 
     Raises:
         InputError: a figure is missing.
@@ -99,7 +103,12 @@ def filled(table: str, results: Mapping[str, Any]) -> str:
                 f"no figure '{key}' of '{source}'; measure it, or take it out of the tables"
             ) from None
 
-    return PLACE.sub(figure, table)
+    text = PLACE.sub(figure, table)
+    for name in dict.fromkeys(name for name, _, _ in PLACE.findall(table)):
+        if why := results[name].get("stale"):
+            day = results[name]["date"]
+            text += f"\n*`{name}`: measured with an earlier version of the code ({day}): {why}.*\n"
+    return text
 
 
 def _shown(value: float, form: str) -> str:
@@ -108,12 +117,24 @@ def _shown(value: float, form: str) -> str:
     return number(value, int(form)) if form.isdigit() else format(value, form)
 
 
+def hash_of(source: Mapping[str, Any]) -> str:
+    """The present code of a source, as its `hash`."""
+    return code_hash(source["code"])[:16]
+
+
+def outdated(results: Mapping[str, Any]) -> list[str]:
+    """The sources that were measured with other code than the present one."""
+    return [name for name, source in results.items() if source["hash"] != hash_of(source)]
+
+
 def take(results: dict[str, Any], source: str, figures: Mapping[str, Any]) -> None:
-    """Puts new figures of a source in place of its old ones, with today's date.
+    """Puts new figures of a source in place of its old ones, with today's date and code: it is no longer stale.
 
     figures: numbers, or tables of them, whose keys are joined by `/`.
     """
-    entry = results.setdefault(source, {"commands": [], "date": "", "figures": {}})
+    entry = results[source]
+    entry["hash"] = hash_of(entry)
+    entry.pop("stale", None)
     entry["date"] = datetime.datetime.now(datetime.UTC).date().isoformat()
     entry["figures"] |= {
         key: float(f"{value:.{DIGITS}g}") for key, value in _flat(figures) if value is not None
@@ -134,8 +155,6 @@ def take_evaluation(results: dict[str, Any], source: str, folder: Path, tables: 
     except (OSError, ValueError, KeyError, TypeError):
         raise InputError(f"{path}: cannot be read; name the folder that 'softslide evaluate' wrote") from None
     wanted = keys_of(source, tables.values())
-    if not wanted:
-        raise InputError(f"{source}: no table shows it; name a source of the tables", "evaluated")
     if missing := [key for key in wanted if metrics.get(key) is None]:
         raise InputError(f"{path}: holds no {missing[0]}; evaluate the splits that the tables show")
     take(results, source, {key: metrics[key] for key in wanted})
