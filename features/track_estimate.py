@@ -29,7 +29,6 @@ class TrackLimits:
     it for partial_way_mm. evidence: least logarithm of the odds of a contact against a smooth signal of no known
     origin. way_mm: least way. stopped_mm_s: a contact slower than this has stopped; stopped_way_mm: its least way.
     agreement: largest squared Mahalanobis distance of the straight slide from the track, four degrees of freedom.
-    same: up to which they say the same.
     stopping_s: for which a line is held while a contact seems to be slower than slow_share of the slide, or is lost;
     it rests once it is slower than creep_share, and has stopped for good after pause_s.
     press_mm_s, press_sd_mm: largest speed and standard deviation of the place of a press that is told. straight_misfit:
@@ -55,7 +54,6 @@ class TrackLimits:
     press_mm_s: float = 0.3
     press_sd_mm: float = 1.0
     agreement: float = 25.0
-    same: float = 0.5
     stopping_s: float = 0.3
     pause_s: float = 0.6
     slow_share: float = 0.5

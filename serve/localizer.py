@@ -327,10 +327,9 @@ class Localizer:
                 return tracked
             reason = Reason.TOO_EARLY if self._healthy.any() else Reason.DEAD_CHANNEL
             return tracked._replace(valid=False, reason=reason)
-        off = apart(straight, *self._clear_track(), limits) if straight.valid else math.inf
-        if off <= limits.agreement:
+        if straight.valid and apart(straight, *self._clear_track(), limits) <= limits.agreement:
             if self._tracker.rested_s == 0.0:
-                return with_track(straight, tracked, None if off <= limits.same else limits.shared)
+                return with_track(straight, tracked, limits.shared)
             if not self._lines:
                 self._lines.append(_Fit(self._count, straight))
         if straight.reason in _OF_THE_SIGNAL:
