@@ -104,3 +104,14 @@ def test_while_a_contact_pauses_its_speed_is_zero(streams: list[tuple[Slide, lis
     ]
     assert len(resting) > 100
     assert {estimate.speed_mm_s for estimate in resting} == {0.0}
+
+
+def test_a_slide_after_one_that_stopped_is_as_the_first(localizer: Localizer, specimen: Specimen) -> None:
+    """The stop before is no part of it: it is followed live, and moves."""
+    slide, recording = stopped_slide(specimen, 206, rest_after_s=3.0)
+    localizer.reset()
+    estimates = localizer.push(np.concatenate([recording.volts, recording.volts]))
+    second_s = estimates[-1].time_s / 2
+    moving = [e for e in estimates if second_s + end_s(slide) - 1.0 < e.time_s < second_s + end_s(slide)]
+    assert {(e.state, e.contact, e.valid) for e in moving} == {(SlideState.SLIDE, Contact.SLIDE, True)}
+    assert max(errors(slide, e)[0] for e in moving) < 3.0

@@ -121,8 +121,11 @@ class SlideTracker:
 
     @property
     def rested_s(self) -> float:
-        """For how long the contact of the last slide had stopped when that was noticed; 0 if it was released."""
-        return 0.0 if self._last is None else self._last.rested * self.conditioning.block_s
+        """For how long the contact of the last slide had stopped when that was noticed; 0 if it was released, and while
+        the next slide runs."""
+        if self._last is None or self._slide is not None:
+            return 0.0
+        return self._last.rested * self.conditioning.block_s
 
     def window(self) -> Window | None:
         """The slide so far in equal bins; the last one when it has ended; else None."""
