@@ -64,7 +64,7 @@ def located(given: argparse.Namespace) -> Iterator[None]:
             raise InputError(f"{path}: no such file or folder; name one that exists")
     with ExitStack() as stack:
         if is_registered(getattr(given, "model", None)):
-            from experiments.tracking.registry import fetched
+            from experiments.tracking import fetched
 
             scratch = stack.enter_context(tempfile.TemporaryDirectory(prefix="softslide-"))
             given.model = fetched(str(given.model), Path(scratch))

@@ -1,4 +1,4 @@
-"""Subcommands around one model: demo, train, sweep, evaluate, export, and the runs that are kept of them."""
+"""Subcommands around one model: demo, train, sweep, evaluate, export, recalibrate."""
 
 import argparse
 import json
@@ -7,6 +7,7 @@ import sys
 
 from commands import arguments
 from commands.arguments import Parser, Run
+from features.errors import InputError
 
 
 def demo(parser: Parser) -> Run:
@@ -44,13 +45,22 @@ def train(parser: Parser) -> Run:
         softslide train --recordings my-recordings --out my-model
         softslide train --recordings my-recordings --model trees --out my-trees
         softslide train --recordings my-recordings --recordings more --out my-model
+        softslide train --from-run 5f0c3b8e9d5f4a0f8c1d2e3f4a5b6c7d --out again
     """
     from models import registry
 
-    arguments.recordings(
+    arguments.existing(
         parser,
+        "--recordings",
+        "DIR",
         "what to learn from; several folders of one sensor, or the option again, are pooled",
         nargs="+",
+    )
+    parser.add_argument(
+        "--from-run",
+        metavar="RUN",
+        help="train again with the settings and recordings of a run of the store (--recordings: where these are now); "
+        "exit status 1: a file of the bundle differs from the one made then",
     )
     parser.add_argument(
         "--weight",
@@ -84,7 +94,11 @@ def train(parser: Parser) -> Run:
     )
     arguments.out(parser, "where the bundle goes", metavar="BUNDLE")
 
-    def run(given: argparse.Namespace) -> None:
+    def run(given: argparse.Namespace) -> int:
+        if given.from_run:
+            return _again(given)
+        if not given.recordings:
+            raise InputError("is needed, or --from-run; name a folder", "recordings")
         from experiments.train import train
 
         done = train(
@@ -108,8 +122,19 @@ def train(parser: Parser) -> Run:
         ):
             print(f"next: {line}", file=sys.stderr)
         print(done.bundle)
+        return 0
 
     return run
+
+
+def _again(given: argparse.Namespace) -> int:
+    """Trains as a run did, and says for each file of the bundle how it differs."""
+    from experiments.from_run import train_from_run
+
+    found = train_from_run(given.from_run, given.out, given.recordings or ())
+    for name, difference in found.items():
+        print(f"{name}: {difference or 'the same to the byte'}")
+    return int(any(found.values()))
 
 
 def sweep(parser: Parser) -> Run:
@@ -224,97 +249,6 @@ def export(parser: Parser) -> Run:
     return run
 
 
-def repeat(parser: Parser) -> Run:
-    """run a training or an evaluation again from what it logged
-
-    Takes recordings, settings and bundle from the run, and says what is not as
-    it was: recordings, code, packages, computer. Prints for each file whether
-    it is the same to the byte, or what differs (angles in deg, lengths in mm).
-    Exit status 1: a file differs.
-
-        softslide repeat 5f0c3b8e9d5f4a0f8c1d2e3f4a5b6c7d
-    """
-    parser.add_argument(
-        "identifier", metavar="RUN", help="the run's identifier, as 'train' and the store show it"
-    )
-    arguments.existing(parser, "--recordings", "DIR", "where they are now (default: where they were)")
-    arguments.out(parser, "where the result goes (default: it is not kept)", required=False)
-
-    def run(given: argparse.Namespace) -> int:
-        from experiments.repeat import repeat
-
-        found = repeat(given.identifier, given.recordings, given.out)
-        for name, difference in found.items():
-            print(f"{name}: {difference or 'the same to the byte'}")
-        return int(any(found.values()))
-
-    return run
-
-
-def promote(parser: Parser) -> Run:
-    """let a bundle challenge the registered champion
-
-    Reads the same recordings with both and compares errors at their ends, in
-    degrees (deg), percent (%) and mm, line by line. The bundle becomes
-    models:/softslide@champion when its errors are smaller by more than the
-    margin in a paired t-test over lines, or when there is no champion yet.
-    'predict', 'serve', 'evaluate' and 'export' take that name for a bundle.
-    Exit status 1: the champion stays.
-
-        softslide promote --model my-model --recordings my-recordings
-        softslide predict --model models:/softslide@champion slide.csv
-    """
-    arguments.model(parser)
-    arguments.recordings(parser, "what both are compared on")
-    arguments.splits(
-        parser,
-        "splits to compare on, by their full names (default: all that begin with validation, or else with test)",
-    )
-    parser.add_argument(
-        "--margin",
-        type=float,
-        default=0.05,
-        metavar="SHARE",
-        help="share by which errors have to be smaller (default: %(default)s)",
-    )
-    arguments.jobs(parser, 2, "recordings at a time")
-
-    def run(given: argparse.Namespace) -> int:
-        from experiments.promote import promote
-
-        better, lines = promote(given.model, given.recordings, given.split, given.margin, given.jobs)
-        print("\n".join(lines))
-        return 0 if better else 1
-
-    return run
-
-
-def sync(parser: Parser) -> Run:
-    """send what a tracking store did not take
-
-    A store that does not answer costs no training: what could not be logged is
-    kept beside the result, in NAME.unsent. This sends it, to where
-    MLFLOW_TRACKING_URI says or else to the store it was meant for, and removes
-    it once all is sent. Exit status 1: the store does not take it.
-
-        softslide sync
-        softslide sync my-model.unsent
-    """
-    arguments.existing(
-        parser, "folders", "DIR", "searched, with all folders below (default: the current folder)", nargs="*"
-    )
-
-    def run(given: argparse.Namespace) -> None:
-        from pathlib import Path
-
-        from experiments.tracking.unsent import sync
-
-        for line in sync(given.folders or [Path(".")]):
-            print(line)
-
-    return run
-
-
 def recalibrate(parser: Parser) -> Run:
     """fit a bundle's gains to a few recordings, without training
 
@@ -346,4 +280,4 @@ def recalibrate(parser: Parser) -> Run:
     return run
 
 
-COMMANDS = (demo, train, sweep, evaluate, export, repeat, promote, sync, recalibrate)
+COMMANDS = (demo, train, sweep, evaluate, export, recalibrate)

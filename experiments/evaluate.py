@@ -30,7 +30,7 @@ from experiments.evaluation.scoring import (
 )
 from experiments.evaluation.tracks import Track, by_split, line, tracks, with_truth
 from experiments.provenance import bundle_hash, data_tags
-from experiments.tracking.run import UNTRACKED, Run, flattened, tracked
+from experiments.tracking import Run, flattened, tracked
 from features.errors import InputError
 from pipeline.progress import progress_bar
 from pipeline.recordings.folder import Folder, read_folder
@@ -83,7 +83,7 @@ def evaluate(
     """Writes `predictions.csv`, `metrics.json` and `report.html` to `out`, whole or not at all.
 
     splits: the splits to score, by their full names; those that begin with `test` if None. jobs, scheduler:
-    as in `pipeline.workers.results`. report: whether to draw one. store: as in `tracking.store.store_address`. track:
+    as in `pipeline.workers.results`. report: whether to draw one. store: as in `tracking.store_address`. track:
     whether a run is logged. A call that was killed goes on where it stopped.
 
     Raises:
@@ -98,7 +98,7 @@ def evaluate(
         "recordings": str(recordings),
         "splits": sorted(set(folder.manifest["split"])),
     }
-    with _logged(bundle, folder, configuration, out, store) if track else nullcontext(UNTRACKED) as run:
+    with _logged(bundle, folder, configuration, store) if track else nullcontext(Run()) as run:
         with alone(work_of(out), out):
             archive = Archive(jobs, scheduler, work_of(out))
             result = _evaluated(bundle, whole, folder, out, archive, report)
@@ -110,14 +110,14 @@ def evaluate(
 
 
 def _logged(
-    bundle: Path, folder: Folder, configuration: dict[str, Any], out: Path, store: str | None
+    bundle: Path, folder: Folder, configuration: dict[str, Any], store: str | None
 ) -> AbstractContextManager[Run]:
     """The run, tagged with what bundle and data hash to."""
     digest = bundle_hash(bundle)
     tags = {"bundle": digest} | data_tags(folder)
     parent = {"bundle": digest, "command": "train"}
     name = f"{bundle.name} on {folder.sensor.name}"
-    return tracked("evaluate", name, configuration, out, tags=tags, parent=parent, store=store)
+    return tracked("evaluate", name, configuration, tags=tags, parent=parent, store=store)
 
 
 def _figures(metrics: dict[str, Any]) -> dict[str, float]:

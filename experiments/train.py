@@ -20,9 +20,7 @@ from experiments.evaluation.scoring import score, summary
 from experiments.kept_map import kept_map
 from experiments.pages.page import panels_page
 from experiments.provenance import bundle_hash, code_revision, data_hashes
-from experiments.tracking.registry import MODEL
-from experiments.tracking.run import UNTRACKED, Run, tracked
-from experiments.tracking.store import last_duration_s
+from experiments.tracking import Run, last_duration_s, tracked
 from features.card import read_card
 from features.errors import InputError
 from models.export.bundle import read_graph, write_bundle
@@ -89,7 +87,7 @@ def train(
     recordings, the default sensor's. init: a bundle to start from (warm start). config: TOML over the model's defaults,
     or `configuration.json` of a run; change: applied to the defaults before it. design_alone: uses no recording.
     register: whether to register the bundle. fresh: calibrates the response map even where an earlier training of the
-    same recordings kept it (experiments/kept_map.py). store: as in `tracking.store.store_address`. track: whether a run
+    same recordings kept it (experiments/kept_map.py). store: as in `tracking.store_address`. track: whether a run
     is logged.
 
     Raises:
@@ -130,21 +128,21 @@ def train(
     report_base(whole)
     last_s = last_duration_s({"command": "train", "model": model}, store) if track else None
     report_plan(model, whole.select(*LEARNT), folder, design is not None, last_s)
-    with _logged(out, folder, provenance, store) if track else nullcontext(UNTRACKED) as run:
+    with _logged(out, folder, provenance, store) if track else nullcontext(Run()) as run:
         fitted, losses = _fit(model, folder, settings, design, start, fresh)
         _warn_if_lost(fitted)
         if not design_alone:
             report_use(whole.select(*LEARNT), folder, fitted, takes_several_heights(model))
         windows = fitted.windows or labelled_windows(folder, fitted.conditioning)
         parity = write_bundle(fitted, folder.sensor, windows, provenance, out, folder.base_motion)
-        run.model(out, model)
+        run.files(out, "bundle")
         run.tags({"bundle": bundle_hash(out)})
         run.losses(losses)
         run.metrics({**fitted.summary, "parity": parity})
         if len(folder) and track:
             _log_fit(run, out, folder)
         if register:
-            run.register(MODEL, {"bundle": bundle_hash(out)})
+            run.register({"bundle": bundle_hash(out)})
     return Training(out, fitted, run)
 
 
@@ -178,7 +176,7 @@ def _logged(out: Path, folder: Folder, provenance: dict[str, Any], store: str | 
     tags |= {name: provenance[name] for name in ("atlas", "init") if name in provenance}
     tags["model"] = configuration["model"]
     name = f"{configuration['model']} on {folder.sensor.name}"
-    with tracked("train", name, configuration, out, tags=tags, store=store) as run:
+    with tracked("train", name, configuration, tags=tags, store=store) as run:
         if len(folder):
             run.data(folder, "training")
         yield run

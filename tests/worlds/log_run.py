@@ -4,19 +4,19 @@ import sys
 from pathlib import Path
 
 from experiments.provenance import bundle_hash
-from experiments.tracking.run import tracked
+from experiments.tracking import tracked
 
 
 def log_run(bundle: Path, name: str, store: str | None = None, midway=lambda: None) -> None:
-    """midway: called when the run has begun and before its model is logged."""
+    """midway: called when the run has begun and before its bundle is logged."""
     configuration = {"model": "small", "settings": {"seed": 1}}
-    with tracked("train", name, configuration, bundle, tags={"member": name}, store=store) as run:
+    with tracked("train", name, configuration, tags={"member": name}, store=store) as run:
         run.losses({0: 2.0, 50: 1.0})
         midway()
-        run.model(bundle, "small")
+        run.files(bundle, "bundle")
         run.tags({"bundle": bundle_hash(bundle)})
         run.metrics({"parity": 1e-6})
-        run.register("softslide", {"bundle": bundle_hash(bundle)})
+        run.register({"bundle": bundle_hash(bundle)})
 
 
 if __name__ == "__main__":

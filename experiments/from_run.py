@@ -1,0 +1,96 @@
+"""Trains again what a run of the store logged, and compares the bundle with the one made then."""
+
+import json
+import sys
+import tempfile
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from experiments.configuration import read_configuration
+from experiments.provenance import code_revision, data_hashes, machine, packages
+from experiments.tracking import LoggedRun, flattened, logged_run
+from experiments.train import BUNDLE_FILES, to_learn_from, train
+from features.errors import InputError
+from pipeline.recordings.base_motion import without_base_motion
+from pipeline.recordings.pooled import read_folders
+from pipeline.toml_tables import changed
+
+SHOWN = 6  # names in a line
+
+
+def train_from_run(
+    identifier: str, out: Path, recordings: Sequence[Path] = (), store: str | None = None
+) -> dict[str, str]:
+    """Trains with the recordings and settings of a run; how each of the bundle's files differs from the one made then.
+
+    Says on standard error what is not as it was: recordings, code, packages, computer. A file that is the same to the
+    byte gives an empty text. identifier: the run's in the store. recordings: where they are now; none: where they were.
+    out: where the bundle goes. store: as in `tracking.store_address`.
+
+    Raises:
+        InputError: no such run, or not a training that has finished; or what it read is gone.
+    """
+    with tempfile.TemporaryDirectory() as scratch:
+        run = logged_run(identifier, Path(scratch) / "logged", store)
+        configuration = read_configuration(run.files / "configuration.json")
+        if configuration.get("command") != "train" or not (run.files / "bundle" / BUNDLE_FILES[0]).is_file():
+            raise InputError(f"run {identifier}: not a training that has finished; name one")
+        were = configuration["recordings"]
+        source = list(recordings) or ([were] if isinstance(were, str) else were)
+        for line in _not_as_it_was(run, configuration, source):
+            print(line, file=sys.stderr)
+        train(
+            source[0] if len(source) == 1 else source,
+            out,
+            configuration["model"],
+            weights=configuration["weights"],
+            atlas=configuration["atlas"],
+            init=configuration["init"],
+            change=lambda default: changed(default, configuration["settings"], f"run {identifier}"),
+            design_alone=configuration["design_alone"],
+            fresh=True,
+            store=store,
+        )
+        return {name: difference(run.files / "bundle" / name, out / name) for name in BUNDLE_FILES}
+
+
+def difference(then: Path, now: Path) -> str:
+    """How two files differ; empty where they are the same to the byte. Of JSON, the keys whose values differ."""
+    before, after = then.read_bytes(), now.read_bytes()
+    if before == after:
+        return ""
+    if then.suffix != ".json":
+        return "differs"
+    a, b = flattened(json.loads(before)), flattened(json.loads(after))
+    names = [name for name in {**a, **b} if a.get(name) != b.get(name)]
+    return f"differs in {_some(names)}" if names else "differs in its layout"
+
+
+def _not_as_it_was(run: LoggedRun, configuration: dict[str, Any], source: Sequence[Path]) -> Iterator[str]:
+    """What the run was made from and is different now, a line each."""
+    whole = without_base_motion(read_folders(source, configuration["weights"]))
+    folder = to_learn_from(whole, configuration["model"], configuration["design_alone"])
+    for name, digest in data_hashes(folder).items():
+        if run.tags.get(f"data.{name}") != digest:
+            yield f"not as it was: the recordings' {name}"
+    if (now := code_revision()) != run.tags.get("code"):
+        yield f"not as it was: code {run.tags.get('code')}, now {now}"
+    then, installed = (
+        dict(line.split("==") for line in text.split())
+        for text in ((run.files / "environment.txt").read_text(encoding="utf-8"), packages())
+    )
+    if changes := [
+        f"{name} {then.get(name, 'absent')}, now {installed.get(name, 'absent')}"
+        for name in {**then, **installed}
+        if then.get(name) != installed.get(name)
+    ]:
+        yield f"not as it was: {_some(changes)}"
+    here = machine()
+    for name, value in json.loads((run.files / "machine.json").read_text(encoding="utf-8")).items():
+        if here.get(name) != value:
+            yield f"not as it was: {name} {value}, now {here.get(name)}"
+
+
+def _some(names: list[str]) -> str:
+    return ", ".join(names[:SHOWN]) + (", ..." if len(names) > SHOWN else "")
