@@ -29,7 +29,8 @@ class Reason(StrEnum):
     does not reach, or its speed is outside the range. not_this_sensor: the output fits no contact on this skin.
     drift: gravity's length changes with the output, as it does not on a skin that only tilts. dead_channel: an
     accelerometer is lost, frozen or clipped. skin_height: the static output shows the skin at a height that the
-    calibration does not reach, as of another pressure.
+    calibration does not reach, as of another pressure. attitude: gravity shows the sensor turned from how it was
+    calibrated. no_signal: no samples come.
     """
 
     NONE = ""
@@ -42,6 +43,8 @@ class Reason(StrEnum):
     DRIFT = "drift"
     DEAD_CHANNEL = "dead_channel"
     SKIN_HEIGHT = "skin_height"
+    ATTITUDE = "attitude"
+    NO_SIGNAL = "no_signal"
 
 
 class Estimate(NamedTuple):
@@ -58,8 +61,9 @@ class Estimate(NamedTuple):
     accelerometers: number that the slide is read from, 0 without a slide. zero_shift_v, gain, turn_deg: the sensor's
     drift (features/stream/drift.py).
     places: where the contact may be, the likeliest first, while several places explain the output.
-    skin_height_mm: of the inflated skin, as given or as the static output tells it, of bundles over heights
+    skin_height_mm: of the inflated skin, as given or estimated from the static output, of bundles over heights
     (features/height.py).
+    age_s: of the newest sample, where a live stream shows it; 0 of a recording.
     """
 
     time_s: float
@@ -104,6 +108,7 @@ class Estimate(NamedTuple):
     tangential_force_hi_mn: float = math.nan
     places: tuple[Place, ...] = ()
     skin_height_mm: float = math.nan
+    age_s: float = 0.0
 
 
 _NO_INTERVAL = Interval(math.nan, math.nan)

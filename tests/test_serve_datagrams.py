@@ -2,6 +2,7 @@
 
 import socket
 import sys
+import time
 from collections.abc import Iterator
 
 import numpy as np
@@ -81,3 +82,35 @@ def test_what_overruns_the_buffer_is_counted(
     assert last
     assert len(last[0]) == 20
     assert f"{ear.lost} datagrams were lost" in capsys.readouterr().err
+
+
+def test_one_sender_is_heard_at_a_time(
+    mouth: socket.socket, capsys: pytest.CaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Another takes its place once it is silent, as a new stream."""
+    monkeypatch.setattr(datagrams, "SILENT_S", 0.5)
+    ear, place = listening()
+    chunks = ear.chunks("csv", 3)
+    with socket.socket(type=socket.SOCK_DGRAM) as other:
+        for _ in range(5):
+            mouth.sendto(b"1,2,3\n", place)
+            other.sendto(b"9,9,9\n", place)
+        pieces = [next(chunks)[0] for _ in range(5)]
+        assert not next(chunks)
+        assert (np.concatenate(pieces) == [1, 2, 3]).all()
+        time.sleep(0.5)
+        other.sendto(b"9,9,9\n", place)
+        (empty, _), (volts, _) = next(chunks), next(chunks)
+    chunks.close()  # type: ignore[attr-defined]
+    assert np.isnan(empty).all()
+    assert (volts == [9, 9, 9]).all()
+    assert "5 datagrams of other senders were left out" in capsys.readouterr().err
+
+
+def test_a_long_gap_costs_little(mouth: socket.socket, capsys: pytest.CaptureFixture) -> None:
+    ear, place = listening()
+    for number in (1, 90_000):
+        mouth.sendto(f"#{number}\n".encode() + b"1,2,3\n" * 400, place)
+    volts, _ = heard(ear, capsys)
+    assert ear.lost == 89_998
+    assert len(volts) == 800 + datagrams.MOST_EMPTY

@@ -2,20 +2,24 @@
 
 import signal
 import sys
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 from types import FrameType
 from typing import Any
 
+import numpy as np
+
 from features.errors import InputError
-from features.estimate import Estimate
+from features.estimate import Estimate, Reason
 from features.track_filter import TrackFilter
 from serve.localizer import Localizer
 from serve.page.process import Page
+from serve.stream.age import SampleAge
 from serve.stream.framing import Chunk
 from serve.stream.sinks import Sink, open_sink
-from serve.stream.sources import open_source
+from serve.stream.sources import is_live, open_source
 
 
 def serve(
@@ -30,9 +34,11 @@ def serve(
 ) -> int:
     """Streams until the source ends, or SIGINT or SIGTERM comes. Returns the number of estimates written.
 
+    While no samples come from a live source, an estimate that is not valid (`no_signal`) is handed on each WAIT_S.
+
     source, sinks: as in serve/stream/sources.py and serve/stream/sinks.py. form: csv or f32, of bytes that come in.
     fast: play a recording as fast as possible. page: [HOST:]PORT of the live page, None for none.
-    height_mm: the skin's, for a bundle over heights; None: what the static output tells.
+    height_mm: the skin's, for a bundle over heights; None: as the static output shows it.
     smooth: filter each slide's position, direction and speed (features/track_filter.py).
 
     Raises:
@@ -40,6 +46,8 @@ def serve(
     """
     localizer = Localizer.load(bundle, height_mm)
     steady = TrackFilter().update if smooth else None
+    written = 0
+    age = SampleAge() if is_live(source) else None
     written = 0
     with _stoppable() as stopped, ExitStack() as held:
         opened = [held.enter_context(closing(open_sink(name))) for name in sinks]
@@ -51,15 +59,20 @@ def serve(
         chunks = open_source(source, localizer.card, form, fast)
         if shown is not None:
             print(f"softslide serve: the page is at {shown.address}", file=sys.stderr, flush=True)
-        for chunk in chunks:
-            if stopped:
-                break
-            if shown is not None and shown.zero_wanted():
-                localizer.reset()
-            try:
-                written += _hand_on(localizer, chunk, steady, opened, shown)
-            except InputError as error:
-                raise InputError(f"{source}: {error}", "source") from None
+        try:
+            for chunk in chunks:
+                if stopped:
+                    break
+                if shown is not None and shown.zero_wanted():
+                    localizer.reset()
+                if chunk:
+                    written += _hand_on(localizer, chunk, steady, age, opened, shown)
+                elif age is not None:
+                    _without_signal(localizer, age, opened, shown)
+        except InputError as error:
+            if age is not None:
+                _without_signal(localizer, age, opened, shown)
+            raise InputError(f"{source}: {error}", "source") from None
     return written
 
 
@@ -70,30 +83,42 @@ def _name(source: str) -> str:
 
 def _hand_on(
     localizer: Localizer,
-    chunk: Chunk | tuple[()],
+    chunk: Chunk,
     steady: Callable[[Estimate], Estimate] | None,
+    age: SampleAge | None,
     sinks: Sequence[Sink],
     page: Page | None,
 ) -> int:
     """Hands one chunk's estimates to the sinks and the page; returns their number."""
-    written = 0
+    now_s = time.monotonic()
+    made: list[tuple[Estimate, np.ndarray]] = []
     for piece in _pieces(chunk, localizer.card.samples_per_block):
-        estimates = localizer.push(*piece)
-        if steady is not None:
-            estimates = [steady(estimate) for estimate in estimates]
-        for estimate in estimates:
-            for sink in sinks:
-                sink.write(estimate)
-        if page is not None and estimates:
-            page.show(estimates[-1], localizer.subtracted)
-        written += len(estimates)
-    return written
+        made += [(estimate, localizer.subtracted) for estimate in localizer.push(*piece)]
+    if age is not None and made:
+        age.came(made[-1][0].time_s, now_s)
+    for estimate, subtracted in made:
+        shown = estimate if steady is None else steady(estimate)
+        if age is not None:
+            shown = shown._replace(age_s=age.of(estimate.time_s, now_s))
+        for sink in sinks:
+            sink.write(shown)
+        if page is not None:
+            page.show(shown, subtracted)
+    return len(made)
 
 
-def _pieces(chunk: Chunk | tuple[()], size: int) -> Iterator[Chunk]:
+def _without_signal(localizer: Localizer, age: SampleAge, sinks: Sequence[Sink], page: Page | None) -> None:
+    """Hands on that no samples come: the last estimate, not valid, with the age of the newest sample."""
+    last = localizer.read()
+    silent = last._replace(valid=False, reason=Reason.NO_SIGNAL, age_s=age.of(last.time_s, time.monotonic()))
+    for sink in sinks:
+        sink.write(silent)
+    if page is not None:
+        page.show(silent, localizer.subtracted)
+
+
+def _pieces(chunk: Chunk, size: int) -> Iterator[Chunk]:
     """A chunk in pieces of a block, so that the subtracted output shown is of the same moment as the estimate."""
-    if not chunk:
-        return
     volts, time_s = chunk
     for begin in range(0, len(volts), size):
         yield volts[begin : begin + size], None if time_s is None else time_s[begin : begin + size]

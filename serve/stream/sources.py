@@ -42,10 +42,15 @@ def open_source(name: str, card: Card, form: str, fast: bool) -> Source:
         from serve.stream.ros import accelerations
 
         return accelerations(name.removeprefix("ros2+imu://"), card)
-    if name == "-" or "://" in name:
+    if is_live(name):
         return open_live(name, len(card.columns), form)
     volts = read_recording(Path(name), card.columns, card.sample_rate_hz)
     return _played(volts, card, fast)
+
+
+def is_live(name: str) -> bool:
+    """Whether a source is not a file."""
+    return name == "-" or "://" in name
 
 
 def open_live(name: str, columns: int, form: str) -> Source:

@@ -35,6 +35,8 @@ const REASONS = {
   drift: "gravity's length has changed: the sensor has drifted",
   dead_channel: "a sensing element is lost, frozen or clipped",
   skin_height: "the skin stands at another height than in the calibration: check the pressure",
+  attitude: "gravity shows the sensor turned from how it was calibrated",
+  no_signal: "no samples come",
 };
 // Points of the path that are kept; a contact of four minutes.
 const LONGEST_PATH = 10000;
