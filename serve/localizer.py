@@ -19,6 +19,7 @@ from features.estimate import Contact, Estimate, Reason, decode
 from features.force import ForceReader
 from features.height import HEIGHT_INPUT, given_height
 from features.rest_height import rest_height
+from features.stream.attitude import Attitude
 from features.stream.conditioning import ONSETS, Blocks, LagUndone
 from features.stream.drift import UNKNOWN, DriftWatch, measures_gravity
 from features.stream.faults import BRIDGED_BLOCKS, Judged, SignalWatch
@@ -57,8 +58,8 @@ KEPT_FITS = 4
 _OUTPUT = ["estimate"]
 # What forbids any estimate from the signal, not only that of a straight slide.
 _OF_THE_SIGNAL = (Reason.DEAD_CHANNEL, Reason.DRIFT, Reason.TOO_EARLY)
-# What forbids it whatever the skin's height.
-_WITHOUT_HEIGHT = (Reason.DEAD_CHANNEL, Reason.UNKNOWN_ZERO)
+# What forbids it whatever the skin's height and attitude.
+_WITHOUT_REST = (Reason.DEAD_CHANNEL, Reason.UNKNOWN_ZERO)
 
 
 class _Fit(NamedTuple):
@@ -77,7 +78,7 @@ class Localizer:
     """
 
     def __init__(self, card: Card, session: ort.InferenceSession, height_mm: float | None = None) -> None:
-        """height_mm: the skin's, for a bundle over heights; None: what the static output tells.
+        """height_mm: the skin's, for a bundle over heights; None: as the static output shows it.
 
         Raises:
             InputError: the bundle is for one height, or not for this one.
@@ -107,6 +108,10 @@ class Localizer:
         self._touches_down = card.conditioning.onset == ONSETS[1]
         self._limits = TOUCH_LIMITS if self._touches_down else TrackLimits()
         self._rest_height = rest_height(card.contact, card.heights, accelerometers, card.conditioning.scale)
+        static_v = () if card.contact is None else card.contact.static_v
+        self._attitude = (
+            Attitude(accelerometers, static_v, card.conditioning.scale) if card.base is None else None
+        )
         self._forces = None if card.force is None else ForceReader(card.force)
         self._inputs = {
             "volts": np.zeros((1, channels, WINDOW_BINS), np.float32),
@@ -131,14 +136,19 @@ class Localizer:
         """Forgets the stream; the static output has to be learnt anew."""
         self._blocks.reset()
         self._clock.reset()
+        self._count = 0
+        self.zero()
+
+    def zero(self) -> None:
+        """Learns the static output anew, while the stream goes on."""
         self._watch.reset()
         self._tracker.reset()
         self._drift.reset()
         self._forget_contact()
         self._height_mm = math.nan
         self._take_height(self._given_mm)
-        self._other_height = False
-        self._count = 0
+        # What the output at rest forbids.
+        self._at_rest = Reason.NONE
         self._bridged = 0
         self._slide_blocks = 0
         self._whole = True
@@ -309,8 +319,8 @@ class Localizer:
             if track is not None and estimate.contact is Contact.PRESS:
                 gain = min(max(track.gain, 0.0), 1.0)
             estimate = self._forces.with_force(estimate, gain)
-        if self._other_height and estimate.reason not in _WITHOUT_HEIGHT:
-            estimate = estimate._replace(valid=False, reason=Reason.SKIN_HEIGHT)
+        if self._at_rest is not Reason.NONE and estimate.reason not in _WITHOUT_REST:
+            estimate = estimate._replace(valid=False, reason=self._at_rest)
         return estimate._replace(**self._last_drift._asdict(), skin_height_mm=self._height_mm)
 
     def _of_both(self, straight: Estimate | None, track: Track, time_s: float) -> Estimate:
@@ -386,13 +396,21 @@ class Localizer:
         ):
             self._clear = self._track, self._count
 
-    def _read_height(self) -> None:
-        """The skin's height, from what is at rest: it stays what it was while an accelerometer is not."""
+    def _read_rest(self) -> None:
+        """Attitude and height of the skin, from what is at rest: they stay what they were while nothing is."""
         tracker = self._tracker
+        usable = tracker.known & self._healthy
+        if not usable.any():
+            return
+        if self._attitude is not None and self._attitude.is_other(tracker.static, usable):
+            self._at_rest = Reason.ATTITUDE
+            return
+        if self._at_rest is Reason.ATTITUDE:
+            self._at_rest = Reason.NONE
         if not math.isnan(self._given_mm) or not tracker.known.all():
             return
         if self._rest_height is not None:
-            self._other_height = self._rest_height.is_other(tracker.static)
+            self._at_rest = Reason.SKIN_HEIGHT if self._rest_height.is_other(tracker.static) else Reason.NONE
         if self.card.heights is not None:
             self._take_height(self.card.heights.told(tracker.static[tracker.touch]))
 
@@ -441,7 +459,7 @@ class Localizer:
             if not sliding or tracker.usable is not usable:
                 # The static output stays as it is while something slides.
                 self._last_drift = self._drift.read(tracker.static, tracker.usable)
-                self._read_height()
+                self._read_rest()
             self._slide_blocks += 1
             bridged = bool((block.bridged & tracker.usable).any())
             self._bridged += bridged
@@ -456,7 +474,7 @@ class Localizer:
             self._held = tracker.final, self._chosen(straight, 0.0)
         if tracker.state is not SlideState.SLIDE and self._count % DRIFT_BLOCKS == 0:
             self._last_drift = self._drift.read(tracker.static, block.healthy)
-            self._read_height()
+            self._read_rest()
 
     def _without_base(self, block: Judged) -> Judged:
         """The block in the attitude of the calibration; the skin's outputs are worth no more than the base's."""

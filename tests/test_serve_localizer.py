@@ -238,6 +238,29 @@ def test_gain_and_tilt_are_read_from_gravity(localizer: Localizer) -> None:
     assert last.turn_deg == pytest.approx(5.0, abs=0.1)
 
 
+def test_nothing_is_valid_in_another_attitude(localizer: Localizer) -> None:
+    """The same slide, turned over by 60 degrees and back: what gravity shows while nothing touches decides."""
+    level = stream(still(0.6), pass_over(1.0), still(0.4))
+    turn = np.radians(60.0)
+    rotation = np.array([[1, 0, 0], [0, np.cos(turn), -np.sin(turn)], [0, np.sin(turn), np.cos(turn)]])
+    turned = ZERO_V + (level - ZERO_V) @ rotation.T
+    localizer.reset()
+    assert valid(localizer.push(level)).any()
+    localizer.reset()
+    estimates = localizer.push(turned)
+    assert not valid(estimates).any()
+    assert {"attitude"} == {e.reason for e in estimates if e.state is SlideState.SLIDE}
+
+
+def test_a_new_zero_leaves_the_time(localizer: Localizer) -> None:
+    localizer.reset()
+    before = localizer.push(stream(still(0.6)))[-1]
+    localizer.zero()
+    assert not localizer.push(stream(still(0.02)))[-1].valid
+    assert localizer.read().time_s == pytest.approx(before.time_s + 0.02)
+    assert localizer.read().reason == "unknown_zero"
+
+
 def test_a_slide_must_keep_the_length_of_gravity(localizer: Localizer) -> None:
     """Accelerometers that only tilt measure 1 g throughout; other signals need not."""
     slide = pass_over(1.2)

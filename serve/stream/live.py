@@ -64,7 +64,7 @@ def serve(
                 if stopped:
                     break
                 if shown is not None and shown.zero_wanted():
-                    localizer.reset()
+                    localizer.zero()
                 if chunk:
                     written += _hand_on(localizer, chunk, steady, age, opened, shown)
                 elif age is not None:

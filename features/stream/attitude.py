@@ -1,0 +1,52 @@
+"""Whether gravity shows the sensor in the attitude in which it was calibrated.
+
+A map is of outputs in the calibration's attitude: turned by an angle b, a touch changes V_x and V_y by the cosine of b
+of what it did, and V_z answers too.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from features.stream.drift import nominal_outputs
+
+# Chosen on a synthetic sensor, each slide turned by calculation (experiments/LOG.md).
+MOST_TURN_DEG = 15.0
+# To the z axis, where the static output of the calibration is not known: skins turn a board by up to 20 degrees.
+MOST_FROM_Z_DEG = 40.0
+
+
+class Attitude:
+    """Of one sensor. accelerometers: as in the card. static_v: (C,) V, scaled, the calibration's static output; empty:
+    not known. scale: as in `Conditioning`."""
+
+    def __init__(
+        self, accelerometers: Sequence[Mapping[str, Any]], static_v: Sequence[float], scale: float
+    ) -> None:
+        self._nominal = nominal_outputs(accelerometers, scale)
+        self._most_deg = MOST_TURN_DEG if static_v else MOST_FROM_Z_DEG
+        self._calibrated = [
+            self._gravity(static_v, n) if static_v else (0.0, 0.0, 1.0) for n in range(len(self._nominal))
+        ]
+
+    def is_other(self, static_v: np.ndarray, usable: np.ndarray) -> bool:
+        """Whether any of the accelerometers in use (A,) is turned too far. static_v: (C,) V, scaled, at rest."""
+        static = static_v.tolist()
+        return any(
+            _angle_deg(self._gravity(static, n), self._calibrated[n]) > self._most_deg
+            for n, nominal in enumerate(self._nominal)
+            if nominal is not None and usable[n]
+        )
+
+    def _gravity(self, static_v: Sequence[float], n: int) -> tuple[float, ...]:
+        """Accelerometer n's output at rest, g."""
+        zero, sensitivity = self._nominal[n] or (0.0, 1.0)
+        return tuple((v - zero) / sensitivity for v in static_v[3 * n : 3 * n + 3])
+
+
+def _angle_deg(a: Sequence[float], b: Sequence[float]) -> float:
+    cosine = sum(x * y for x, y in zip(a, b, strict=True))
+    length = math.hypot(*a) * math.hypot(*b)
+    return math.degrees(math.acos(max(-1.0, min(1.0, cosine / length)))) if length > 0.0 else 180.0

@@ -1,0 +1,49 @@
+"""What gravity shows of a sensor's attitude, and that nothing is valid in another one than the calibration's."""
+
+import math
+
+import numpy as np
+import pytest
+
+from features.stream.attitude import MOST_FROM_Z_DEG, MOST_TURN_DEG, Attitude
+
+ZERO_V, SENSITIVITY = 1.65, 0.8
+BOARD = {"zero_g_v": ZERO_V, "sensitivity_v_per_g": SENSITIVITY}
+
+
+def at_rest(deg: float, about: float = 0.0) -> np.ndarray:
+    """(3,) V of a board turned by an angle from level, about a horizontal axis at `about` degrees."""
+    turn, axis = math.radians(deg), math.radians(about)
+    gravity = (math.sin(turn) * math.cos(axis), math.sin(turn) * math.sin(axis), math.cos(turn))
+    return ZERO_V + SENSITIVITY * np.array(gravity)
+
+
+@pytest.mark.parametrize("scale", [1.0, 5.0])
+@pytest.mark.parametrize("calibrated_deg", [0.0, 12.0, 180.0])
+def test_a_turn_is_from_the_calibrated_attitude(scale: float, calibrated_deg: float) -> None:
+    attitude = Attitude([BOARD], (scale * at_rest(calibrated_deg)).tolist(), scale)
+    usable = np.array([True])
+    assert not attitude.is_other(scale * at_rest(calibrated_deg), usable)
+    assert not attitude.is_other(scale * at_rest(calibrated_deg + 0.9 * MOST_TURN_DEG), usable)
+    assert attitude.is_other(scale * at_rest(calibrated_deg + 1.1 * MOST_TURN_DEG), usable)
+    assert attitude.is_other(scale * at_rest(calibrated_deg + 180.0), usable)
+
+
+def test_where_the_calibrations_is_not_known_it_is_from_the_z_axis() -> None:
+    attitude, usable = Attitude([BOARD], (), 1.0), np.array([True])
+    assert not attitude.is_other(at_rest(0.9 * MOST_FROM_Z_DEG, 30.0), usable)
+    assert attitude.is_other(at_rest(1.1 * MOST_FROM_Z_DEG, 30.0), usable)
+
+
+def test_accelerometers_that_are_not_in_use_and_other_elements_are_not_asked() -> None:
+    magnetometer = {"kind": "magnetometer"}
+    attitude = Attitude([BOARD, BOARD, magnetometer], (), 1.0)
+    static = np.concatenate([at_rest(0.0), at_rest(90.0), np.zeros(3)])
+    assert attitude.is_other(static, np.array([True, True, True]))
+    assert not attitude.is_other(static, np.array([True, False, True]))
+
+
+def test_a_wire_of_v_z_at_0_v_is_another_attitude() -> None:
+    static = at_rest(0.0)
+    static[2] = 0.0
+    assert Attitude([BOARD], (), 1.0).is_other(static, np.array([True]))
