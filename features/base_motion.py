@@ -1,4 +1,4 @@
-"""Takes the robot's own motion out of a skin's signal: an accelerometer on what the skin is mounted on tells it.
+"""Takes the robot's own motion out of a skin's signal: an accelerometer on what the skin is mounted on measures it.
 
 A base that tilts or speeds up changes what every accelerometer of the skin measures, as a contact does. Untouched, both
 measure the same acceleration, each along axes of its own, so that the skin's output is linear in the base's. A contact

@@ -237,7 +237,7 @@ def _force(table: dict[str, Any]) -> ForceMap:
 
 
 def _contact(table: dict[str, Any]) -> ContactCalibration:
-    # Bundles made before presses or heights were told know no inflation and no static output.
+    # Bundles made before presses or heights were detected know no inflation and no static output.
     lists = {"chamber_mm", "noise_v"} | {"inflation_v_per_mm", "static_v"} & table.keys()
     rows = tuple(tuple(row) for row in table.get("static_covariance_v2", ()))
     lists_of = {name: tuple(table[name]) for name in lists}

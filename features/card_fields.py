@@ -125,7 +125,7 @@ def number(value: Any, name: str, low: float, high: float, above: bool = False) 
     """A real number in low..high. above: it must be more than `low`.
 
     Raises:
-        ValueError: it is none.
+        ValueError: it is not valid.
     """
     if isinstance(value, bool) or not isinstance(value, int | float) or math.isnan(value):
         raise ValueError(f"{name} is no number")
@@ -138,7 +138,7 @@ def numbers(value: Any, name: str, count: int, low: float, high: float) -> Seque
     """So many real numbers, each in low..high.
 
     Raises:
-        ValueError: they are none.
+        ValueError: they are not valid.
     """
     if not isinstance(value, list | tuple) or len(value) != count:
         raise ValueError(f"{name} is no list of {count} numbers")
@@ -151,7 +151,7 @@ def text(value: Any, name: str) -> str:
     """A text.
 
     Raises:
-        ValueError: it is none.
+        ValueError: it is not valid.
     """
     if not isinstance(value, str):
         raise ValueError(f"{name} is no text")
@@ -162,7 +162,7 @@ def table(value: Any, name: str) -> Mapping[str, Any]:
     """A table of keys and values.
 
     Raises:
-        ValueError: it is none.
+        ValueError: it is not valid.
     """
     if not isinstance(value, Mapping):
         raise ValueError(f"{name} is no table")

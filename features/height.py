@@ -1,7 +1,7 @@
 """What the model card carries for the skin's height: the response map's change with it, and the static output's.
 
 An inflated skin that stands higher answers otherwise, and tilts its accelerometers otherwise at rest. So the static
-output tells the height that is in use, as long as the sensor is mounted as it was in the calibration.
+output shows the height that is in use, as long as the sensor is mounted as it was in the calibration.
 """
 
 import math
@@ -16,7 +16,7 @@ from features.errors import InputError
 HEIGHT_INPUT = "height_off_mm"
 # Standard deviations beyond which a static output is not one of the calibration's mounting.
 MOUNTED_SD = 5.0
-# Share of the range of heights that the static output has to tell a height within, as a standard deviation.
+# Largest standard deviation of a height from the static output, as a share of the range of heights.
 TELLING_SHARE = 0.25
 # What a height beyond the calibration's is off by at least before it counts: the response changes by 9 % a mm on
 # `bench-depth`, and by 2 % (`gain_sd` of `bench-a`) from slide to slide anyway.
@@ -69,7 +69,7 @@ class HeightCalibration:
         return decoded(self.coefficients, (self.knots, self.knots, len(self.static_v)), self.scale_v)
 
     def told(self, static_v: np.ndarray) -> float:
-        """The height in mm that a static output (C,) V tells, within the calibration's range; NaN where it tells none:
+        """The height in mm from a static output (C,) V, within the calibration's range; NaN where it shows none:
         another mounting, or a skin outside the range."""
         weight = 1.0 / np.square(self.static_sd_v)
         slope = np.array(self.static_v_per_mm)
@@ -79,11 +79,11 @@ class HeightCalibration:
         if not sd_mm < TELLING_SHARE * (self.highest_mm - self.lowest_mm):
             return math.nan
         off_mm = float((weight * slope) @ off_v) / information
-        beside = np.abs(off_v - off_mm * slope) / self.static_sd_v
+        off_line = np.abs(off_v - off_mm * slope) / self.static_sd_v
         height_mm = self.height_mm + off_mm
         margin_mm = max(LEAST_OFF_MM, MOUNTED_SD * sd_mm)
         inside = self.lowest_mm - margin_mm <= height_mm <= self.highest_mm + margin_mm
-        if not (inside and beside.max() < MOUNTED_SD):
+        if not (inside and off_line.max() < MOUNTED_SD):
             return math.nan
         return min(max(height_mm, self.lowest_mm), self.highest_mm)
 

@@ -2,7 +2,7 @@
 
 The boards of a skin that stands higher lean over further. Other things change the static output too: it scatters from
 slide to slide; the gain changes, of all outputs alike; device or mounting tilt, all boards alike. Generalized least
-squares (A. C. Aitken, 1936) find the height beside these. With one accelerometer a tilt may look like a height, so
+squares (A. C. Aitken, 1936) find the height next to these. With one accelerometer a tilt may look like a height, so
 that a mounting is taken to stay as it was in the calibration, unless the static output scatters like a tilt there.
 """
 
@@ -50,7 +50,7 @@ class RestHeight:
         self._inverse = np.linalg.inv(covariance)
         self._weight = self._inverse @ change.ravel()
         self._information = float(self._weight @ change.ravel())
-        self._beside = MOUNTED_SD**2 * boards
+        self._off_line = MOUNTED_SD**2 * boards
         margin_mm = max(LEAST_OFF_MM, MOUNTED_SD * self.sd_mm)
         low, high = (0.0, 0.0) if heights is None else heights.range_off_mm
         self._range_mm = low - margin_mm, high + margin_mm
@@ -65,8 +65,8 @@ class RestHeight:
         mounted otherwise, or its zeros have drifted."""
         off_v = static_v - self._static
         off_mm = float(self._weight @ off_v) / self._information
-        beside = float(off_v @ self._inverse @ off_v) - off_mm**2 * self._information
-        return off_mm if beside <= self._beside else np.nan
+        off_line = float(off_v @ self._inverse @ off_v) - off_mm**2 * self._information
+        return off_mm if off_line <= self._off_line else np.nan
 
     def is_other(self, static_v: np.ndarray) -> bool:
         """Whether the skin's height is one that the bundle is not for."""

@@ -31,7 +31,7 @@ class TrackLimits:
     agreement: largest squared Mahalanobis distance of the straight slide from the track, four degrees of freedom.
     stopping_s: for which a line is held while a contact seems to be slower than slow_share of the slide, or is lost;
     it rests once it is slower than creep_share, and has stopped for good after pause_s.
-    press_mm_s, press_sd_mm: largest speed and standard deviation of the place of a press that is told. straight_misfit:
+    press_mm_s, press_sd_mm: largest speed and standard deviation of the place of a valid press. straight_misfit:
     largest reduced chi-square of the straight slide; straight_way_mm: its least way. shared: share of the track's
     half-widths about its own estimate that the straight slide's intervals hold too; None: they stay as they are.
     """
@@ -111,7 +111,7 @@ def judged(
     reason = _reason(track, math.hypot(sd[0], sd[1]), math.degrees(heading_sd), contact, lifted, limits)
     if pressed:
         contact, reason = Contact.PRESS, Reason.NONE
-        # It goes nowhere. How far it is pressed in shows as how far it is pressed on does; the force tells how hard.
+        # It goes nowhere. How far it is pressed in shows as how far it is pressed on does; the force is how hard.
         degrees = offset = depth = math.nan
     return Estimate(
         time_s=time_s,
@@ -269,7 +269,7 @@ def stops_on(
 
 
 def rests(track: Estimate, line: Estimate, limits: TrackLimits) -> bool:
-    """Whether a contact that slid along the line has come to rest, creep apart, as far as its track can tell."""
+    """Whether a contact that slid along the line has come to rest, creep apart, as far as its track shows."""
     creep_mm_s = max(limits.stopped_mm_s, limits.creep_share * line.speed_mm_s)
     return track.speed_mm_s < creep_mm_s or track.speed_lo_mm_s <= 0.0
 

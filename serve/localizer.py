@@ -74,7 +74,7 @@ class Localizer:
 
     A bad signal never raises. Samples that are not finite or outside the supply count as lost. Where too many are
     lost, or a channel is frozen, that accelerometer is left out, or the estimate is not valid where it was the only
-    one. After that its static output is learnt anew, which takes three times `trigger_blocks`.
+    one. After that its static output is learned anew, which takes three times `trigger_blocks`.
     """
 
     def __init__(self, card: Card, session: ort.InferenceSession, height_mm: float | None = None) -> None:
@@ -133,7 +133,7 @@ class Localizer:
         return cls(*open_bundle(bundle), height_mm)
 
     def reset(self) -> None:
-        """Forgets the stream; the static output has to be learnt anew."""
+        """Forgets the stream; the static output has to be learned anew."""
         self._blocks.reset()
         self._clock.reset()
         self._count = 0
@@ -303,7 +303,7 @@ class Localizer:
         """The straight slide or the track; what is common to both is added."""
         tracker, track = self._tracker, self._track
         touch = self._touches_down
-        # Where contacts are lifted anywhere, the whole slide tells more than the track of it.
+        # Where contacts are lifted anywhere, the whole slide says more than the track of it.
         if track is None or (touch and straight is not None and tracker.state is not SlideState.SLIDE):
             estimate = straight or Estimate(time_s, tracker.state, reason=self._no_contact())
         else:
@@ -370,7 +370,7 @@ class Localizer:
         self._lag.reset()
         self._track: Track | None = None
         # The track when the output was last above the trigger, and after how many blocks that was: below it, at the
-        # skin's rim, a track wanders, and does not tell whether a slide was straight.
+        # skin's rim, a track wanders, and does not show whether a slide was straight.
         self._clear: tuple[Track, int] | None = None
         self._fit = None
         self._lines.clear()
@@ -424,7 +424,7 @@ class Localizer:
         if HEIGHT_INPUT in self._inputs:
             self._inputs[HEIGHT_INPUT][0] = used_mm - heights.height_mm
         # The map is mixed anew for the tracker, which takes a millisecond: not in mid-contact, and not for nothing.
-        # Which height it is of must not depend on what was told before the stream began anew.
+        # Which height it is of must not depend on what was read before the stream began anew.
         step = round((used_mm - heights.height_mm) / MAP_STEP_MM)
         if self._track is None and step != self._contact_step:
             contact_mm = heights.height_mm + step * MAP_STEP_MM

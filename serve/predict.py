@@ -22,8 +22,8 @@ def predict(
     """The estimate at the end of each recording, ready for JSON; None: not estimated.
 
     track: every estimate, one a block. whole_contact: the same, but each moment's from its whole contact, what comes
-    after it included (`whole_contacts`). refused: is told why a file could not be read, and the others go on; None: the
-    first ends it. height_mm: the skin's, for a bundle over heights; None: what the static output tells.
+    after it included (`whole_contacts`). refused: is called with why a file could not be read, and the others go on;
+    None: the first ends it. height_mm: the skin's, for a bundle over heights; None: as the static output shows it.
 
     Raises:
         InputError: the bundle or a file is missing, damaged, or of another format, or the bundle knows no whole

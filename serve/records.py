@@ -8,8 +8,8 @@ from features.estimate import Estimate
 
 def record(estimate: Estimate) -> dict[str, Any]:
     """The estimate's fields by name; None: not estimated, since JSON has no NaN."""
-    told = {name: _plain(value) for name, value in estimate._asdict().items() if name != "places"}
-    return {**told, "places": [place._asdict() for place in estimate.places]}
+    fields = {name: _plain(value) for name, value in estimate._asdict().items() if name != "places"}
+    return {**fields, "places": [place._asdict() for place in estimate.places]}
 
 
 def _plain(value: Any) -> Any:

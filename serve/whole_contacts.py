@@ -20,7 +20,7 @@ from serve.localizer import Localizer
 # A contact comes down and is lifted within a block each, which then show a part of it.
 PARTIAL_BLOCKS = 1
 # A long contact is fitted in pieces, since the work grows with the third power of its way: 8 s each, with 2 s on either
-# side, so that what is told hardly depends on what lies beyond.
+# side, so that what is reported hardly depends on what lies beyond.
 PIECE_BLOCKS, BESIDE_BLOCKS = 400, 100
 # What makes a block's samples doubtful, whatever comes after them.
 OF_THE_SIGNAL = (Reason.DEAD_CHANNEL, Reason.DRIFT)
@@ -65,11 +65,11 @@ def whole_contacts(localizer: Localizer, volts: np.ndarray) -> list[Estimate]:
                 blocks.append(np.full(len(touch), np.nan))
     volts_of = np.array(blocks)
     for contact in _contacts(estimates, volts_of, card.conditioning.release_v):
-        for seen, told in _pieces(contact):
+        for seen, reported in _pieces(contact):
             path = _path(card, volts_of[seen])
             if path is not None:
-                part = slice(told.start - seen.start, told.stop - seen.start)
-                estimates[told] = _told(card, path, part, estimates[told])
+                part = slice(reported.start - seen.start, reported.stop - seen.start)
+                estimates[reported] = _reported(card, path, part, estimates[reported])
     return estimates
 
 
@@ -83,7 +83,7 @@ def _contacts(estimates: list[Estimate], blocks: np.ndarray, release_v: float) -
 
 
 def _pieces(contact: slice) -> Iterator[tuple[slice, slice]]:
-    """Pieces of a contact, each with the blocks that it is fitted to and those that it tells."""
+    """Pieces of a contact, each with the blocks that it is fitted to and those that it reports."""
     for begin in range(contact.start, contact.stop, PIECE_BLOCKS):
         end = min(begin + PIECE_BLOCKS, contact.stop)
         yield (
@@ -106,15 +106,15 @@ def _path(card: Card, volts: np.ndarray) -> WholePath | None:
     return whole_path(measured, response_surface(card), PathConfig())
 
 
-def _told(card: Card, path: WholePath, part: slice, live: list[Estimate]) -> list[Estimate]:
+def _reported(card: Card, path: WholePath, part: slice, live: list[Estimate]) -> list[Estimate]:
     """The estimates of a part of a path, in place of the live ones."""
     contact = card.contact
     assert contact is not None
     accelerometers = len(card.channels) // 3
-    told = []
+    reported = []
     for mean, covariance, at in zip(path.mean[part], path.covariance[part], live, strict=True):
         if at.reason in OF_THE_SIGNAL:
-            told.append(at)
+            reported.append(at)
             continue
         track = Track(
             mean=mean,
@@ -130,7 +130,7 @@ def _told(card: Card, path: WholePath, part: slice, live: list[Estimate]) -> lis
             channels=len(contact.noise_v),
         )
         estimate = judged(track, at.time_s, at.state, card.reference_mm, contact.depth_mm, TOUCH_LIMITS)
-        told.append(
+        reported.append(
             estimate._replace(
                 accelerometers=accelerometers,
                 zero_shift_v=at.zero_shift_v,
@@ -139,4 +139,4 @@ def _told(card: Card, path: WholePath, part: slice, live: list[Estimate]) -> lis
                 skin_height_mm=at.skin_height_mm,
             )
         )
-    return told
+    return reported

@@ -67,11 +67,11 @@ def curve_along(places: np.ndarray, block_s: float, averaged: float, knot_mm: fl
     speed = np.maximum(np.hypot(*velocity.T), LEAST_SPEED_MM_S)
     knots = min(max(round(float(speed.sum()) * block_s / knot_mm), 1), max(count // 3, 1))
     basis = spline_basis(np.linspace(0.0, 1.0, 2 * count + 1), knots)
-    # A slight pull to even values, where fewer places than splines tell of one.
+    # A slight pull to even values, where fewer places than splines show one.
     even = 0.1 * np.diff(np.eye(basis.shape[1]), axis=0)
     shown = np.stack([np.log(speed), np.unwrap(np.arctan2(velocity[:, 1], velocity[:, 0]))], axis=1)
-    told = np.concatenate([shown, np.zeros((len(even), 2))])
-    log_speed, heading = np.linalg.lstsq(np.concatenate([basis[1::2], even]), told, rcond=None)[0].T
+    known = np.concatenate([shown, np.zeros((len(even), 2))])
+    log_speed, heading = np.linalg.lstsq(np.concatenate([basis[1::2], even]), known, rcond=None)[0].T
     curve = Curve(basis, block_s / 2, np.zeros(2), log_speed, heading, 1.0)
     return curve._replace(start_mm=(middle - curve.motion()[0][1::2, :2]).mean(axis=0))
 

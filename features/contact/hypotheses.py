@@ -238,7 +238,7 @@ def _log_determinants(spread: np.ndarray) -> np.ndarray:
     return 2.0 * np.log(factor.diagonal(0, 1, 2)).sum(1)
 
 
-OUTLIER = 60.0  # chi-square beyond which one measurement tells nothing more
+OUTLIER = 60.0  # chi-square beyond which one measurement says nothing more
 
 
 def expected(bank: Hypotheses, surface: ResponseSurface) -> tuple[np.ndarray, np.ndarray]:

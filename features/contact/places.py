@@ -10,7 +10,7 @@ LEAST_WEIGHT = 0.02
 
 
 class Place(NamedTuple):
-    """Hypotheses that tell of one place: the mean of theirs (mm, from the chamber's centre) and their share of the
+    """Hypotheses of one place: the mean of theirs (mm, from the chamber's centre) and their share of the
     weight of all."""
 
     x_mm: float
@@ -21,7 +21,7 @@ class Place(NamedTuple):
 def likeliest_places(place_mm: np.ndarray, weight: np.ndarray, near_mm: float) -> tuple[Place, ...]:
     """The likeliest first; empty where one place alone is left.
 
-    place_mm: (N, 2). weight: (N,), the sum is 1. near_mm: hypotheses within it of a likelier one tell of its place.
+    place_mm: (N, 2). weight: (N,), the sum is 1. near_mm: hypotheses within it of a likelier one are of its place.
     """
     left = weight.copy()
     found: list[Place] = []

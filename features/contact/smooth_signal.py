@@ -141,13 +141,13 @@ def _settled(strengths: np.ndarray, noise: np.ndarray, step_s: float) -> np.ndar
     drive = np.array([[step_s**3 / 3, step_s**2 / 2], [step_s**2 / 2, step_s]])
     ahead = strengths[..., None, None] ** 2 * drive
     onward = np.broadcast_to(np.array([[1.0, 0.0], [step_s, 1.0]]), ahead.shape)
-    told = np.zeros(ahead.shape)
-    told[..., 0, 0] = 1.0 / noise
+    known = np.zeros(ahead.shape)
+    known[..., 0, 0] = 1.0 / noise
     for _ in range(DOUBLINGS):
-        mixed = np.linalg.inv(np.eye(2) + told @ ahead)
+        mixed = np.linalg.inv(np.eye(2) + known @ ahead)
         back = onward.swapaxes(-1, -2)
-        told, ahead, onward = (
-            told + onward @ mixed @ told @ back,
+        known, ahead, onward = (
+            known + onward @ mixed @ known @ back,
             ahead + back @ ahead @ mixed @ onward,
             onward @ mixed @ onward,
         )

@@ -2,7 +2,7 @@
 
 Nothing is known of such a skin but its recordings. What its map leaves is white from block to block and grows with the
 response's slope and size: an error of place and one of gain that all channels share, and a part that is alike
-everywhere. The first blocks tell the place; each place gets a fan of headings and speeds, and the next steps decide
+everywhere. The first blocks show the place; each place gets a fan of headings and speeds, and the next steps decide
 between them.
 """
 
@@ -34,7 +34,7 @@ from features.contact.tracker import Track, read
 
 # A contact comes down and is lifted within a block, which then shows a part of it.
 PARTIAL_BLOCKS = 1
-START_BLOCKS = 2  # whole ones that tell the first place
+START_BLOCKS = 2  # whole ones that the first place is read from
 GRID_MM = 1.25
 PLACES = 16  # at most, and not less likely than the best by more than PLACE_ODDS
 PLACE_ODDS = 8.0  # logarithm

@@ -43,7 +43,7 @@ STEP_BLOCKS = (
 BRANCH_STEPS = 5
 ONSET_BLOCKS = 12
 TRIGGER_BLOCKS = 5
-NEAR_MM = 2.5  # hypotheses this near the best one tell of the same place
+NEAR_MM = 2.5  # hypotheses this near the best one are of the same place
 RELEASE_S = 0.3
 LOST_S = 0.5
 # An output rests when its slope is within so many standard deviations and so large a share of it a second: a contact
@@ -61,7 +61,7 @@ EVIDENCE_AGAINST_S = (
 # a slide's from this evidence on (synthetic slides and drifts).
 PRESS_S = 2.0
 SLIDE_EVIDENCE = 3.0
-# A press that is told apart from all that the whole device does: so large a share of the output is beyond that, the
+# A press that is distinguished from all that the whole device does: so large a share of the output is beyond that, the
 # output is so many times the trigger, and it never changed for longer than this (experiments/LOG.md).
 TOUCH_SHARE = 0.3
 PRESS_TRIGGERS = 4.0
@@ -152,7 +152,7 @@ class ContactTracker:
 
     surface: the calibrated response. half_mm: half the chamber's sizes. noise_v: (C,) V of one block, with the lag
     undone. floor_v: V, the map's residual. gain_sd: from slide to slide. trigger_v, release_v: V, outputs that begin
-    and end a contact. inflation_v_per_mm: (C,), as in ContactCalibration; none: not known, and no press is told.
+    and end a contact. inflation_v_per_mm: (C,), as in ContactCalibration; none: not known, and no press is detected.
     """
 
     def __init__(

@@ -1,4 +1,4 @@
-"""The path of a contact that has been recorded to its end: what follows a moment tells as much of it as what came
+"""The path of a contact that has been recorded to its end: what follows a moment says as much of it as what came
 before, which a live estimate does not have.
 
 The likeliest places on a grid give a first curve, Gauss-Newton steps the likeliest one. How freely it bends and changes
@@ -44,7 +44,7 @@ class PathConfig:
     local: errors of place and gain, independent from block to block. step_mm: standard deviation of the way from block
     to block along x and y, for the first places. averaged: blocks that these are averaged over; each is a start.
     knot_mm: way from one knot of the splines to the next. steerings: the likeliest is taken; the last one allows most.
-    spread: standard deviations as told over those of the fit.
+    spread: reported standard deviations over those of the fit.
     """
 
     local: LocalErrors = field(default_factory=lambda: LocalErrors(0.42, 0.07))

@@ -1,7 +1,7 @@
 """Drift of the sensor, from the static output: at rest an accelerometer measures gravity, 1 g whatever its attitude.
 
 The static output of each channel is followed and subtracted. From one static vector a shifted zero, a changed mounting
-tilt and a changed gain cannot be told apart. So gain and tilt are reported and not corrected: the models allow for a
+tilt and a changed gain cannot be distinguished. So gain and tilt are reported and not corrected: the models allow for a
 change of gain, and a tilt of a few degrees hardly changes the response.
 
 Sensing elements of another kind (`kind` in sensor.toml) do not measure gravity: of these the shift of the zero is read,
@@ -35,7 +35,7 @@ class DriftWatch:
     """Reads the drift of one stream's sensor.
 
     accelerometers: as in the card; those that measure gravity have zero_g_v in V and sensitivity_v_per_g in V/g.
-    touch_axes, scale: of the volts that it is given, as in `Conditioning`; what it tells is in the sensor's own.
+    touch_axes, scale: of the volts that it is given, as in `Conditioning`; what it reads is in the sensor's own.
     complete: whether the first static output of every accelerometer has been noted.
     """
 

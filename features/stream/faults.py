@@ -26,7 +26,7 @@ FROZEN_BLOCKS = 25
 CLIPPED_BLOCKS = 2
 CLIPPED_SHARE = 0.4
 DIFFERENT_SHARE = 0.5
-LEAST_SAMPLES = 12  # of a block in which that can be told
+LEAST_SAMPLES = 12  # of a block in which that can be detected
 
 
 class Judged(NamedTuple):

@@ -80,7 +80,7 @@ class GravityWatch:
 
     @property
     def kept(self) -> bool:
-        """Whether gravity keeps its length, as far as can be told."""
+        """Whether gravity keeps its length, as far as it is known."""
         largest = max((sums[6] / sums[0] for sums in self._sums if sums[0] > 0.0), default=0.0)
         variance = self._sd_g**2 + ZERO_SD_G**2 * largest
         return (

@@ -21,7 +21,7 @@ RESTED_MEMORIES = 6
 # output rose with it by 15 mV (experiments/LOG.md).
 SLOW_PACE = 0.1
 # Blocks, 6 s, that a stream has to stand still after a loss for its output to be taken for the static one. A contact
-# that rests on the skin for longer cannot be told from a shifted zero.
+# that rests on the skin for longer cannot be distinguished from a shifted zero.
 SEARCH_BLOCKS = 300
 
 
@@ -79,7 +79,7 @@ class StaticOutput:
             self._available[dead] = 0
 
     def moves(self, away: np.ndarray) -> bool:
-        """Whether the signal moved while the static output was learnt: the stream began in mid-contact.
+        """Whether the signal moved while the static output was learned: the stream began in mid-contact.
 
         away: (C,), the channels whose level is beyond the trigger.
         """
@@ -129,7 +129,7 @@ class StaticOutput:
         self._settled = False
 
     def search(self, level_v: np.ndarray, near: np.ndarray) -> bool:
-        """Whether the stream has stood still elsewhere for so long that its static output is to be learnt anew.
+        """Whether the stream has stood still elsewhere for so long that its static output is to be learned anew.
 
         level_v: (C,) V, mean of the last blocks. near: (C,), whether it is back at the static output; that ends the
         search.

@@ -1,6 +1,6 @@
 """Contact zones around an accelerometer, from the signs of its outputs (article, 2.3).
 
-A contact tilts the accelerometer's board towards itself, so that the signs of the subtracted V_x and V_y tell the
+A contact tilts the accelerometer's board towards itself, so that the signs of the subtracted V_x and V_y show the
 quadrant of the contact: zone 1 (-, -), zone 2 (+, -), zone 3 (-, +), zone 4 (+, +).
 """
 

@@ -14,7 +14,7 @@ def answer(bundle: Path, height_mm: float | None, recording: bytes) -> dict[str,
     """What `softslide predict` says of a recording in CSV, but for its name.
 
     Raises:
-        InputError: it is none, or not of this bundle's sensor.
+        InputError: it is not a recording, or not of this bundle's sensor.
     """
     # A page that nobody asks this needs no ONNX Runtime.
     from serve.predict import predict
@@ -23,7 +23,7 @@ def answer(bundle: Path, height_mm: float | None, recording: bytes) -> dict[str,
         path = Path(folder) / "recording.csv"
         path.write_bytes(recording)
         try:
-            (told,) = predict(bundle, [path], height_mm=height_mm)
+            (estimate,) = predict(bundle, [path], height_mm=height_mm)
         except InputError as error:
             raise InputError(str(error).replace(f"{path}", "recording")) from None
-    return {name: value for name, value in told.items() if name not in ("recording", "file")}
+    return {name: value for name, value in estimate.items() if name not in ("recording", "file")}

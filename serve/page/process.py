@@ -1,4 +1,4 @@
-"""The live page beside the stream, in a process of its own.
+"""The live page next to the stream, in a process of its own.
 
 Requests of any kind take no time of the interpreter that serves the robot. The stream never waits: what the page does
 not take in time is dropped, and when the page dies the stream goes on.

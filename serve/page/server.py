@@ -83,7 +83,7 @@ class Server:
         self._kept.append(shown)
 
     def close(self) -> None:
-        """Shows the last estimate, tells viewers that the stream has ended, and frees the address."""
+        """Shows the last estimate, informs viewers that the stream has ended, and frees the address."""
         self._ended = True
         until = time.monotonic() + FAREWELL_S
         while self._viewers and time.monotonic() < until:

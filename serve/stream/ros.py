@@ -16,7 +16,7 @@ from serve.stream.framing import Chunk
 
 _WAIT_S = 0.2
 _STANDARD_GRAVITY = 9.80665  # m/s2
-# Variance of what no estimate tells: the velocity across the skin, and any turning.
+# Variance of what no estimate has: the velocity across the skin, and any turning.
 UNKNOWN = 1e6
 
 Read = Callable[[Any], Chunk]
