@@ -1,10 +1,29 @@
-"""The progress bar of long work: on standard error, only where a person watches, with the time left."""
+"""The progress of long work on standard error, with the time left: a bar on a terminal, else a line now and then."""
 
 import sys
+import time
 from collections.abc import Iterable
 from typing import Any
 
 from tqdm import tqdm
+
+LINE_S = 10.0  # between two lines where no person watches
+
+
+class _Lines:
+    """Standard error, a line for a bar, LINE_S after the last one at the earliest."""
+
+    def __init__(self) -> None:
+        self._last_s = time.monotonic()
+
+    def write(self, text: str) -> None:
+        bar = text.strip("\r\n ")
+        if bar and time.monotonic() >= self._last_s + LINE_S:
+            self._last_s = time.monotonic()
+            sys.stderr.write(f"{bar}\n")
+
+    def flush(self) -> None:
+        sys.stderr.flush()
 
 
 def progress_bar(
@@ -13,8 +32,9 @@ def progress_bar(
     """A bar to iterate over in place of `items`, or to update by hand and close.
 
     what: its title. unit: of one item; "B" counts bytes, shown as kB, MB, GB. total: items to come; of `items` their
-    length, where they have one. done: items finished before.
+    length, where they have one. done: items finished before. What takes less than LINE_S writes no line.
     """
+    watched = sys.stderr.isatty()
     return tqdm(
         items,
         desc=what,
@@ -22,6 +42,7 @@ def progress_bar(
         unit_scale=unit == "B",
         total=total,
         initial=done,
-        file=sys.stderr,
-        disable=not sys.stderr.isatty(),
+        file=sys.stderr if watched else _Lines(),
+        ncols=None if watched else 100,
+        ascii=None if watched else True,
     )

@@ -110,7 +110,9 @@ class Localizer:
         self._rest_height = rest_height(card.contact, card.heights, accelerometers, card.conditioning.scale)
         static_v = () if card.contact is None else card.contact.static_v
         self._attitude = (
-            Attitude(accelerometers, static_v, card.conditioning.scale) if card.base is None else None
+            Attitude(accelerometers, static_v, card.conditioning.scale, card.heights is not None)
+            if card.base is None
+            else None
         )
         self._forces = None if card.force is None else ForceReader(card.force)
         self._inputs = {
