@@ -271,8 +271,7 @@ def design_of(folder: Folder, atlas: Path | None) -> Atlas | None:
 
 def _log_fit(run: Run, bundle: Path, folder: Folder) -> None:
     """Errors of the exported bundle on the recordings that it was fitted to; `evaluate` scores it on others."""
-    recorded = replace(folder, base_motion=None)
-    table = pd.concat(predictions(bundle, recorded, Archive()), ignore_index=True)
+    table = pd.concat(predictions(bundle, folder, Archive()), ignore_index=True)
     scored = score(table, folder.manifest, folder.sensor)
     for name, error in summary(scored[scored["stroke_fraction"] == 1.0]).items():
         if isinstance(error, dict) and "mean" in error:

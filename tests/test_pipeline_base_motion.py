@@ -49,9 +49,8 @@ def test_how_the_skin_follows_the_base_is_recovered(tmp_path: Path) -> None:
 
 
 def test_recordings_are_loaded_without_the_motion(tmp_path: Path) -> None:
-    raw = recorded(tmp_path / "lab", {"one": 20.0})
-    folder = without_base_motion(raw)
-    moving, level = raw.load("one"), folder.load("one")
+    folder = without_base_motion(recorded(tmp_path / "lab", {"one": 20.0}))
+    moving, level = folder.read("one"), folder.load("one")
     assert moving.volts[:, 0].std() > 0.05
     assert level.volts[:, 0].std() < 0.015
     assert moving.base_v is not None

@@ -192,8 +192,7 @@ def _read_bundle(study: Study, bundle: Path, windows: LabelledWindows) -> Readou
     def one(volts: np.ndarray, elapsed_s: np.ndarray) -> None:
         localizer.infer(localizer.inputs(Window(volts[0], float(elapsed_s[0]))))
 
-    recorded = replace(study.scored, base_motion=None)
-    table = pd.concat(predictions(bundle, recorded, Archive(study.jobs)), ignore_index=True)
+    table = pd.concat(predictions(bundle, study.scored, Archive(study.jobs)), ignore_index=True)
     return Readout(table, *_times_ms(one, windows, TIMED))
 
 

@@ -64,7 +64,7 @@ def read_at(
 
 def predict_recording(bundle: Path, folder: Folder, name: str) -> list[dict[str, Any]]:
     """One recording's rows of `predictions.csv`, as dictionaries of COLUMNS; NaN where not estimated."""
-    recording = folder.load(name)
+    recording = folder.read(name)
     fractions, moments_s = zip(*moments(folder.manifest.loc[name].to_dict(), recording.time_s), strict=True)
     localizer = open_localizer(bundle)
     estimates = read_at(localizer, samples_for(localizer, recording), recording.time_s, moments_s)

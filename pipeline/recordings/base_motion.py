@@ -16,26 +16,35 @@ LEAST_MOTION_G = 0.02
 # Shorter blocks lower the gains by the base's noise, 2.6 % where it moves by 15 mV rms and blocks of 20 ms have 1.1 mV;
 # longer ones average its motion away.
 BLOCKS = Conditioning(block_s=0.1)
-# So many recordings tell the attitude of the calibration.
+# So many recordings show the attitude of the calibration.
 MOST_RECORDINGS = 24
 
 
 def without_base_motion(folder: Folder) -> Folder:
-    """The folder with the base's motion taken out of every recording that it loads; itself where there is no base.
+    """The folder whose `load` takes out the base's motion; itself where there is no base.
+
+    Raises:
+        InputError: as `base_motion_of`.
+    """
+    motion = base_motion_of(folder)
+    return folder if motion is None else replace(folder, base_motion=motion)
+
+
+def base_motion_of(folder: Folder) -> BaseMotion | None:
+    """How the skin follows its base in the recordings of the split `base`; None: the sensor has no base.
 
     Raises:
         InputError: the sensor has a base and no recording of the split `base`, or the base hardly moves in them.
     """
     if folder.sensor.base is None:
-        return folder
-    raw = replace(folder, base_motion=None)
-    moving = _moving(raw)
+        return None
+    moving = _moving(folder)
     if not moving:
         raise InputError(
             f"{folder.root / 'manifest.csv'}: sensor.toml has a [base], and no recording is of the split "
             f"'{BASE_SPLIT}'; record a minute in which the robot moves and nothing touches the skin, or take [base] out"
         )
-    return replace(folder, base_motion=_fitted(raw, moving))
+    return _fitted(folder, moving)
 
 
 def moved_and_left(folder: Folder) -> tuple[np.ndarray, float, float]:
@@ -45,8 +54,7 @@ def moved_and_left(folder: Folder) -> tuple[np.ndarray, float, float]:
     motion, sensor = folder.base_motion, folder.sensor
     assert motion is not None
     assert sensor.base is not None
-    raw = replace(folder, base_motion=None)
-    volts, base = _about_their_means([_blocks(raw, name) for name in _moving(raw)])
+    volts, base = _about_their_means([_blocks(folder, name) for name in _moving(folder)])
     left, _ = motion.without(volts + motion.static_v, base + motion.base_v)
     before_v, after_v = (float(np.sqrt(np.mean(v**2, axis=0)).max()) for v in (volts, left - motion.static_v))
     return _principal_rms(base) / sensor.base.sensitivity_v_per_g, before_v, after_v
@@ -88,8 +96,8 @@ def _gravity_v(sensor: Sensor, static_v: np.ndarray) -> tuple[float, ...]:
 
 def _attitude_v(folder: Folder, moving: list[str]) -> np.ndarray:
     """(3,) V: what the base reads in the recordings to calibrate with, or without any as it begins to move."""
-    taught = folder.select("calibration", "train").manifest.index
-    names = [str(name) for name in taught[:: max(1, len(taught) // MOST_RECORDINGS)]] or moving
+    learned = folder.select("calibration", "train").manifest.index
+    names = [str(name) for name in learned[:: max(1, len(learned) // MOST_RECORDINGS)]] or moving
     return np.median([_blocks(folder, name)[0, -3:] for name in names], axis=0)
 
 
@@ -101,7 +109,7 @@ def _about_their_means(blocks: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray
 
 def _blocks(folder: Folder, name: str) -> np.ndarray:
     """A recording's block means (m, C + 3) V."""
-    blocks = block_means(folder.load(name).samples, BLOCKS, folder.sensor.sample_rate_hz)
+    blocks = block_means(folder.read(name).samples, BLOCKS, folder.sensor.sample_rate_hz)
     if not len(blocks):
         raise InputError(f"{folder.root}: {name} is shorter than a block of {BLOCKS.block_s:g} s")
     return blocks

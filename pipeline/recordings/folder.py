@@ -28,7 +28,7 @@ class Recording:
     """One slide's samples in float64: time_s (n,) s, volts (n, channels) V in `Sensor.channels` order.
 
     truth: what was so at each moment, as `pipeline.recordings.truth` says; None where the lab did not give it.
-    base_v: (n, 3) V of the sensor's base; None where it has none, or its motion is taken out of the volts.
+    base_v: (n, 3) V of the sensor's base; None where it has none, or after `without`.
     """
 
     name: str
@@ -42,13 +42,30 @@ class Recording:
         """All that was recorded, in `Sensor.columns` order, V."""
         return self.volts if self.base_v is None else np.hstack([self.volts, self.base_v])
 
+    def without(self, motion: BaseMotion, place: Path | str = "") -> "Recording":
+        """The recording with the base's motion taken out of its volts. place: opens an error's message.
+
+        Raises:
+            InputError: it has no base, or leans over too far.
+        """
+        place = place or self.name
+        if self.base_v is None:
+            raise InputError(f"{place}: holds nothing of a base whose motion could be taken out")
+        volts, upright = motion.without(self.volts, self.base_v)
+        if not upright.all():
+            raise InputError(
+                f"{place}: from {self.time_s[~upright.all(axis=1)][0]:g} s on the base leans over further than a "
+                "contact can be told from; leave it out"
+            )
+        return replace(self, volts=volts, base_v=None)
+
 
 @dataclass(frozen=True)
 class Folder:
     """A folder whose sensor and manifest are valid; a slide's samples are validated when it is loaded.
 
     manifest: one row a recording, indexed by its name, with `file`, `split` and every label as a column;
-    a label that the lab did not give is NaN. base_motion: what is taken out of every recording that is loaded.
+    a label that the lab did not give is NaN. base_motion: what `load` takes out of every recording; None: nothing.
     """
 
     root: Path
@@ -60,7 +77,19 @@ class Folder:
         return len(self.manifest)
 
     def load(self, recording: str) -> Recording:
-        """Reads one slide, and its truth if any; holds it against the sensor's rate and the moments of motion.
+        """One recording as a model learns from it: without the motion of the sensor's base, where that is known.
+
+        Raises:
+            InputError: as `read`, or the base leans over too far.
+        """
+        read = self.read(recording)
+        if self.base_motion is None:
+            return read
+        return read.without(self.base_motion, self.root / self.manifest.at[recording, "file"])
+
+    def read(self, recording: str) -> Recording:
+        """One recording as it was recorded, and its truth if any; held against the sensor's rate and the moments of
+        motion.
 
         Raises:
             InputError: no such recording, a broken file, or samples that do not fit the sensor or the manifest.
@@ -70,7 +99,6 @@ class Folder:
         row = self.manifest.loc[recording]
         path = self.root / row["file"]
         time_s, samples = read_slide(path, self.sensor.columns)
-        volts, base_v = np.split(samples, [len(self.sensor.channels)], axis=1)
         check_clock(path, time_s, self.sensor.sample_rate_hz)
         step = 1 / self.sensor.sample_rate_hz
         for label in ("motion_start_s", "motion_end_s"):
@@ -79,17 +107,10 @@ class Folder:
                     f"{self.root / 'manifest.csv'}: {recording}, {label} = {row[label]:g} lies outside the "
                     f"recording ({time_s[0]:g} to {time_s[-1]:g} s); correct it or leave it empty"
                 )
-        if self.base_motion is not None:
-            volts, upright = self.base_motion.without(volts, base_v)
-            if not upright.all():
-                raise InputError(
-                    f"{path}: from {time_s[~upright.all(axis=1)][0]:g} s on the base leans over further than a contact "
-                    "can be told from; leave it out"
-                )
         truth = truth_path(path)
         table = read_truth(truth) if truth.is_file() else None
-        raw = self.sensor.base is not None and self.base_motion is None
-        return Recording(recording, time_s, volts, table, base_v if raw else None)
+        volts, base_v = np.split(samples, [len(self.sensor.channels)], axis=1)
+        return Recording(recording, time_s, volts, table, base_v if self.sensor.base else None)
 
     def select(self, *prefixes: str) -> "Folder":
         """The recordings whose split begins with one of the prefixes; may be none."""
