@@ -1,4 +1,4 @@
-"""Subcommands that make and check data: import, check, height, press, simulate, synthesize."""
+"""Subcommands that make and check data: import, check, simulate, synthesize."""
 
 import argparse
 import json
@@ -16,8 +16,10 @@ def check(parser: Parser) -> Run:
     Checks a folder's format and its health: clock, clipping, wiring, noise
     (g/sqrt(Hz)), mains, drift, labels, splits, signs of made-up data; each
     finding with its figure and its limit, of all recordings in one pass.
-    Says what the calibration slides do not cover: directions, lines, speeds (deg,
-    mm, mm/s), speed and heading confounded.
+    Where it has several pressures (MPa) or a laser's readings (skin_height_mm),
+    the skin's height (mm) at each, by the article's formula and by the solved
+    design, from the static tilts. Says what the calibration slides do not cover:
+    directions, lines, speeds (deg, mm, mm/s), speed and heading confounded.
     Exit status 2 on an error, 0 with warnings alone.
 
         softslide check my-recordings
@@ -25,7 +27,8 @@ def check(parser: Parser) -> Run:
         softslide check my-recordings --picture coverage.svg
     """
     arguments.existing(parser, "folder", "DIR", "holds sensor.toml, manifest.csv, slides/*.parquet")
-    parser.add_argument("--json", action="store_true", help="the findings as one JSON object")
+    arguments.atlas(parser, "of the sensor's design (default: the one that ships, or was solved earlier)")
+    parser.add_argument("--json", action="store_true", help="the report as one JSON object")
     parser.add_argument(
         "--picture",
         type=Path,
@@ -34,11 +37,8 @@ def check(parser: Parser) -> Run:
     )
 
     def run(given: argparse.Namespace) -> None:
-        from pipeline.checks.coverage import not_covered
-        from pipeline.checks.findings import as_json, examine, not_checked, refused_folder
+        from pipeline.checks.report import checked, refused
         from pipeline.recordings.folder import read_folder
-        from pipeline.recordings.heights import told_heights
-        from pipeline.recordings.taught import CALIBRATION
 
         if given.picture and given.picture.suffix not in (".svg", ".png", ".pdf"):
             raise InputError(f"{given.picture}: name a .svg, .png or .pdf", "picture")
@@ -46,28 +46,18 @@ def check(parser: Parser) -> Run:
             recordings = read_folder(given.folder, files=False)
         except InputError as error:
             if given.json:
-                print(json.dumps(as_json(given.folder, None, [refused_folder(error)]), indent=1))
+                print(json.dumps(refused(given.folder, error).as_json(), indent=1))
             raise
         if given.picture:
             from experiments.acquisition.coverage_picture import draw_coverage
 
             draw_coverage(recordings, given.picture)
-        findings = examine(recordings)
-        errors = [finding for finding in findings if finding.level == "error"]
+        report = checked(recordings, given.atlas)
         if given.json:
-            print(json.dumps(as_json(given.folder, recordings, findings), indent=1, allow_nan=False))
+            print(json.dumps(report.as_json(), indent=1, allow_nan=False))
         else:
-            for finding in findings:
-                print(finding.line())
-            for line in not_checked(recordings.sensor):
-                print(f"not checked: {line}")
-            if line := told_heights(recordings.select(*CALIBRATION)):
-                print(f"heights: {line}")
-            for line in not_covered(recordings.manifest, recordings.sensor):
-                print(f"not covered: {line}")
-            warnings = len(findings) - len(errors)
-            print(f"{len(recordings)} recordings, {len(errors)} errors, {warnings} warnings")
-        if errors:
+            print(*report.lines(), sep="\n")
+        if errors := report.level("error"):
             first = errors[0].line()
             raise InputError(f"{given.folder}: {len(errors)} errors, first {first}; correct or remove these")
 
@@ -185,77 +175,6 @@ def simulate(parser: Parser) -> Run:
     return run
 
 
-def height(parser: Parser) -> Run:
-    """the inflated skin's height (mm) at each pressure of a folder
-
-    From the static tilts (g): by the article's formula, by the solved design,
-    and by the solved design with the factor on the tilts that one reading of
-    a laser gives (column skin_height_mm of the manifest, at the pressure that
-    is nearest to the sensor's). A line for each pressure (MPa).
-
-        softslide height my-recordings
-        softslide height my-recordings --atlas atlas.npz --json
-    """
-    arguments.existing(parser, "folder", "DIR", "holds sensor.toml, manifest.csv, slides/*.parquet")
-    arguments.atlas(parser, "of the sensor's design (default: the one that ships, or solved now)")
-    parser.add_argument("--json", action="store_true", help="one JSON object a pressure")
-
-    def run(given: argparse.Namespace) -> None:
-        from pipeline.atlas.library import atlas_of
-        from pipeline.atlas.skin_height import skin_heights, told
-        from pipeline.recordings.folder import read_folder
-
-        recordings = read_folder(given.folder)
-        rows = skin_heights(recordings, atlas_of(recordings.sensor, given.atlas))
-        for row, line in zip(rows, told(rows), strict=True):
-            if given.json:
-                numbers = {
-                    key: None if isinstance(value, float) and value != value else value
-                    for key, value in (row | {"static_g": row["static_g"].tolist()}).items()
-                }
-                print(json.dumps(numbers, allow_nan=False))
-            else:
-                print(line)
-
-    return run
-
-
-def press(parser: Parser) -> Run:
-    """where and how hard something presses, in each recording of a folder
-
-    Reads the strongest 0.2 s that begin 0.3 s after the touch, and finds the
-    press of the solved skin that shows the same: place and depth in mm, force
-    in mN, each with a 90 % interval, and the radius (mm) that holds the place
-    with 90 %: one accelerometer leaves many places, several leave one. A line
-    for each recording, which rests at its start.
-
-        softslide press my-recordings --height 7.1
-        softslide press my-recordings --atlas atlas.npz --json
-    """
-    arguments.existing(parser, "folder", "DIR", "holds sensor.toml, manifest.csv, slides/*.parquet")
-    arguments.atlas(parser, "of the sensor's design (default: the one that ships, or solved now)")
-    parser.add_argument(
-        "--height",
-        type=float,
-        metavar="MM",
-        help="of the inflated skin, mm (default: the laser's reading in the manifest, skin_height_mm)",
-    )
-    parser.add_argument("--json", action="store_true", help="one JSON object a recording")
-
-    def run(given: argparse.Namespace) -> None:
-        from pipeline.atlas.library import atlas_of
-        from pipeline.atlas.presses import presses, told
-        from pipeline.atlas.skin_height import laser_mm
-        from pipeline.recordings.folder import read_folder
-
-        recordings = read_folder(given.folder)
-        height_mm = laser_mm(recordings) if given.height is None else given.height
-        for row in presses(recordings, atlas_of(recordings.sensor, given.atlas), height_mm):
-            print(json.dumps(row) if given.json else next(told([row])))
-
-    return run
-
-
 def synthesize(parser: Parser) -> Run:
     """write a folder of synthetic recordings from an atlas
 
@@ -342,4 +261,4 @@ def synthesize(parser: Parser) -> Run:
     return run
 
 
-COMMANDS = (check, height, press, import_, simulate, synthesize)
+COMMANDS = (check, import_, simulate, synthesize)

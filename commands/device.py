@@ -3,6 +3,8 @@
 import argparse
 import json
 import sys
+from collections.abc import Callable, Iterator
+from typing import Any
 
 from commands import arguments
 from commands.arguments import Parser, Run
@@ -15,9 +17,15 @@ def predict(parser: Parser) -> Run:
     The estimate at each recording's end as a line of JSON: angles in degrees
     (deg), lengths in mm, speed in mm/s, time in s; lo and hi bound a 90 %
     interval; null where nothing is estimated. A file that cannot be read is a
-    line on standard error, the others go on, and the exit status is 2.
+    line on standard error, the others go on, and the exit status is 2. With
+    --presses: where and how hard something presses, from the solved skin. Read
+    from the strongest 0.2 s that begin 0.3 s after the touch of a recording that
+    rests at its start: place and depth in mm, force in mN, and the radius (mm)
+    that holds the place with 90 %: one accelerometer leaves many places, several
+    leave one.
 
         softslide predict --model my-model slide.csv
+        softslide predict --model my-model --presses --height 7.1 press.csv
         softslide predict --model my-model --track path.csv > path.jsonl
         softslide predict --model my-model --whole-contact curve.csv > curve.jsonl
     """
@@ -30,6 +38,12 @@ def predict(parser: Parser) -> Run:
         action="store_true",
         help="as --track, but each moment's estimate is from its whole contact, what comes after it included: "
         "sharper on curves; with a cnn of a skin that is touched anywhere, as of magnetometers",
+    )
+    parser.add_argument(
+        "--presses", action="store_true", help="a press in each recording (needs the io extra and --height)"
+    )
+    arguments.atlas(
+        parser, "with --presses, of the sensor's design (default: the one that ships, or solved now)"
     )
     arguments.skin_height(parser)
     arguments.existing(
@@ -44,9 +58,12 @@ def predict(parser: Parser) -> Run:
         from serve.predict import predict
 
         bad: list[InputError] = []
-        for line in predict(
-            given.model, given.files, given.track, bad.append, given.height, given.whole_contact
-        ):
+        lines = (
+            _presses(given, bad.append)
+            if given.presses
+            else predict(given.model, given.files, given.track, bad.append, given.height, given.whole_contact)
+        )
+        for line in lines:
             print(json.dumps(line, allow_nan=False), flush=True)
         for error in bad[:-1]:
             print(f"softslide predict: {error}", file=sys.stderr)
@@ -54,6 +71,34 @@ def predict(parser: Parser) -> Run:
             raise bad[-1]
 
     return run
+
+
+def _presses(given: argparse.Namespace, refused: Callable[[InputError], None]) -> Iterator[dict[str, Any]]:
+    """The press in each file, by the solved skin of the bundle's sensor.
+
+    Raises:
+        InputError: the bundle or the atlas is not valid, or no height is named.
+    """
+    from pipeline.atlas.library import atlas_of
+    from pipeline.atlas.presses import press_in
+    from pipeline.sensor import sensor_of
+    from serve.bundle import open_bundle
+    from serve.files import read_recording
+
+    card, _ = open_bundle(given.model)
+    if given.height is None:
+        raise InputError(
+            "is needed: a press is read at a height of the inflated skin; name it in mm", "height"
+        )
+    sensor = sensor_of(card.sensor, f"{given.model / 'model.json'}: sensor")
+    atlas = atlas_of(sensor, given.atlas)
+    for path in given.files:
+        try:
+            volts = read_recording(path, sensor.channels, sensor.sample_rate_hz)
+        except InputError as error:
+            refused(error)
+            continue
+        yield {"recording": path.stem, "file": str(path), **press_in(volts, sensor, atlas, given.height)}
 
 
 def serve(parser: Parser) -> Run:

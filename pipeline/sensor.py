@@ -6,6 +6,7 @@ folder of recordings can be simulated from the `sensor.toml` that it has.
 
 import hashlib
 import json
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
@@ -322,11 +323,23 @@ def write_sensor(path: Path, sensor: Sensor) -> None:
     """Writes a `sensor.toml` that `read_sensor` reads back as the same sensor."""
     import tomli_w
 
-    table = asdict(sensor)
+    path.write_text(tomli_w.dumps(_in_a_file(asdict(sensor))), encoding="utf-8")
+
+
+def sensor_of(card: Mapping[str, Any], source: str) -> Sensor:
+    """The sensor that a bundle's card holds.
+
+    Raises:
+        InputError: it is not as `sensor.toml` may be.
+    """
+    return from_table(Sensor, _in_a_file(card), source)
+
+
+def _in_a_file(values: Mapping[str, Any]) -> dict[str, Any]:
+    """A sensor's values as they stand in a `sensor.toml`: TOML has no null, what is not known is not written."""
+    table = {key: value for key, value in values.items() if value not in (None, "")}
     table["accelerometer"] = table.pop("accelerometers")
-    # TOML has no null: what is not known is not written.
-    table = {key: value for key, value in table.items() if value not in (None, "")}
-    path.write_text(tomli_w.dumps(table), encoding="utf-8")
+    return table
 
 
 def design_of(sensor: Sensor) -> dict[str, Any]:

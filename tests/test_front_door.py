@@ -191,8 +191,6 @@ def test_the_version_is_told() -> None:
 # A call of every command, complete but for the extras that it needs.
 CALLS = {
     "check": [SAMPLE],
-    "height": [SAMPLE],
-    "press": [SAMPLE],
     "import": [SAMPLE / "slides", "--map", SAMPLE / "sensor.toml", "--out", "out"],
     "simulate": ["--sensor", SAMPLE / "sensor.toml", "--out", "out"],
     "synthesize": ["--slides", 1, "--out", "out"],

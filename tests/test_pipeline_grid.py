@@ -9,7 +9,8 @@ import pytest
 
 from features.angles import touch_channels
 from features.errors import InputError
-from pipeline.checks.findings import examine, not_checked
+from pipeline.checks.findings import examine
+from pipeline.checks.report import not_checked
 from pipeline.importers.grid.assemble import import_grid
 from pipeline.importers.grid.grid_map import read_grid_map
 from pipeline.recordings.folder import Folder, read_folder

@@ -7,10 +7,11 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from small_bundle import write_small_bundle
 
 import softslide
 from pipeline.atlas.atlas import DEFAULT_SENSOR, Atlas, read_atlas, write_atlas
-from pipeline.atlas.presses import MOST_MISFIT, presses, settled_reading
+from pipeline.atlas.presses import MOST_MISFIT, press_in, settled_reading
 from pipeline.recordings.folder import Folder, Recording, write_folder
 from pipeline.sensor import Sensor, design_hash, design_of, read_sensor
 from pipeline.skin.lines import MIRROR_BOARD, PER_BOARD
@@ -70,8 +71,13 @@ def pressed(atlas: Atlas, sensor: Sensor, root: Path, gain: float = 1.02, count:
             1.65 + 0.8 * tilt.reshape(len(shape), -1) + rng.normal(0, 0.004, (len(shape), 3 * atlas.boards))
         )
         recordings.append(Recording(f"p{n}", np.arange(len(shape)) / RATE_HZ, volts))
-        rows.append({"recording": f"p{n}", "split": "test", "skin_height_mm": HEIGHT_MM})
+        rows.append({"recording": f"p{n}", "split": "test"})
     return write_folder(root, sensor, pd.DataFrame(rows), recordings)
+
+
+def found_in(folder: Folder, atlas: Atlas) -> list[dict]:
+    names = folder.manifest.index
+    return [press_in(folder.load(str(name)).volts, folder.sensor, atlas, HEIGHT_MM) for name in names]
 
 
 def off_mm(rows: list[dict]) -> np.ndarray:
@@ -84,8 +90,8 @@ def test_four_accelerometers_are_sharp_and_one_says_that_it_is_not(tmp_path: Pat
     several, alone = four_boards(), read_atlas()
     sensor = sensor_with([(a["x"], a["y"]) for a in ({"x": 5.0, "y": 0.0},)])
     places = [tuple(place) for place in several.meta["design"]["boards_mm"]]
-    many = list(presses(pressed(several, sensor_with(places), tmp_path / "four"), several, HEIGHT_MM))
-    one = list(presses(pressed(alone, sensor, tmp_path / "one"), alone, HEIGHT_MM))
+    many = found_in(pressed(several, sensor_with(places), tmp_path / "four"), several)
+    one = found_in(pressed(alone, sensor, tmp_path / "one"), alone)
     assert off_mm(many).max() < 1.5
     level = several.pressure_at(HEIGHT_MM)
     for sharp, vague, (x, y, depth) in zip(many, one, PLACES, strict=False):
@@ -101,33 +107,32 @@ def test_four_accelerometers_are_sharp_and_one_says_that_it_is_not(tmp_path: Pat
     assert "x_mm" not in many[-1]
 
 
-def test_the_command_tells_each_press_and_needs_a_height(
+def test_the_command_reads_each_press_and_needs_a_height(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     atlas = four_boards()
     write_atlas(atlas, tmp_path / "four.npz")
     places = [tuple(place) for place in atlas.meta["design"]["boards_mm"]]
     folder = pressed(atlas, sensor_with(places), tmp_path / "four", count=1)
-    named = ["press", str(folder.root), "--atlas", str(tmp_path / "four.npz")]
-    assert softslide.main([*named, "--json"]) == 0
+    bundle = write_small_bundle(tmp_path / "bundle", folder.sensor)
+    files = [str(folder.root / file) for file in folder.manifest["file"]]
+    named = ["predict", "--presses", "--model", str(bundle), "--atlas", str(tmp_path / "four.npz")]
+    assert softslide.main([*named, "--height", str(HEIGHT_MM), *files]) == 0
     rows = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     assert off_mm(rows[:1]).max() < 1.5
-    assert softslide.main(named) == 0
-    lines = capsys.readouterr().out.splitlines()
-    assert "mN" in lines[0]
-    assert lines[-1] == "p1: no touch"
-    folder.manifest.drop(columns="skin_height_mm").reset_index().to_csv(
-        folder.root / "manifest.csv", index=False
-    )
-    assert softslide.main(named) == 2
+    assert rows[0]["valid"]
+    assert rows[1] == {"recording": "p1", "file": files[1], "valid": False}
+    assert softslide.main([*named, *files]) == 2
     assert "--height" in capsys.readouterr().err
 
 
-def test_what_is_no_press_is_told_by_its_misfit(tmp_path: Path) -> None:
+def test_what_is_not_a_press_shows_by_its_misfit(tmp_path: Path) -> None:
     """Outputs ten times as large as any press of this skin."""
     atlas = read_atlas()
     folder = pressed(atlas, sensor_with([(5.0, 0.0)]), tmp_path / "hard", gain=10.0, count=1)
-    assert any(row["misfit"] > MOST_MISFIT for row in presses(folder, atlas, HEIGHT_MM) if "misfit" in row)
+    row = found_in(folder, atlas)[0]
+    assert row["misfit"] > MOST_MISFIT
+    assert not row["valid"]
 
 
 def test_the_reading_is_the_strongest_after_the_touch_has_settled() -> None:

@@ -1,6 +1,6 @@
 """The skin's height from static tilts, with the factor that one reading of a laser gives."""
 
-from pathlib import Path
+import json
 
 import numpy as np
 import pandas as pd
@@ -8,8 +8,8 @@ import pytest
 
 import softslide
 from pipeline.atlas.atlas import DEFAULT_SENSOR, read_atlas
-from pipeline.atlas.skin_height import skin_heights
-from pipeline.recordings.folder import Folder, Recording, write_folder
+from pipeline.atlas.skin_height import says_of_heights, skin_heights
+from pipeline.recordings.folder import SAMPLE, Folder, Recording, read_folder, write_folder
 from pipeline.sensor import read_sensor
 
 HEIGHTS_MM, PRESSURES_MPA, FACTOR = (5.5, 7.0, 8.5), (0.03, 0.035, 0.04), 0.8
@@ -31,8 +31,13 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Folder:
     return write_folder(tmp_path_factory.mktemp("heights") / "skin", sensor, pd.DataFrame(rows), recordings)
 
 
+def rows_of(folder: Folder) -> list[dict]:
+    rest_v = {str(name): folder.load(str(name)).volts.mean(axis=0) for name in folder.manifest.index}
+    return skin_heights(folder, rest_v, read_atlas())
+
+
 def test_one_reading_of_a_laser_makes_the_solved_design_right_at_other_pressures(folder: Folder) -> None:
-    rows = skin_heights(folder, read_atlas())
+    rows = rows_of(folder)
     assert [row["used"] for row in rows] == [False, True, False]
     for row, height in zip(rows, HEIGHTS_MM, strict=True):
         assert row["fitted_mm"] == pytest.approx(height, rel=0.02)
@@ -42,18 +47,24 @@ def test_one_reading_of_a_laser_makes_the_solved_design_right_at_other_pressures
 
 def test_without_a_laser_nothing_is_fitted(folder: Folder) -> None:
     bare = Folder(folder.root, folder.sensor, folder.manifest.assign(skin_height_mm=np.nan))
-    assert all(np.isnan(row["fitted_mm"]) and not row["used"] for row in skin_heights(bare, read_atlas()))
+    assert all(np.isnan(row["fitted_mm"]) and not row["used"] for row in rows_of(bare))
 
 
 def test_recordings_for_reporting_fit_nothing(folder: Folder) -> None:
     reported = Folder(folder.root, folder.sensor, folder.manifest.assign(split="test"))
-    assert all(np.isnan(row["fitted_mm"]) for row in skin_heights(reported, read_atlas()))
+    assert all(np.isnan(row["fitted_mm"]) for row in rows_of(reported))
 
 
-def test_the_command_says_a_line_for_each_pressure(
-    folder: Folder, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert softslide.main(["height", str(Path(folder.root))]) == 0
-    lines = capsys.readouterr().out.splitlines()
-    assert [line.split()[0] for line in lines] == ["0.03", "0.035", "0.04"]
+def test_check_says_a_line_for_each_pressure(folder: Folder, capsys: pytest.CaptureFixture[str]) -> None:
+    softslide.main(["check", str(folder.root)])
+    lines = [line for line in capsys.readouterr().out.splitlines() if line.startswith("skin height: ")]
+    assert [line.split()[2] for line in lines] == ["0.03", "0.035", "0.04"]
     assert "fits the factor" in lines[1]
+    softslide.main(["check", str(folder.root), "--json"])
+    rows = json.loads(capsys.readouterr().out)["skin_heights"]
+    assert rows[1]["laser_mm"] == HEIGHTS_MM[1]
+    assert rows[0]["laser_mm"] is None
+
+
+def test_check_says_nothing_of_heights_where_there_is_one_pressure() -> None:
+    assert not says_of_heights(read_folder(SAMPLE))

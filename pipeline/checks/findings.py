@@ -5,29 +5,26 @@ false. A `warning` is unusual and may be right.
 
 Gravity, the data sheet's noise, mains and drift in g, and the signs of the contact zones are checked of accelerometers
 alone. Recordings that are assembled from presses hold and share samples; nothing of them is taken for clipped, copied
-or made up. `not_checked` says so.
+or made up. `report.not_checked` says so.
 """
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
-from pathlib import Path
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
 
 from features.errors import InputError
-from pipeline.checks.coverage import not_covered
 from pipeline.checks.measurements import Measurements, measure
 from pipeline.checks.rail_run import MOST_AT_RAIL
 from pipeline.checks.wrong_units import impossible_output, impossible_speed
 from pipeline.checks.zone_signs import line_mismatch_mm
 from pipeline.progress import progress_bar
-from pipeline.recordings.base_motion import without_base_motion
+from pipeline.recordings.base_motion import base_motion_of
+from pipeline.recordings.derived_labels import with_derived_labels
 from pipeline.recordings.folder import Folder
-from pipeline.recordings.heights import told_heights
-from pipeline.recordings.taught import CALIBRATION, SAME_LINE_MM, taught_lines
+from pipeline.recordings.taught import SAME_LINE_MM, taught_lines
 from pipeline.sensor import NOISE_G_RTHZ, Accelerometer, Sensor
 
 
@@ -80,24 +77,42 @@ class Finding:
 def examine(folder: Folder, limits: Limits | None = None) -> list[Finding]:
     """Measures every slide once, then compares the slides with each other; errors first.
 
-    A slide that `Folder.load` refuses is a finding, and left out of the rest. Of a sensor with a base what depends on
-    the robot's attitude is measured without its motion.
+    A slide that `Folder.load` refuses is a finding, and left out of the rest.
     """
-    limits = limits or Limits()
-    measured, refused, level = [], [], folder
+    return compared(folder, *measured_slides(folder), limits)
+
+
+def measured_slides(folder: Folder) -> tuple[list[Measurements], list[Finding]]:
+    """The measurements of every slide that can be read, with the labels that follow from others; and what is refused.
+
+    Of a sensor with a base what depends on the robot's attitude is measured without its motion.
+    """
+    measured, refused, motion = [], [], None
     try:
-        level = without_base_motion(folder)
+        motion = base_motion_of(folder)
     except InputError as error:
         refused.append(Finding("error", "base", "", "", 1.0, 0.0, str(error)))
-    for name, row in progress_bar("check", "slide", folder.manifest.iterrows(), len(folder)):
+    labels = with_derived_labels(folder).manifest
+    for name, row in progress_bar("check", "slide", labels.iterrows(), len(folder)):
         try:
-            recording = folder.load(str(name))
-            upright = None if level is folder else level.load(str(name))
+            recording = folder.read(str(name))
+            upright = None if motion is None else recording.without(motion, folder.root / row["file"])
             measured.append(measure(recording, row, folder.sensor, upright))
         except InputError as error:
             refused.append(Finding("error", "unreadable", str(name), "", 1.0, 0.0, str(error)))
+    return measured, refused
+
+
+def compared(
+    folder: Folder,
+    measured: Sequence[Measurements],
+    refused: Sequence[Finding],
+    limits: Limits | None = None,
+) -> list[Finding]:
+    """The findings on `measured_slides`; errors first. Labels are held against each other as they are given."""
+    limits = limits or Limits()
     if not measured:
-        return refused
+        return list(refused)
     manifest = folder.manifest.loc[[one.name for one in measured]]
     findings = list(_wiring(measured, folder.sensor, limits))
     sound = not any(finding.level == "error" for finding in findings)
@@ -116,44 +131,9 @@ def examine(folder: Folder, limits: Limits | None = None) -> list[Finding]:
         findings += copies
         copied = {finding.recording for finding in copies}
         findings += _made_up([one for one in measured if one.name not in copied], folder.sensor, limits)
-    findings += _leakage(manifest)
+    findings += _leakage(with_derived_labels(folder).manifest.loc[manifest.index])
     explained = [finding for finding in findings if not _explained(finding, units)]
     return sorted([*refused, *units, *explained], key=lambda finding: finding.level)
-
-
-def not_checked(sensor: Sensor) -> list[str]:
-    """What was left out, and why; a line each."""
-    lines = []
-    if others := [a.name for a in sensor.accelerometers if not a.measures_gravity]:
-        lines.append(
-            f"{', '.join(others)}: gravity, data-sheet noise, mains, drift and contact zones are not checked; "
-            "they apply to accelerometers alone"
-        )
-    if sensor.origin == "assembled":
-        lines.append(
-            "assembled recordings hold and share samples: clipped, copied and made-up are not checked"
-        )
-    return lines
-
-
-def as_json(root: Path, folder: Folder | None, findings: Sequence[Finding]) -> dict[str, Any]:
-    """The report as plain values, NaN-free. folder: None where it could not be read."""
-    levels = [finding.level for finding in findings]
-    return {
-        "folder": str(root),
-        "recordings": 0 if folder is None else len(folder),
-        "errors": levels.count("error"),
-        "warnings": levels.count("warning"),
-        "not_checked": [] if folder is None else not_checked(folder.sensor),
-        "heights": "" if folder is None else told_heights(folder.select(*CALIBRATION)),
-        "not_covered": [] if folder is None else not_covered(folder.manifest, folder.sensor),
-        "findings": [asdict(finding) for finding in findings],
-    }
-
-
-def refused_folder(error: InputError) -> Finding:
-    """What stands in the report of a folder that could not be read."""
-    return Finding("error", "unreadable", "", "", 1.0, 0.0, str(error))
 
 
 def _units(measured: Sequence[Measurements], folder: Folder, limits: Limits) -> Iterator[Finding]:

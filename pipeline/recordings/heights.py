@@ -40,7 +40,7 @@ def laser_readings_mm(folder: Folder) -> pd.Series:
     return read.where((read > 0) & np.isfinite(read))
 
 
-def told_heights(folder: Folder) -> str:
+def said_of_heights(folder: Folder) -> str:
     """For people, what is made of calibration slides at several pressures; empty where they have one."""
     main_mpa = main_pressure_mpa(folder)
     others = is_other(folder.manifest["pressure_mpa"], main_mpa)
