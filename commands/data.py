@@ -37,6 +37,7 @@ def check(parser: Parser) -> Run:
     )
 
     def run(given: argparse.Namespace) -> None:
+        from experiments.derived_labels import derived
         from pipeline.checks.report import checked, refused
         from pipeline.recordings.folder import read_folder
 
@@ -51,8 +52,8 @@ def check(parser: Parser) -> Run:
         if given.picture:
             from experiments.acquisition.coverage_picture import draw_coverage
 
-            draw_coverage(recordings, given.picture)
-        report = checked(recordings, given.atlas)
+            draw_coverage(derived(recordings), given.picture)
+        report = checked(recordings, given.atlas, derived)
         if given.json:
             print(json.dumps(report.as_json(), indent=1, allow_nan=False))
         else:

@@ -14,6 +14,7 @@ from typing import Any
 
 import pandas as pd
 
+from experiments.derived_labels import derived
 from experiments.evaluation.archive import Archive
 from experiments.evaluation.bounds import Verdict, check, read_bounds
 from experiments.evaluation.efficiency import bounds_of, over_bound
@@ -33,6 +34,7 @@ from experiments.provenance import bundle_hash, data_tags
 from experiments.tracking import Run, flattened, tracked
 from features.errors import InputError
 from pipeline.progress import progress_bar
+from pipeline.recordings.derived_labels import with_derived_labels
 from pipeline.recordings.folder import Folder, read_folder
 from pipeline.recordings.taught import taught_depths_mm, taught_lines
 from pipeline.staging import alone, staged
@@ -90,8 +92,8 @@ def evaluate(
         InputError: the bundle, the folder or a recording is not what the contract says, or no such split.
     """
     bundle, recordings, out = Path(bundle), Path(recordings), Path(out)
-    whole = read_folder(recordings)
-    folder = to_score(whole, splits)
+    whole = with_derived_labels(read_folder(recordings))
+    folder = derived(to_score(whole, splits))
     check_fits(open_localizer(bundle), folder)
     configuration = {
         "bundle": str(bundle),

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from experiments.derived_labels import derived
 from experiments.provenance import data_hashes
 from models.export.recalibrate import recalibrate
 from pipeline.recordings.folder import read_folder
@@ -20,4 +21,5 @@ def recalibrate_bundle(
     folder = read_folder(recordings)
     if splits:
         folder = folder.select(*splits)
+    folder = derived(folder)
     return recalibrate(bundle, folder, out, data_hashes(folder))

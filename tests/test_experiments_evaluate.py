@@ -55,7 +55,12 @@ def evaluated(
 
 
 def test_predictions_are_the_contracts(bundle: Path, tmp_path: Path) -> None:
-    a_folder(tmp_path / "lab", one={}, two={"motion_end_s": np.nan}, three={"split": "train"})
+    a_folder(
+        tmp_path / "lab",
+        one={},
+        two={"motion_end_s": np.nan, "direction_deg": np.nan, "travel_mm": np.nan},
+        three={"split": "train"},
+    )
     _, table = evaluated(bundle, tmp_path / "lab", tmp_path / "out")
     assert table.columns.tolist() == list(COLUMNS) == contract_columns()
     one, two = table[table["recording"] == "one"], table[table["recording"] == "two"]

@@ -98,6 +98,22 @@ def bundle(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_bundle(tmp_path_factory.mktemp("bundle") / "model")
 
 
+def test_a_stroke_without_offset_and_moments_is_placed_by_its_signal(
+    bundle: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    day = write_day(tmp_path / "day", pressed=False)
+    table = pd.read_csv(day / "manifest.csv")
+    table[["offset_mm", "motion_start_s", "motion_end_s"]] = np.nan
+    table.to_csv(day / "manifest.csv", index=False)
+    words = ["recalibrate", "--model", bundle, "--recordings", day, "--out", tmp_path / "new"]
+    assert main([str(word) for word in words]) == 0
+    said = capsys.readouterr()
+    found = json.loads(said.out)
+    assert found["strokes"] == 1
+    assert list(found["gain"].values()) == pytest.approx(TRUE, rel=0.05)
+    assert "motion_start_s of 1" in said.err
+
+
 @pytest.mark.parametrize("pressed", [False, True])
 def test_one_stroke_or_press_renews_the_gains_of_map_and_graph(
     bundle: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], pressed: bool

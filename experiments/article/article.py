@@ -18,6 +18,7 @@ from experiments.article.method import BEST, PUBLISHED, VARIANTS
 from experiments.article.scoring import Scored, score_variant
 from experiments.article.section import Section
 from experiments.article.slide_figures import Whole, whole_slides
+from experiments.derived_labels import derived
 from experiments.evaluation.bounds import INFLATED_MM, read_bounds
 from experiments.pages.page import render
 from pipeline.atlas.library import atlas_of
@@ -54,7 +55,7 @@ def article(recordings: Path, atlas_path: Path | None, out: Path) -> Article:
         InputError: the folder, a recording or the atlas is not what it should be, or the sensing elements are no
             accelerometers.
     """
-    folder = read_folder(recordings)
+    folder = derived(read_folder(recordings))
     slides, left_out = read_axis_slides(folder)
     sensor = folder.sensor
     atlas = atlas_of(sensor, atlas_path)

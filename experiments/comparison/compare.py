@@ -25,6 +25,7 @@ from experiments.evaluation.scoring import score
 from experiments.pages.page import render
 from experiments.tracking.study import tracked_study
 from features.errors import InputError
+from pipeline.recordings.derived_labels import with_derived_labels
 from pipeline.recordings.folder import read_folder
 from pipeline.recordings.taught import taught_lines
 from pipeline.staging import writing
@@ -128,7 +129,7 @@ def compare_on(study: Study, models: Sequence[str]) -> Findings:
         found.times.append(head | times)
     if not scored:
         raise InputError(f"{study.recordings}: {next(iter(found.left_out.values()))}")
-    lines = taught_lines(read_folder(study.recordings).manifest)
+    lines = taught_lines(with_derived_labels(read_folder(study.recordings)).manifest)
     taught = lines.index[lines != ""].intersection(study.scored.manifest.index)
     found.taught = len(taught)
     unseen = {model: table[~table["recording"].isin(taught)] for model, table in scored.items()}

@@ -13,6 +13,7 @@ import numpy as np
 import pandas as pd
 
 from experiments.comparison import minirocket
+from experiments.derived_labels import derived
 from experiments.evaluation.archive import Archive
 from experiments.evaluation.readout import predictions
 from experiments.evaluation.window_readout import window_card, window_predictions
@@ -31,6 +32,7 @@ from models.registry import default_config
 from models.response_map.select import CalibratedMap, calibrated_map
 from pipeline.recordings.at_rest import conditioning_for
 from pipeline.recordings.base_motion import without_base_motion
+from pipeline.recordings.derived_labels import with_derived_labels
 from pipeline.recordings.folder import Folder, read_folder
 from pipeline.recordings.windows import LabelledWindows, labelled_windows
 from pipeline.staging import staged
@@ -60,12 +62,12 @@ class Study:
     @cached_property
     def taught(self) -> Folder:
         """The recordings that every model is fitted to."""
-        return self._labelled("calibration", "train")
+        return self._labelled(with_derived_labels, "calibration", "train")
 
     @cached_property
     def scored(self) -> Folder:
         """The recordings that every model is scored on."""
-        return self._labelled("test")
+        return self._labelled(derived, "test")
 
     @cached_property
     def windows(self) -> LabelledWindows:
@@ -93,8 +95,8 @@ class Study:
     def _folder(self) -> Folder:
         return without_base_motion(read_folder(self.recordings))
 
-    def _labelled(self, *splits: str) -> Folder:
-        folder = self._folder.select(*splits).labelled()
+    def _labelled(self, derive: Callable[[Folder], Folder], *splits: str) -> Folder:
+        folder = derive(self._folder.select(*splits)).labelled()
         if not len(folder):
             raise InputError(
                 f"{self.recordings / 'manifest.csv'}: no labelled slide of a split {' or '.join(splits)}*; add some"

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from features.angles import touch_channels
 from features.height import HeightCalibration
@@ -17,6 +18,7 @@ from models.response_map.config import CalibrationConfig
 from models.response_map.map import ResponseMap
 from models.response_map.slide_fit import fit_slide
 from models.response_map.slides import LEAST_REST_BLOCKS, CalibrationSlide, calibration_slides
+from pipeline.recordings.derived_labels import UNTIMED
 from pipeline.recordings.folder import Folder
 
 # Standard deviations of the prior: a real skin was 11 to 18 % stronger on another day, channel by channel.
@@ -105,7 +107,8 @@ def labelled_contacts(
     speed = folder.manifest["speed_mm_s"]
     standing = folder.manifest[list(PRESS_LABELS)].notna().all(axis=1) & ~(speed > 0)
     moving = replace(folder, manifest=folder.manifest[~standing])
-    slides = calibration_slides(moving, conditioning)
+    untimed = moving.manifest.index[moving.manifest.get(UNTIMED, pd.Series(False, moving.manifest.index))]
+    slides = calibration_slides(moving, conditioning, frozenset(map(str, untimed)))
     if heights is not None:
         slides = [replace(slide, height_mm=heights.told(slide.static_v)) for slide in slides]
     presses = {

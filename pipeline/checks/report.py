@@ -1,7 +1,7 @@
 """What `softslide check` says of a folder: its findings, what was not checked, skin heights, what is not covered."""
 
-from collections.abc import Iterator
-from dataclasses import asdict, dataclass, field
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -60,10 +60,15 @@ class Report:
         yield f"{self.recordings} recordings, {errors} errors, {warnings} warnings"
 
 
-def checked(folder: Folder, atlas: Path | None = None) -> Report:
-    """Every recording read once, with the labels that `train` derives where the manifest leaves them out.
+def checked(
+    folder: Folder,
+    atlas: Path | None = None,
+    derive: Callable[[Folder], Folder] = with_derived_labels,
+) -> Report:
+    """Every recording measured, with the labels that follow from others where the manifest leaves them out.
 
-    atlas: of the design, for the skin's heights; None: the one that ships or was solved earlier.
+    atlas: of the design, for the skin's heights; None: the one that ships or was solved earlier. derive: fills labels
+    of recordings that can be read, for what is said of what they cover.
 
     Raises:
         InputError: the atlas named is none, or of another design.
@@ -74,7 +79,7 @@ def checked(folder: Folder, atlas: Path | None = None) -> Report:
     if says_of_heights(folder):
         rest_v = {one.name: one.rest_v for one in measured}
         heights = skin_heights(folder, rest_v, atlas_at_hand(folder.sensor, atlas))
-    known = with_derived_labels(folder)
+    known = derive(replace(folder, manifest=folder.manifest.loc[[one.name for one in measured]]))
     return Report(
         folder=str(folder.root),
         recordings=len(folder),

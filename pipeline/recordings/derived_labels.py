@@ -10,6 +10,9 @@ from pipeline.recordings.heights import is_other, main_pressure_mpa, with_height
 from pipeline.recordings.truth import truth_path
 
 LINE = ("direction_deg", "speed_mm_s", "offset_mm")
+# Column of a manifest in memory: whether the place along the line is found in the signal, good to a few mm.
+UNTIMED = "derived.untimed"
+AXIS = 1e-6  # the cosine of a line along an axis with the other one
 USUAL_DEPTH_MM = 0.5  # contact depth of the article's recordings, where no slide says
 
 
@@ -31,8 +34,8 @@ def with_derived_labels(folder: Folder) -> Folder:
     """Fills absent labels from the others: a slide at one speed along a line needs no more than some of them.
 
     speed = travel / duration and the other way round; end = start + travel / speed and the other way round; offset
-    from a start and a direction (docs/format.md); depth: the median of the others', or USUAL_DEPTH_MM. A recording
-    with a truth file keeps its labels: it need not be such a slide.
+    from a start and a direction (docs/format.md), along an axis from the coordinate across it; depth of a slide: the
+    median of the others', or USUAL_DEPTH_MM. A recording with a truth file keeps its labels: it need not be a slide.
     """
     table = folder.manifest.copy()
     free = np.array([not truth_path(folder.root / file).is_file() for file in table["file"]], dtype=bool)
@@ -48,10 +51,17 @@ def with_derived_labels(folder: Folder) -> Folder:
     fill("motion_start_s", table["motion_end_s"] - table["travel_mm"] / table["speed_mm_s"])
     a = np.deg2rad(table["direction_deg"])
     x, y = (table[f"start_{axis}_mm"] - at for axis, at in zip("xy", folder.sensor.reference_mm, strict=True))
-    fill("offset_mm", np.cos(a) * y - np.sin(a) * x)
+    fill("offset_mm", _share(np.cos(a), y) - _share(np.sin(a), x))
     usual = table["depth_mm"].median()
-    fill("depth_mm", pd.Series(USUAL_DEPTH_MM if np.isnan(usual) else usual, table.index))
+    # A press, which has no direction, keeps an unknown depth.
+    depth = pd.Series(USUAL_DEPTH_MM if np.isnan(usual) else usual, table.index)
+    fill("depth_mm", depth.where(table["direction_deg"].notna()))
     return replace(folder, manifest=table)
+
+
+def _share(part: pd.Series, coordinate: pd.Series) -> pd.Series:
+    """part * coordinate, which need not be known where the part is 0."""
+    return (part * coordinate).mask(part.abs() < AXIS, 0.0)
 
 
 def why_not_labelled(folder: Folder, several_heights: bool = False) -> dict[str, str]:
