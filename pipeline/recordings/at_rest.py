@@ -1,14 +1,15 @@
 """The signal path that fits a sensor: from its data sheet, and from what its recordings show before the motion."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from features.angles import touch_channels
 from features.stream.conditioning import ONSETS, Conditioning, block_means
-from pipeline.recordings.folder import Folder
+from pipeline.recordings.folder import Folder, Recording
 from pipeline.recordings.gravity_length import gravity_sd_g
+from pipeline.sensor import Sensor
 
 # V/g of the sensor that the constants in V are made for, the article's MMA7361L.
 REFERENCE_V_PER_G = 0.8
@@ -16,9 +17,9 @@ REFERENCE_V_PER_G = 0.8
 REFERENCE_NOISE_V = 1.1e-3
 # Of a tone at 60 Hz blocks of 20 ms leave 16 %: of 5 mg 0.6 mV, half the noise of a block's mean (experiments/LOG.md).
 MAINS_G = 0.005
-# Rest that tells 50 from 60 Hz apart: with a Hann window lines of 5 Hz.
+# Rest that separates 50 from 60 Hz: with a Hann window lines of 5 Hz.
 LEAST_REST_S = 0.4
-# So many recordings tell the mains and the noise.
+# So many recordings show the mains and the noise.
 MOST_RECORDINGS = 24
 # The trigger stays above so many standard deviations of the mean that it is compared with: with normal noise two
 # channels reach six once in weeks of blocks, five in hours.
@@ -36,38 +37,39 @@ def conditioning_for(folder: Folder, conditioning: Conditioning) -> Conditioning
     Where the noise at rest is more than the thresholds allow for, they grow together.
     gravity_sd_g is what the slides show.
     """
-    sensor, folder = folder.sensor, _some(folder)
+    sensor, slides = folder.sensor, _some(folder)
     onset = ONSETS[0 if sensor.measures_gravity else 1]
     conditioning = replace(conditioning, touch_axes=sensor.touch_axes, onset=onset)
+    rests = list(_rests(slides, sensor))
     if conditioning.scale == USUAL.scale and not sensor.measures_gravity:
-        noise = _block_noise(list(_rests(folder)), sensor.sample_rate_hz, conditioning)
+        noise = _block_noise(rests, sensor.sample_rate_hz, conditioning)
         conditioning = replace(conditioning, scale=REFERENCE_NOISE_V / noise if noise > 0 else USUAL.scale)
     elif conditioning.scale == USUAL.scale:
         sensitivity = float(np.median([a.sensitivity_v_per_g for a in sensor.accelerometers]))
         conditioning = replace(conditioning, scale=REFERENCE_V_PER_G / sensitivity)
-    rests = [volts * conditioning.scale for volts in _rests(folder)]
+    rests = [volts * conditioning.scale for volts in rests]
     if conditioning.block_s == USUAL.block_s:
         mains_hz = sensor.mains_hz or _mains_hz(rests, sensor.sample_rate_hz)
         conditioning = replace(conditioning, block_s=1.0 / mains_hz)
     conditioning = _above_noise(rests, sensor.sample_rate_hz, conditioning)
     if conditioning.gravity_sd_g == USUAL.gravity_sd_g:
-        conditioning = replace(conditioning, gravity_sd_g=gravity_sd_g(folder, conditioning))
+        conditioning = replace(conditioning, gravity_sd_g=gravity_sd_g(slides, sensor, conditioning))
     return conditioning
 
 
-def _some(folder: Folder) -> Folder:
-    """Recordings enough to tell, of those whose moments are labelled."""
-    known = folder.manifest.dropna(subset=["motion_start_s"])
-    return replace(folder, manifest=known.iloc[:: max(1, len(known) // MOST_RECORDINGS)])
+def _some(folder: Folder) -> list[tuple[Recording, float]]:
+    """Recordings enough, of those whose moments are labelled, each with when it moves, s."""
+    known = folder.manifest["motion_start_s"].dropna()
+    some = known.iloc[:: max(1, len(known) // MOST_RECORDINGS)]
+    return [(folder.load(str(name)), float(moves_s)) for name, moves_s in some.items()]
 
 
-def _rests(folder: Folder) -> Iterator[np.ndarray]:
-    """Outputs (n, C) V that answer to a touch, before the motion of recordings whose moments are labelled."""
-    touch = touch_channels(len(folder.sensor.channels), folder.sensor.touch_axes)
-    for name, moves_s in folder.manifest["motion_start_s"].items():
-        recording = folder.load(str(name))
+def _rests(slides: Sequence[tuple[Recording, float]], sensor: Sensor) -> Iterator[np.ndarray]:
+    """Outputs (n, C) V that answer to a touch, before the motion."""
+    touch = touch_channels(len(sensor.channels), sensor.touch_axes)
+    for recording, moves_s in slides:
         rest = recording.volts[recording.time_s < moves_s - USUAL.block_s][:, touch]
-        if len(rest) > LEAST_REST_S * folder.sensor.sample_rate_hz:
+        if len(rest) > LEAST_REST_S * sensor.sample_rate_hz:
             yield rest
 
 

@@ -1,35 +1,37 @@
-"""How well gravity keeps its length in a folder's slides: what V_z shows beside the tilt."""
+"""How well gravity keeps its length in a folder's slides: what V_z shows besides the tilt."""
 
+from collections.abc import Sequence
 from dataclasses import asdict
 
 import numpy as np
 
 from features.stream.conditioning import Conditioning, block_means
 from features.stream.gravity import MOST_AGAINST, MOST_CHANGE_SD, GravityWatch
-from pipeline.recordings.folder import Folder
+from pipeline.recordings.folder import Recording
+from pipeline.sensor import Sensor
 
 # The limits are so many times what the slides reach at most.
 MARGIN = 2.0
-# V_z of the emulated benches swings by 0.007 g with the pressure; recordings at steadier pressure tell less of that.
+# V_z of the emulated benches swings by 0.007 g with the pressure; recordings at steadier pressure show less of that.
 LEAST_SD_G = 0.006
 
 
-def gravity_sd_g(folder: Folder, conditioning: Conditioning) -> float:
-    """`Conditioning.gravity_sd_g`, so large that no slide of the folder is refused.
+def gravity_sd_g(
+    slides: Sequence[tuple[Recording, float]], sensor: Sensor, conditioning: Conditioning
+) -> float:
+    """`Conditioning.gravity_sd_g`, so large that none of the slides is refused.
 
-    That of `conditioning` where no recording has labelled moments, or the elements do not measure gravity.
+    slides: each with when it moves, s. Without any, or of elements that do not measure gravity, that of `conditioning`.
     """
-    known = folder.manifest["motion_start_s"].dropna()
-    if not folder.sensor.measures_gravity or not len(known):
+    if not sensor.measures_gravity or not slides:
         return conditioning.gravity_sd_g
-    elements = [asdict(element) for element in folder.sensor.accelerometers]
+    elements = [asdict(element) for element in sensor.accelerometers]
     watch = GravityWatch(elements, conditioning)
     usable = np.ones(len(elements), dtype=bool)
     sd_g = LEAST_SD_G
-    for name in known.index:
-        recording = folder.load(str(name))
-        blocks = block_means(recording.volts, conditioning, folder.sensor.sample_rate_hz)
-        resting = int((known[name] - recording.time_s[0]) / conditioning.block_s)
+    for recording, moves_s in slides:
+        blocks = block_means(recording.volts, conditioning, sensor.sample_rate_hz)
+        resting = int((moves_s - recording.time_s[0]) / conditioning.block_s)
         if resting < 1:
             continue
         static = blocks[:resting].mean(axis=0)

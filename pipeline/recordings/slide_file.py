@@ -5,40 +5,19 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from features.errors import InputError
-from features.regular_file import check_regular
-from pipeline.recordings.text_table import numbers, read_text_table
-
-MISSING = "put it there or take its row out of the manifest"
-# An hour of ten accelerometers at 25.6 kHz; beyond it a recording is many.
-MOST_BYTES = 1 << 32
-MOST_SAMPLES = 100_000_000
+from features.recording_file import read_samples
 
 
 def read_slide(path: Path, channels: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
     """Reads time_s (n,) s and volts (n, channels) V as float64; further columns are left alone.
 
     Raises:
-        InputError: no such file, unreadable, empty, a column missing, a cell that is no finite number.
+        InputError: as `features.recording_file.read_samples`.
     """
-    columns = ["time_s", *channels]
-    table = _read_csv(path, columns) if path.suffix.lower() == ".csv" else _read_parquet(path, columns)
-    if len(table) < 2:
-        raise InputError(f"{path}: {len(table)} samples, at least two are needed; record it again or drop it")
-    values = np.empty((len(table), len(columns)))
-    for n, column in enumerate(columns):
-        cells = numbers(table[column])
-        if (bad := ~np.isfinite(cells)).any():
-            row = int(bad.argmax())
-            raise InputError(
-                f"{path}: row {row + 1}, column {column} is {table[column].iloc[row]}, not a finite number; "
-                "record it again or drop the recording"
-            )
-        values[:, n] = cells
+    values = read_samples(path, ("time_s", *channels), "put it there or take its row out of the manifest")
     return values[:, 0].copy(), values[:, 1:].copy()
 
 
@@ -79,37 +58,3 @@ def _encoding(channels: Sequence[str]) -> dict[str, Any]:
         "use_dictionary": list(channels),
         "column_encoding": {"time_s": "BYTE_STREAM_SPLIT"},
     }
-
-
-def _read_parquet(path: Path, columns: list[str]) -> pd.DataFrame:
-    check_regular(path, MOST_BYTES, MISSING)
-    try:
-        with pq.ParquetFile(path) as file:
-            _require(path, columns, file.schema_arrow.names)
-            if not 0 <= file.metadata.num_rows <= MOST_SAMPLES:
-                raise InputError(
-                    f"{path}: says it holds {file.metadata.num_rows} samples; {MOST_SAMPLES} at most are read: "
-                    "record shorter, or copy it again"
-                )
-            return file.read(columns=columns).to_pandas()
-    except InputError:
-        raise
-    # A damaged file may hold any type of column, and texts that are none.
-    except (pa.ArrowException, OSError, ValueError, TypeError, OverflowError, MemoryError) as error:
-        reason = " ".join(str(error).split())[:120]
-        empty = path.is_file() and path.stat().st_size == 0
-        what = "the file is empty" if empty else f"not a Parquet file ({reason})"
-        raise InputError(f"{path}: {what}; copy or record it again") from None
-
-
-def _read_csv(path: Path, columns: list[str]) -> pd.DataFrame:
-    table = read_text_table(path, MISSING, most_bytes=MOST_BYTES, low_memory=False)
-    _require(path, columns, list(table.columns))
-    return table
-
-
-def _require(path: Path, columns: list[str], present: list[str]) -> None:
-    for column in columns:
-        if column not in present:
-            has = ", ".join(present)
-            raise InputError(f"{path}: column '{column}' is missing (it has {has}); add or rename it")
