@@ -8,7 +8,7 @@ import numpy as np
 from features.height import HeightCalibration
 from features.stream.conditioning import Conditioning
 from models.fitted_model import FittedModel
-from models.response_map.changes import LEAST_DEPTHS_MM
+from models.response_map.slides import LEAST_APART_MM
 from pipeline.recordings.at_rest import REFERENCE_V_PER_G
 from pipeline.recordings.base_motion import moved_and_left
 from pipeline.recordings.derived_labels import why_not_labelled, with_derived_labels
@@ -94,7 +94,7 @@ def _assumed(chosen: Folder, folder: Folder, fitted: FittedModel) -> list[str]:
     if fitted.heights is not None:
         lines.append(_over_heights(fitted.heights, fitted.summary))
     contact = folder.manifest["depth_mm"]
-    if np.ptp(contact) > LEAST_DEPTHS_MM:
+    if np.ptp(contact) > LEAST_APART_MM:
         lines.append(
             f"depth_mm from {contact.min():g} to {contact.max():g}: any depth between them is expected"
         )

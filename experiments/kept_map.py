@@ -21,10 +21,10 @@ from experiments.code_hash import code_hash
 from experiments.provenance import data_hashes, machine
 from features.height import HeightCalibration
 from features.stream.conditioning import Conditioning
-from models.response_map.config import CalibrationConfig
 from models.response_map.from_atlas import SensorSpread
 from models.response_map.map import ResponseMap
 from models.response_map.select import CalibratedMap, calibrated_map
+from models.response_map.slide_fit import CalibrationConfig
 from models.response_map.slides import LABELS
 from pipeline.atlas.atlas import Atlas, atlas_hash
 from pipeline.atlas.library import cache_folder

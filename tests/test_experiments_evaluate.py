@@ -23,7 +23,7 @@ from experiments.evaluation.readout import COLUMNS
 from experiments.evaluation.scoring import score
 from experiments.pages.figures import COLOURS, INK, inline, log_with_zero, panel
 from features.card import read_card, write_card
-from models.response_map.contact_card import contact_calibration
+from models.response_map.card import contact_calibration
 from pipeline.recordings.folder import SAMPLE, read_folder
 from serve.localizer import Localizer
 

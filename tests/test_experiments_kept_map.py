@@ -14,8 +14,8 @@ from experiments.train import train
 from features.errors import InputError
 from models.registry import default_config
 from models.response_map import select
-from models.response_map.config import CalibrationConfig
 from models.response_map.select import CalibratedMap
+from models.response_map.slide_fit import CalibrationConfig
 from pipeline.recordings.folder import SAMPLE, Folder, Recording, read_folder, write_folder
 from pipeline.recordings.heights import HEIGHT
 

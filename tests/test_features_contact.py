@@ -28,7 +28,7 @@ from features.contact.smooth_signal import SmoothSignal
 from features.contact.tracker import Track, TrackingConfig
 from features.stream.tracker import SlideState
 from features.track_estimate import TrackLimits, judged
-from models.response_map.contact_card import contact_calibration
+from models.response_map.card import contact_calibration
 from models.response_map.map import ResponseMap
 
 

@@ -13,7 +13,7 @@ from features.card import read_card
 from features.estimate import SPEED_PER_DEPTH, decode
 from features.stream.tracker import SlideState
 from features.window import WINDOW_BINS, Window
-from models.response_map.contact_card import contact_calibration
+from models.response_map.card import contact_calibration
 
 
 def test_speed_and_depth_are_less_sure_beyond_the_calibrations_depth(tmp_path: Path) -> None:

@@ -15,8 +15,8 @@ from features.estimate import Reason
 from features.height import LEAST_OFF_MM, HeightCalibration
 from features.rest_height import RestHeight, rest_height
 from features.stream.conditioning import Conditioning
-from models.response_map.contact_card import contact_calibration
-from models.response_map.static_scatter import LEAST_RECORDINGS, scatter_about, static_scatter
+from models.response_map.card import contact_calibration
+from models.response_map.slides import LEAST_RECORDINGS, scatter_about, static_scatter
 from pipeline.recordings.folder import SAMPLE, read_folder
 from serve.localizer import Localizer
 

@@ -9,16 +9,17 @@ import pytest
 
 import softslide
 from features.errors import InputError
-from models.response_map.board_places import (
+from models.design.board_places import (
     GAP_MM,
-    Lines,
     arrangement,
     best_places,
-    draw_lines,
     information,
+    lines_over,
+    response_of,
 )
-from models.response_map.from_atlas import DESIGN_NOISE_V, SAMPLE_MM
-from models.response_map.plan import BLOCK_S, LINE_SPEED_MM_S
+from models.design.line_information import BLOCK_S, GAIN_SD, LINE_SPEED_MM_S, Line, places, slopes
+from models.response_map.calibrate import MAP_VARIANCE
+from models.response_map.from_atlas import DESIGN_DRIFT_V, DESIGN_NOISE_V, SAMPLE_MM
 from pipeline.atlas.atlas import read_atlas
 from pipeline.atlas.bare_skin import TiltField, board_places, solve_tilts
 from pipeline.recordings.folder import SAMPLE, read_folder
@@ -47,59 +48,56 @@ def field() -> TiltField:
 
 
 @pytest.fixture(scope="module")
-def lines(sensor: Sensor) -> Lines:
-    return draw_lines(sensor.chamber_mm)
+def lines(sensor: Sensor) -> list[Line]:
+    return lines_over(sensor)
 
 
 @pytest.fixture(scope="module")
-def told(field: TiltField, sensor: Sensor, lines: Lines) -> np.ndarray:
+def known(field: TiltField, sensor: Sensor, lines: list[Line]) -> np.ndarray:
     return information(field, sensor, lines)
 
 
-def test_lines_cross_the_chamber_where_they_say(sensor: Sensor, lines: Lines) -> None:
-    for direction, offset, passed in zip(lines.direction_rad, lines.offset_mm, lines.passed_mm, strict=True):
+def test_lines_cross_the_chamber_where_they_say(sensor: Sensor, lines: list[Line]) -> None:
+    for line in lines:
+        direction, offset = line.direction_rad, line.offset_mm
+        passed = places((0.0, 0.0), direction, offset, line.along_mm).T
         assert (np.abs(passed) < np.array(sensor.chamber_mm) / 2).all()
         assert passed @ np.array([-np.sin(direction), np.cos(direction)]) == pytest.approx(offset)
         assert np.linalg.norm(np.diff(passed, axis=0), axis=1) == pytest.approx(SAMPLE_MM)
 
 
-def test_information_falls_with_the_noise_and_adds_up(told: np.ndarray, field: TiltField) -> None:
-    eigenvalues = np.linalg.eigvalsh(told)
+def test_information_falls_with_the_noise_and_adds_up(known: np.ndarray, field: TiltField) -> None:
+    eigenvalues = np.linalg.eigvalsh(known)
     assert (eigenvalues > -1e-6 * eigenvalues.max()).all()
-    one, two = (arrangement(field.places_mm[:n], told[:n].sum(axis=0)).deviations for n in (4, 8))
+    one, two = (arrangement(field.places_mm[:n], known[:n].sum(axis=0)).deviations for n in (4, 8))
     assert (two <= one + 1e-12).all()
 
 
-def test_the_bound_is_the_scatter_of_least_squares(field: TiltField, sensor: Sensor, lines: Lines) -> None:
-    """One line, one board right beside it; noise drawn; offset and direction fitted with all else by Gauss-Newton."""
-    from models.response_map.board_places import _response, _slopes
-    from models.response_map.from_atlas import DESIGN_DRIFT_V
-    from models.response_map.spline_fit import MAP_VARIANCE
+def test_the_bound_is_the_scatter_of_least_squares(
+    field: TiltField, sensor: Sensor, lines: list[Line]
+) -> None:
+    """One line, one board next to it; noise drawn; offset and direction fitted with all else by Gauss-Newton."""
 
-    response, board = _response(field, sensor), 4
-    line = Lines(np.array([0.3]), np.array([3.0]), [])
-    way = np.arange(-24.0, 24.0, SAMPLE_MM)
-    along = np.array([np.cos(0.3), np.sin(0.3)])
-    passed = 3.0 * np.array([-along[1], along[0]]) + way[:, None] * along
-    line = Lines(line.direction_rad, line.offset_mm, [passed])
-    bound = arrangement(field.places_mm[[board]], information(field, sensor, line)[board]).deviations[:, 0]
+    response, board = response_of(field, sensor), 4
+    line = Line(0.3, 3.0, np.arange(-24.0, 24.0, SAMPLE_MM))
+    bound = arrangement(field.places_mm[[board]], information(field, sensor, [line])[board]).deviations[:, 0]
     variance = DESIGN_NOISE_V**2 * (LINE_SPEED_MM_S * BLOCK_S / SAMPLE_MM + MAP_VARIANCE)
-    slopes = _slopes(response, 0.3, 3.0, passed)[:, 2 * board : 2 * board + 2]
-    jacobian = np.concatenate([slopes, np.tile(np.eye(2), (len(passed), 1, 1))], axis=-1).reshape(-1, 7)
-    prior = np.diag([0, 0, 0, 0, 0.02**-2, *[DESIGN_DRIFT_V**-2] * 2])
+    own = slopes(response, line)[:, 2 * board : 2 * board + 2]
+    jacobian = np.concatenate([own, np.tile(np.eye(2), (len(own), 1, 1))], axis=-1).reshape(-1, 7)
+    prior = np.diag([0, 0, 0, 0, GAIN_SD**-2, *[DESIGN_DRIFT_V**-2] * 2])
     random = np.random.default_rng(0)
     draws = 4000
     unknown = np.zeros((draws, 7))
-    unknown[:, 4:] = random.standard_normal((draws, 3)) * [0.02, DESIGN_DRIFT_V, DESIGN_DRIFT_V]
+    unknown[:, 4:] = random.standard_normal((draws, 3)) * [GAIN_SD, DESIGN_DRIFT_V, DESIGN_DRIFT_V]
     seen = unknown @ jacobian.T + np.sqrt(variance) * random.standard_normal((draws, len(jacobian)))
     fitted = seen @ jacobian / variance @ np.linalg.inv(jacobian.T @ jacobian / variance + prior)
     scatter = (fitted - unknown).std(axis=0)[:3]
     assert scatter == pytest.approx(bound, rel=0.06)
 
 
-def test_the_best_pair_is_the_best_of_all_that_fit(field: TiltField, told: np.ndarray) -> None:
+def test_the_best_pair_is_the_best_of_all_that_fit(field: TiltField, known: np.ndarray) -> None:
     def criterion(chosen: tuple[int, ...]) -> float:
-        deviations = arrangement(field.places_mm[list(chosen)], told[list(chosen)].sum(axis=0)).deviations
+        deviations = arrangement(field.places_mm[list(chosen)], known[list(chosen)].sum(axis=0)).deviations
         return float(np.log(np.square(deviations).mean(axis=1)).sum())
 
     def fits(pair: tuple[int, ...]) -> bool:
@@ -107,7 +105,7 @@ def test_the_best_pair_is_the_best_of_all_that_fit(field: TiltField, told: np.nd
         return bool((apart >= np.array(BOARD_MM) + GAP_MM).any())
 
     pairs = [pair for pair in combinations(range(len(field.places_mm)), 2) if fits(pair)]
-    found = best_places(field.places_mm, told, 2, BOARD_MM)
+    found = best_places(field.places_mm, known, 2, BOARD_MM)
     index = [int(np.linalg.norm(field.places_mm - place, axis=1).argmin()) for place in found.places_mm]
     ranked = sorted(criterion(pair) for pair in pairs)
     # Exchanges end where no single one helps, which need not be the very best pair.
@@ -115,9 +113,9 @@ def test_the_best_pair_is_the_best_of_all_that_fit(field: TiltField, told: np.nd
     assert fits((index[0], index[1]))
 
 
-def test_too_many_boards_are_refused(field: TiltField, told: np.ndarray) -> None:
+def test_too_many_boards_are_refused(field: TiltField, known: np.ndarray) -> None:
     with pytest.raises(InputError, match="only 9 such boards fit"):
-        best_places(field.places_mm, told, 10, (12.0, 12.0))
+        best_places(field.places_mm, known, 10, (12.0, 12.0))
 
 
 def test_places_leave_room_for_the_board(sensor: Sensor) -> None:

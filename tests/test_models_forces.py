@@ -16,7 +16,7 @@ from features.force import PRESS_BEND, PRESS_SPREAD, ForceReader
 from features.stream.tracker import SlideState
 from models.cnn.fit import CnnConfig
 from models.cnn.inversion import Inversion
-from models.response_map.forces import calibrated_forces, force_map
+from models.response_map.card import calibrated_forces, force_map
 from models.response_map.select import calibrated_map
 from pipeline.atlas.atlas import DEFAULT_SENSOR, Atlas, read_atlas
 from pipeline.recordings.at_rest import conditioning_for

@@ -24,17 +24,16 @@ from models.cnn.height_input import with_height
 from models.cnn.network import NetworkConfig, Proposal, SlideNetwork
 from models.export.bundle import read_graph
 from models.export.c99.program import program
+from models.export.gains import fit_gains, labelled_contacts
 from models.graph.from_torch import export_graph
 from models.registry import default_config
 from models.response_map import select
 from models.response_map.calibrate import calibrate
-from models.response_map.config import CalibrationConfig
-from models.response_map.contact_card import contact_calibration
+from models.response_map.card import calibrated_heights, contact_calibration, with_gains
 from models.response_map.from_atlas import SensorSpread
-from models.response_map.gains import fit_gains, labelled_contacts
-from models.response_map.heights import calibrated_heights, with_gains
 from models.response_map.map import ResponseMap
-from models.response_map.select import CalibratedMap, _shares_at_other_heights, calibrated_map
+from models.response_map.select import CalibratedMap, _Known, _shares_at_other_heights, calibrated_map
+from models.response_map.slide_fit import CalibrationConfig
 from models.response_map.slides import CalibrationSlide, calibration_slides, main_height_mm
 from pipeline.recordings.derived_labels import recordings_to_learn_from, why_not_labelled
 from pipeline.recordings.folder import SAMPLE, Folder, read_folder, write_folder
@@ -83,9 +82,9 @@ def test_a_map_over_heights_is_that_of_each(calibrated: ResponseMap) -> None:
     assert (calibrated.height_mm, calibrated.height_range_mm) == (MAIN_MM, (6.0, 8.0))
     for height_mm in (6.0, 7.4, 8.0):
         wanted, without = (
-            m.response(x, y, 0.7) for m in (over_heights().at_height(height_mm), over_heights())
+            m.response(x, y, 0.7) for m in (over_heights().at(height_mm=height_mm), over_heights())
         )
-        error = np.abs(calibrated.at_height(height_mm).response(x, y, 0.7) - wanted)
+        error = np.abs(calibrated.at(height_mm=height_mm).response(x, y, 0.7) - wanted)
         assert np.sqrt(np.mean(error**2)) < 1.5e-3
         if height_mm != 7.4:
             assert np.sqrt(np.mean((wanted - without) ** 2)) > 3e-3
@@ -137,7 +136,7 @@ def test_a_graph_is_that_of_the_height_it_is_given(graph: bytes) -> None:
     for off_mm in (None, 0.0, -0.6, 0.9):
         given = {} if off_mm is None else {HEIGHT_INPUT: np.full(1, off_mm, np.float32)}
         row = session.run(None, window() | given)[0]
-        own = response.at_height(MAIN_MM + (off_mm or 0.0))
+        own = response.at(height_mm=MAIN_MM + (off_mm or 0.0))
         with torch.no_grad():
             wanted = network(own)(*(torch.tensor(value) for value in window().values())).numpy()
         # The table of a height is rounded to half precision where it is exported by itself.
@@ -314,12 +313,8 @@ def test_both_kinds_of_map_are_judged_on_held_out_lines() -> None:
     names = np.array([s.recording for s in others])
     right = over_heights()
     wrong = replace(right, height_slope=-3 * right.height_slope)
-    shares = [
-        _shares_at_other_heights(
-            used, [(m, names)], None, SENSOR, SensorSpread(), CalibrationConfig(iterations=1)
-        )
-        for m in (right, wrong)
-    ]
+    known = _Known(None, SENSOR, SensorSpread(), CalibrationConfig(iterations=1))
+    shares = [_shares_at_other_heights(used, [(m, names)], known) for m in (right, wrong)]
     assert shares[0]["map_over_heights"] < shares[0]["map_a_height"]
     assert shares[1]["map_a_height"] < shares[1]["map_over_heights"]
     assert shares[0]["map_a_height"] == shares[1]["map_a_height"]
@@ -350,7 +345,7 @@ def test_recordings_at_two_heights_make_one_map(lab: Folder) -> None:
     found = mapped(lab)
     assert found.slides == 35
     assert found.response.height_mm == 7.0
-    here, there = (found.response.at_height(h).coefficients[0] for h in (7.0, 8.0))
+    here, there = (found.response.at(height_mm=h).coefficients[0] for h in (7.0, 8.0))
     assert (here * there).sum() / (here**2).sum() == pytest.approx(1.15, abs=0.04)
     heights = np.array([found.told_mm[name] for name in found.folder.manifest.index])
     np.testing.assert_allclose(heights, found.folder.manifest[HEIGHT], atol=0.2)

@@ -9,7 +9,7 @@ from calibration_slides import slides_of
 
 from features.stream.conditioning import Conditioning, block_means
 from features.stream.tracker import track
-from models.response_map.lag import TAU_S, retardation_s
+from models.response_map.slide_fit import TAU_S, retardation_s
 from models.response_map.slides import CalibrationSlide
 from pipeline.synthesis.viscoelastic_lag import standard_solid
 

@@ -11,7 +11,7 @@ from models.cnn.network import NetworkConfig
 from models.cnn.training import TrainingConfig
 from models.cnn.training_windows import SynthesisConfig, WindowSource
 from models.export.bundle import write_bundle
-from models.response_map.config import CalibrationConfig
+from models.response_map.slide_fit import CalibrationConfig
 from pipeline.recordings.folder import SAMPLE, read_folder
 from pipeline.recordings.windows import labelled_windows
 from serve.localizer import Localizer

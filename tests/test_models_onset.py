@@ -10,10 +10,9 @@ from calibration_slides import slides_of
 
 from features.stream.conditioning import Conditioning
 from models.response_map.calibrate import calibrate
-from models.response_map.config import CalibrationConfig
 from models.response_map.from_atlas import SensorSpread
 from models.response_map.onset import with_onsets
-from models.response_map.slide_fit import fit_slide
+from models.response_map.slide_fit import CalibrationConfig, fit_slide
 from pipeline.atlas.library import atlas_of
 from pipeline.recordings.derived_labels import recordings_to_learn_from, with_derived_labels
 from pipeline.recordings.folder import SAMPLE, Folder, read_folder

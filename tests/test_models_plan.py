@@ -10,20 +10,18 @@ from scipy.optimize import least_squares
 
 import softslide
 from experiments.acquisition.plan_file import read_plan
-from models.response_map.config import CalibrationConfig
-from models.response_map.from_atlas import SensorSpread
-from models.response_map.plan import (
-    GAIN_SD,
-    LINE_SPEED_MM_S,
+from models.design.line_information import GAIN_SD, LINE_SPEED_MM_S, Line, places
+from models.design.plan import (
     Unknowns,
     _line_error,
     _line_errors,
     _observation,
-    _places,
     _posterior,
     _variances,
     plan_slides,
 )
+from models.response_map.from_atlas import SensorSpread
+from models.response_map.slide_fit import CalibrationConfig
 from pipeline.atlas.atlas import Atlas, read_atlas
 from pipeline.recordings.folder import SAMPLE, read_folder
 from pipeline.sensor import Sensor
@@ -54,12 +52,13 @@ def candidates() -> pd.DataFrame:
 
 @pytest.mark.parametrize(("direction", "offset"), [(0.3, 4.0), (2.0, -9.0), (4.4, 12.0)])
 def test_a_wrong_map_misleads_least_squares_as_predicted(
-    unknowns: Unknowns, sensor: Sensor, direction: float, offset: float
+    unknowns: Unknowns, direction: float, offset: float
 ) -> None:
     """The prediction is linear; a small error of the map must mislead a fit by just so much."""
     along = np.arange(-20.0, 20.0, 2.0)
     wrong = 0.02 * np.random.default_rng(1).normal(size=unknowns.size)
-    x, y = _places(sensor, direction, offset, along)
+    reference_mm = unknowns.response.reference_mm
+    x, y = places(reference_mm, direction, offset, along)
     rows, _ = unknowns.rows(x, y, direction, LINE_SPEED_MM_S)
     response = unknowns.response
     truth = response.response(x, y, direction) + rows @ wrong
@@ -67,14 +66,14 @@ def test_a_wrong_map_misleads_least_squares_as_predicted(
 
     def residuals(p: np.ndarray) -> np.ndarray:
         way = along[-1] + p[3] - (along[-1] - along) * np.exp(p[1])
-        places = _places(sensor, direction + p[0], offset + p[2], way)
-        volts = np.exp(p[4]) * response.response(*places, direction + p[0]) + p[5:]
+        x, y = places(reference_mm, direction + p[0], offset + p[2], way)
+        volts = np.exp(p[4]) * response.response(x, y, direction + p[0]) + p[5:]
         return np.concatenate(
             [((truth - volts) / noise_v).ravel(), [p[4] / GAIN_SD], p[5:] / response.drift_v]
         )
 
     found = least_squares(residuals, np.zeros(5 + response.channels), x_scale="jac").x[:3]
-    predicted = _line_error(unknowns, sensor, direction, offset, along) @ wrong
+    predicted = _line_error(unknowns, Line(direction, offset, along)) @ wrong
     assert np.abs(predicted).max() > 1e-4
     assert found == pytest.approx(predicted, rel=0.1, abs=0.1 * np.abs(predicted).max())
 

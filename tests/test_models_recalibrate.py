@@ -21,9 +21,9 @@ from models.cnn.forward_model import TABLE
 from models.cnn.gauss_newton import Refinement
 from models.cnn.network import NetworkConfig, Proposal, SlideNetwork
 from models.export.bundle import read_graph
+from models.export.gains import COMMON_SD, Press, fit_gains
 from models.graph.from_torch import export_graph
-from models.response_map.contact_card import contact_calibration, response_of
-from models.response_map.gains import COMMON_SD, Press, fit_gains
+from models.response_map.card import contact_calibration, response_of
 from pipeline.recordings.folder import Recording, write_folder
 from serve.bundle import open_bundle
 from softslide import main

@@ -57,7 +57,7 @@ def test_rows_are_the_map_and_its_derivatives():
         s = along - np.exp(log_speed) * time[1].numpy()
         x = REFERENCE_MM[0] - offset * np.sin(a) + s * np.cos(a)
         y = REFERENCE_MM[1] + offset * np.cos(a) + s * np.sin(a)
-        return np.exp(gain) * response.response(x, y, a, response.depth_mm + depth).T
+        return np.exp(gain) * response.at(response.depth_mm + depth).response(x, y, a).T
 
     one = (1, 1, 1)
     rows = refinement.predicted(

@@ -9,11 +9,10 @@ from calibration_slides import slides_of
 from hypothesis import given
 from hypothesis import strategies as st
 
-from models.response_map.calibrate import calibrate
-from models.response_map.config import CalibrationConfig
+from models.response_map.calibrate import MAP_VARIANCE, RIM_MM, calibrate
 from models.response_map.from_atlas import SensorSpread, prior_map
 from models.response_map.map import spline_basis, spline_coefficients
-from models.response_map.spline_fit import MAP_VARIANCE, RIM_MM
+from models.response_map.slide_fit import CalibrationConfig
 from pipeline.atlas.atlas import DEFAULT_SENSOR, read_atlas
 from pipeline.sensor import read_sensor
 
@@ -46,8 +45,10 @@ def test_coefficients_give_back_a_smooth_surface():
 def test_depth_acts_through_its_slope_alone():
     response = bump_map()
     x, y = np.array([2.0, -7.0]), np.array([4.0, 1.0])
-    shallow, deep = (response.response(x, y, 0.3, depth) for depth in (0.5, 1.0))
-    np.testing.assert_allclose(deep - shallow, 0.5 * (response.response(x, y, 0.3, 1.5) - shallow), rtol=1e-9)
+    shallow, deep = (response.at(depth).response(x, y, 0.3) for depth in (0.5, 1.0))
+    np.testing.assert_allclose(
+        deep - shallow, 0.5 * (response.at(1.5).response(x, y, 0.3) - shallow), rtol=1e-9
+    )
     assert np.abs(deep - shallow).max() > 1e-3
 
 
@@ -187,10 +188,10 @@ def test_the_rim_stays_where_it_is_however_far_the_response_reaches():
     plain, _ = prior_map(atlas, sensor, [], 0.5, SensorSpread(width=(0.0, 0.05)))
     along = np.arange(-20.0, 21.0, 1.0)
     for depth in (0.5, 1.0):
-        inside, beyond = (wide.response(np.full(41, x), along, 0.0, depth) for x in (15.0, 26.5))
+        inside, beyond = (wide.at(depth).response(np.full(41, x), along, 0.0) for x in (15.0, 26.5))
         assert np.abs(beyond).max() < 0.02 * np.abs(inside).max()
-        narrower = np.abs(plain.response(np.full(41, 18.0), along, 0.0, depth)).max()
-        assert np.abs(wide.response(np.full(41, 18.0), along, 0.0, depth)).max() > 1.1 * narrower
+        narrower = np.abs(plain.at(depth).response(np.full(41, 18.0), along, 0.0)).max()
+        assert np.abs(wide.at(depth).response(np.full(41, 18.0), along, 0.0)).max() > 1.1 * narrower
 
 
 def test_slides_count_by_their_weight():

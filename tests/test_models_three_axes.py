@@ -17,8 +17,8 @@ from models.cnn.inversion import Inversion
 from models.cnn.training_windows import SynthesisConfig, WindowSource
 from models.held_out import signed_errors
 from models.response_map.calibrate import blank_map, calibrate
-from models.response_map.config import CalibrationConfig
 from models.response_map.select import _by_cell
+from models.response_map.slide_fit import CalibrationConfig
 from models.response_map.slides import CalibrationSlide
 from pipeline.sensor import Accelerometer, Sensor
 

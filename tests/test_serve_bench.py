@@ -11,7 +11,7 @@ from small_bundle import write_small_bundle
 from streams import a_sensor
 
 import softslide
-from models.response_map.contact_card import contact_calibration
+from models.response_map.card import contact_calibration
 from serve.bench.runtime import _with_accelerometers
 from serve.bundle import open_bundle
 from serve.localizer import Localizer

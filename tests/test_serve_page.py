@@ -24,7 +24,7 @@ from websockets.exceptions import ConnectionClosedOK, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
 import softslide
-from models.response_map.contact_card import contact_calibration
+from models.response_map.card import contact_calibration
 from pipeline.sensor import Accelerometer
 from serve.localizer import Localizer
 

@@ -9,7 +9,7 @@ from streams import RATE_HZ, ZERO_V, a_sensor
 from tracked_map import INFLATION, TWO_BOARDS, noisy_map, pressed
 
 from features.estimate import Contact, Reason
-from models.response_map.contact_card import contact_calibration
+from models.response_map.card import contact_calibration
 from serve.localizer import Localizer
 
 PLACE_MM = (12.0, 9.0)

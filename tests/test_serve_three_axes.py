@@ -25,7 +25,7 @@ from models.export.bundle import PARITY, believed, graph_inputs, read_graph, wri
 from models.export.formats import export
 from models.fitted_model import FittedModel
 from models.graph.from_torch import export_graph
-from models.response_map.contact_card import contact_calibration
+from models.response_map.card import contact_calibration
 from pipeline.recordings.at_rest import conditioning_for
 from pipeline.recordings.folder import Folder
 from pipeline.recordings.windows import LabelledWindows, labelled_windows

@@ -13,15 +13,15 @@ from matplotlib.axes import Axes
 from experiments.pages.figures import COLOURS, INK, LABEL, Panel, inline, legend_below, panel
 from experiments.pages.page import panels_page
 from features.errors import InputError
-from models.response_map.board_places import (
+from models.design.board_places import (
     Arrangement,
-    Lines,
     arrangement,
     best_places,
-    draw_lines,
     information,
+    lines_over,
     nearest_places,
 )
+from models.design.line_information import Line
 from pipeline.atlas.bare_skin import solve_tilts
 from pipeline.progress import progress_bar
 from pipeline.sensor import Accelerometer, Sensor, read_sensor, write_sensor
@@ -61,12 +61,12 @@ def design(
     field = solve_tilts(
         sensor, height, depth_mm, lambda lines, count: progress_bar("solving", "line", lines, count)
     )
-    lines = draw_lines(sensor.chamber_mm)
-    told = information(field, sensor, lines)
+    lines = lines_over(sensor)
+    known = information(field, sensor, lines)
     own = nearest_places(field.places_mm, [(a.x_mm, a.y_mm) for a in sensor.accelerometers])
-    found = {"as it is": arrangement(field.places_mm[own], told[own].sum(axis=0))}
+    found = {"as it is": arrangement(field.places_mm[own], known[own].sum(axis=0))}
     for count in boards:
-        found[f"{count} best"] = best_places(field.places_mm, told, count, sensor.board.size_mm)
+        found[f"{count} best"] = best_places(field.places_mm, known, count, sensor.board.size_mm)
     table = pd.DataFrame([_row(name, each) for name, each in found.items()])
     maps = {name: _over_the_skin(each, lines, sensor) for name, each in found.items()}
     every = np.concatenate([values[np.isfinite(values)] for values in maps.values()])
@@ -141,13 +141,14 @@ def _cells(sensor: Sensor) -> tuple[np.ndarray, np.ndarray]:
     return x, y
 
 
-def _over_the_skin(found: Arrangement, lines: Lines, sensor: Sensor) -> np.ndarray:
+def _over_the_skin(found: Arrangement, lines: list[Line], sensor: Sensor) -> np.ndarray:
     """(ny, nx) mm: the median bound of the distance of lines that pass near each cell's middle; NaN without any."""
     x, y = _cells(sensor)
-    normal = np.column_stack([-np.sin(lines.direction_rad), np.cos(lines.direction_rad)])
+    direction, offset_mm = np.array([(line.direction_rad, line.offset_mm) for line in lines]).T
+    normal = np.column_stack([-np.sin(direction), np.cos(direction)])
     values = np.full((len(y), len(x)), np.nan)
     for j, i in np.ndindex(len(y), len(x)):
-        near = np.abs(normal @ np.array([x[i], y[j]]) - lines.offset_mm) < NEAR_MM
+        near = np.abs(normal @ np.array([x[i], y[j]]) - offset_mm) < NEAR_MM
         if near.any():
             values[j, i] = np.median(found.deviations[2, near])
     return values

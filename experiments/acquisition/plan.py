@@ -9,9 +9,9 @@ import pandas as pd
 
 from experiments.acquisition.plan_file import NEEDED
 from features.errors import InputError
-from models.response_map.config import CalibrationConfig
+from models.design.plan import Plan, plan_slides
 from models.response_map.from_atlas import SensorSpread
-from models.response_map.plan import Plan, plan_slides
+from models.response_map.slide_fit import CalibrationConfig
 from pipeline.atlas.library import atlas_of
 from pipeline.progress import progress_bar
 from pipeline.recordings.at_rest import REFERENCE_V_PER_G

@@ -17,7 +17,7 @@ from experiments.evaluation.archive import Archive
 from experiments.evaluation.readout import open_localizer
 from experiments.evaluation.scoring import signed_errors
 from features.errors import InputError
-from models.response_map.contact_card import response_of
+from models.response_map.card import response_of
 from models.response_map.from_atlas import DESIGN_DRIFT_V
 from models.response_map.map import ResponseMap
 from pipeline.recordings.folder import Folder

@@ -11,10 +11,10 @@ import numpy as np
 from features.stream.conditioning import Conditioning
 from models.classical.regression import late_windows
 from models.held_out import line_folds
-from models.response_map.config import CalibrationConfig
 from models.response_map.from_atlas import SensorSpread
 from models.response_map.map import ResponseMap
 from models.response_map.select import LEAST_ALONE, CalibratedMap, calibrated_map
+from models.response_map.slide_fit import CalibrationConfig
 from pipeline.atlas.atlas import Atlas
 from pipeline.recordings.folder import Folder
 from pipeline.recordings.windows import LabelledWindows, joined, labelled_windows

@@ -21,15 +21,12 @@ from models.graph.packing import unpack
 from models.held_out import WHOLE, offset_reach_mm, signed_errors
 from models.intervals import conformal_interval
 from models.misfit_limit import misfit_limit
-from models.response_map.config import CalibrationConfig
-from models.response_map.contact_card import contact_calibration
-from models.response_map.forces import calibrated_forces
+from models.response_map.card import calibrated_forces, contact_calibration, inflation_v_per_mm
 from models.response_map.from_atlas import SensorSpread
-from models.response_map.heights import inflation_v_per_mm
 from models.response_map.map import ResponseMap
 from models.response_map.select import CalibratedMap, calibrated_map
-from models.response_map.slides import LEAST_HEIGHTS_MM
-from models.response_map.static_scatter import static_scatter
+from models.response_map.slide_fit import CalibrationConfig
+from models.response_map.slides import LEAST_APART_MM, static_scatter
 from pipeline.atlas.atlas import Atlas
 from pipeline.recordings.folder import Folder
 from pipeline.recordings.heights import HEIGHT
@@ -154,7 +151,7 @@ def _at_main_height(found: CalibratedMap) -> Folder:
     table = found.folder.manifest
     if found.heights is None:
         return found.folder
-    kept = (table[HEIGHT] - found.heights.height_mm).abs() <= LEAST_HEIGHTS_MM
+    kept = (table[HEIGHT] - found.heights.height_mm).abs() <= LEAST_APART_MM
     return replace(found.folder, manifest=table[kept])
 
 
@@ -218,7 +215,7 @@ def _held_out(folder: Folder, found: CalibratedMap, proposal: Proposal, config: 
         for height_mm in np.unique(heights_mm[np.isin(windows.recording, unseen)]):
             mask = np.isin(windows.recording, unseen) & (heights_mm == height_mm)
             weight = np.ones((int(mask.sum()), windows.volts.shape[1] // 3))
-            network = _network(proposal, response.at_height(height_mm), config)
+            network = _network(proposal, response.at(height_mm=height_mm), config)
             rows[mask] = _run(network, windows.volts[mask], windows.elapsed_s[mask], weight)
     known = np.isfinite(rows[:, 0])
     return rows[known], windows[known]

@@ -111,10 +111,10 @@ class WindowSource:
         mean = response.response(x, y, np.pi / 2) + response.response(x, y, -np.pi / 2)
         along_x = response.response(x, y, 0.0) - response.response(x, y, np.pi)
         along_y = response.response(x, y, np.pi / 2) - response.response(x, y, -np.pi / 2)
-        deep = response.response(x, y, 0.0, response.depth_mm + 1.0) - response.response(x, y, 0.0)
+        deep = response.at(response.depth_mm + 1.0).response(x, y, 0.0) - response.response(x, y, 0.0)
         parts = [mean / 2, along_x / 2, along_y / 2, deep]
         if response.height_slope is not None:
-            higher = response.at_height(response.height_mm + 1.0)
+            higher = response.at(height_mm=response.height_mm + 1.0)
             parts.append(higher.response(x, y, 0.0) - response.response(x, y, 0.0))
         table = np.concatenate(parts, axis=1)
         self._table = torch.tensor(table, dtype=torch.float32)

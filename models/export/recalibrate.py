@@ -14,11 +14,10 @@ from features.errors import InputError
 from models.cnn.forward_model import TABLE
 from models.cnn.height_input import SLOPE
 from models.export.bundle import read_graph, session_of
+from models.export.gains import Gains, fit_gains, labelled_contacts
 from models.graph.packing import pack
-from models.response_map.contact_card import contact_calibration, response_of
-from models.response_map.gains import Gains, fit_gains, labelled_contacts
-from models.response_map.heights import with_gains
-from models.response_map.static_scatter import static_outputs
+from models.response_map.card import contact_calibration, response_of, with_gains
+from models.response_map.slides import static_outputs
 from pipeline.recordings.folder import Folder
 from pipeline.staging import staged
 from serve.bundle import open_bundle

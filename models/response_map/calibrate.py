@@ -4,18 +4,21 @@ P-splines (Eilers and Marx 1996): penalised least squares for the splines' coeff
 slide's own gain and its shift along its line (the moment of start and the place of a stage are known to about 0.1 mm),
 and with a lag common to all. The penalty on second differences keeps the friction parts, which few directions tell
 apart, from following the noise.
+
+Slides of several contact depths, or of several heights of the skin, also show how the response changes with depth or
+height. The lines of each are too few for a change that is free in place: held-out lines are predicted worse by it
+(experiments/LOG.md). It has two numbers, one on the design's change and one on the response itself.
 """
 
 from dataclasses import replace
 
 import numpy as np
+from scipy import sparse
+from scipy.linalg import solveh_banded
 
-from models.response_map.changes import first_slides, over_heights, several_depths, with_changes
-from models.response_map.config import CalibrationConfig
-from models.response_map.map import MARGIN_MM, PARTS, SPACING_MM, ResponseMap, knots
-from models.response_map.slide_fit import fit_slide
-from models.response_map.slides import CalibrationSlide
-from models.response_map.spline_fit import fit_splines
+from models.response_map.map import MARGIN_MM, PARTS, SPACING_MM, ResponseMap, knots, tensor_splines
+from models.response_map.slide_fit import CalibrationConfig, fit_slide
+from models.response_map.slides import CalibrationSlide, at_height, main_height_mm, several
 from pipeline.sensor import Sensor
 
 LEAST_DRIFT_V = 5e-4  # the static output is never known better: one step of the article's converter
@@ -23,6 +26,18 @@ OUTLIER = 4.0  # times the median residual: a slide beyond it has a wrong label
 PRIOR_SLIDES = 4  # how many slides' worth the priors of gain and drift count
 CLEAR = 0.3  # share of the largest peak below which a slide's gain is mostly noise
 SHRINKAGE = 0.1  # of the residuals' covariance; without it errors were the same within 0.02 deg
+# Variance of the map's own residual, which no averaging lessens, in units of a block's noise variance: on bench-a the
+# residual is 0.86 mV, a block's noise 1.35 mV (residual_v in the card of a bundle), 0.4.
+MAP_VARIANCE = 0.5
+RIM_MM = 1.5  # from this far beyond the chamber's edge on, the skin lies on the base and shows nothing
+RIM_WEIGHT = 3.0  # of a rim point, one each mm; a stretch of 0.5 mm weighs at most 2
+# Hold coefficients that no slide touches: share of the smoothing, and at least.
+RIDGE, LEAST_RIDGE = 1e-3, 1e-6
+PENALTY_NOISE_V = 1.35e-3  # a block's noise on the recordings that the penalties were chosen on
+# What a map changes with: ResponseMap has a NAME_slope and a NAME_mm of each, CalibrationSlide a NAME_mm.
+COVARIATES = ("depth", "height")
+# Priors of such a change: of its factor on the design's, and of what it holds of the response itself, 1/mm.
+CHANGE_SD = (0.5, 0.1)
 
 
 def calibrate(
@@ -35,24 +50,19 @@ def calibrate(
     output, median), `gain_sd`, `lag_s`, `slides`, `outliers`.
     """
     noise = np.sqrt(np.mean([s.rest_noise_v**2 for s in slides], axis=0))
-    response = over_heights(replace(prior, noise_v=noise), slides)
+    response = _over_heights(replace(prior, noise_v=noise), slides)
     gains, shifts = np.ones(len(slides)), np.zeros(len(slides))
     speeds = np.array([s.speed_mm_s.max() for s in slides])
     rms, means = np.empty(len(slides)), np.empty((len(slides), response.channels))
     residuals = [slide.volts for slide in slides]
     keep, timed = np.ones(len(slides), dtype=bool), np.array([s.timed for s in slides])
+    changing = [name for name in COVARIATES if several(slides, name)]
     for first in (True, *[False] * (config.iterations - 1)):
-        kept = [slide for slide, k in zip(slides, keep, strict=True) if k]
-        told = first_slides(slides, response) & keep if first else keep
+        fitted = _first_slides(slides, response) if first else keep
         response = fit_splines(
-            [slide for slide, k in zip(slides, told, strict=True) if k],
-            gains[told],
-            shifts[told],
-            response,
-            prior if informed else None,
-            config,
+            *_some(fitted, slides, gains, shifts), response, prior if informed else None, config
         )
-        response = with_changes(response, kept, gains[keep], shifts[keep], prior)
+        response = _with_changes(response, *_some(keep, slides, gains, shifts), prior, changing)
         for i, slide in enumerate(slides):
             fit = fit_slide(slide, response, config, gains[i], shifts[i])
             gains[i], shifts[i], rms[i] = fit.gain, fit.shift_mm, fit.rms_v
@@ -73,7 +83,7 @@ def calibrate(
         response = replace(response, whitening=_whitening(residuals))
     drift = _deviation(means[keep], LEAST_DRIFT_V)
     response = replace(response, gain_sd=gain_sd, floor_v=residual, drift_v=drift)
-    if several_depths(slides):
+    if "depth" in changing:
         farthest = max(abs(slide.depth_mm - response.depth_mm) for slide in slides)
         response = replace(response, depth_sd_mm=float(farthest))
     return response, {
@@ -84,6 +94,166 @@ def calibrate(
         "gain_sd": response.gain_sd,
         "lag_s": float(response.lag_s),
     }
+
+
+def _some(
+    mask: np.ndarray, slides: list[CalibrationSlide], gains: np.ndarray, shifts: np.ndarray
+) -> tuple[list[CalibrationSlide], np.ndarray, np.ndarray]:
+    """Those of the slides, gains and shifts that a mask (n,) marks."""
+    return [slide for slide, marked in zip(slides, mask, strict=True) if marked], gains[mask], shifts[mask]
+
+
+def _over_heights(response: ResponseMap, slides: list[CalibrationSlide]) -> ResponseMap:
+    """The map with the heights of the slides, where they have several."""
+    if not several(slides, "height"):
+        return replace(response, height_slope=None)
+    heights_mm = [slide.height_mm for slide in slides]
+    slope = np.zeros_like(response.depth_slope) if response.height_slope is None else response.height_slope
+    return replace(
+        response,
+        height_mm=main_height_mm(slides),
+        height_slope=slope,
+        height_range_mm=(min(heights_mm), max(heights_mm)),
+    )
+
+
+def _first_slides(slides: list[CalibrationSlide], response: ResponseMap) -> np.ndarray:
+    """(n,) bool: the slides that the first map is fitted to. Where most have the map's height it is they alone: what
+    the others differ by is then the change with height, and not in the map already."""
+    every = np.ones(len(slides), dtype=bool)
+    if response.height_slope is None:
+        return every
+    main = at_height(slides, response.height_mm)
+    return main if main.mean() > 0.5 else every
+
+
+def _with_changes(
+    response: ResponseMap,
+    slides: list[CalibrationSlide],
+    gains: np.ndarray,
+    shifts: np.ndarray,
+    prior: ResponseMap,
+    changing: list[str],
+) -> ResponseMap:
+    """The map with its change with those of COVARIATES that are changing. prior: with the design's.
+
+    A change is c times the design's + b M, its two numbers c and b fitted by least squares, in V/mm.
+    """
+    assert response.noise_v is not None
+    noise = float(np.median(response.noise_v))
+    still, flat = response.coefficients[0], np.zeros_like(response.depth_slope)
+    for name in changing:
+        found = getattr(prior, f"{name}_slope")
+        design = flat if found is None else found
+        without = replace(response, **{f"{name}_slope": flat})
+        parts = [replace(without, coefficients=np.stack([part, flat, flat])) for part in (design, still)]
+        # In units of a block's noise.
+        normal = np.diag(1.0 / np.square(CHANGE_SD))
+        right = np.array([1.0, 0.0]) / np.square(CHANGE_SD)
+        for slide, gain, shift in zip(slides, gains, shifts, strict=True):
+            place, a = slide.place(shift, without.lag_s), slide.direction_rad
+            off_mm = getattr(slide, f"{name}_mm") - getattr(response, f"{name}_mm")
+            known = without.at(slide.depth_mm, slide.height_mm).response(*place, a)
+            rest = (slide.volts - gain * known) / noise
+            shown = np.stack([part.response(*place, a).ravel() for part in parts], axis=1)
+            rows = gain * off_mm / noise * shown
+            weight = _weight(slide)
+            normal += weight * rows.T @ rows
+            right += weight * rows.T @ rest.ravel()
+        factor, share = np.linalg.solve(normal, right)
+        response = replace(response, **{f"{name}_slope": factor * design + share * still})
+    return response
+
+
+def _weight(slide: CalibrationSlide) -> float:
+    """Of each of its stretches: one over the variance, in units of one block's noise, of the averaged noise and of the
+    map's own residual."""
+    return slide.weight / (1.0 / slide.blocks + MAP_VARIANCE)
+
+
+def fit_splines(
+    slides: list[CalibrationSlide],
+    gains: np.ndarray,
+    shifts: np.ndarray,
+    response: ResponseMap,
+    prior: ResponseMap | None,
+    config: CalibrationConfig,
+) -> ResponseMap:
+    """One penalised least-squares solution for M, Fx, Fy with the slides' gains and shifts held.
+
+    Minimizes sum w |volts - g (M + cos Fx + sin Fy + (d - d0) D + (h - h0) H)|^2 + rim + penalties over
+    the coefficients' distance from the prior's. The unknowns are in the order place, part: the normal matrix is then a
+    band of a few hundred.
+    """
+    assert response.noise_v is not None
+    k = response.coefficients.shape[1]
+    size = k * k
+    right = np.zeros((size, PARTS, response.channels))
+    start = np.zeros_like(right) if prior is None else _by_place(prior.coefficients)
+    still = replace(response, coefficients=np.zeros_like(response.coefficients))
+    # Slides of one direction share their weights of M, Fx, Fy, so that their Gram matrices add up.
+    grams: dict[float, sparse.csr_matrix] = {}
+    for slide, gain, shift in zip(slides, gains, shifts, strict=True):
+        place = slide.place(shift, response.lag_s)
+        rows = tensor_splines(*place, response.half_mm, response.spacing_mm) * gain
+        weight, parts = _weight(slide), part_weights(slide.direction_rad)
+        off = still.at(slide.depth_mm, slide.height_mm).coefficients[0].reshape(size, -1)
+        known = rows @ (off + np.tensordot(parts, start, (0, 1)))
+        right += weight * parts[:, None] * (rows.T @ (slide.volts - known))[:, None]
+        before = grams.get(slide.direction_rad, sparse.csr_matrix((size, size)))
+        grams[slide.direction_rad] = before + weight * (rows.T @ rows)
+    outer = (np.outer(part_weights(direction), part_weights(direction)) for direction in grams)
+    normal = sum(sparse.kron(gram, both) for gram, both in zip(grams.values(), outer, strict=True))
+    # Penalties are per V^2; the data count in units of their noise.
+    scale = (float(np.median(response.noise_v)) / PENALTY_NOISE_V) ** 2
+    smooth = scale * np.array([config.smooth_mean, *[config.smooth_friction] * (PARTS - 1)])
+    near = scale * (config.near_prior if prior is not None else LEAST_RIDGE)
+    normal += sparse.kron(roughness(k), np.diag(smooth))
+    if response.rim:
+        rim = rim_gram(response)
+        normal += sparse.kron(RIM_WEIGHT * rim, np.eye(PARTS))
+        right -= RIM_WEIGHT * (rim @ start.reshape(size, -1)).reshape(start.shape)
+    normal += sparse.kron(sparse.identity(size), np.diag(RIDGE * smooth + near))
+    solution = start + _solved(normal, right.reshape(PARTS * size, -1)).reshape(start.shape)
+    return replace(response, coefficients=solution.reshape(k, k, PARTS, -1).transpose(2, 0, 1, 3))
+
+
+def roughness(k: int) -> sparse.spmatrix:
+    """Penalty matrix (K^2, K^2): squared second differences of neighbouring coefficients along x and along y."""
+    second = sparse.diags([1.0, -2.0, 1.0], [0, 1, 2], shape=(k - 2, k))
+    bend, line = second.T @ second, sparse.identity(k)
+    return sparse.kron(bend, line) + sparse.kron(line, bend)
+
+
+def rim_gram(response: ResponseMap) -> sparse.csr_matrix:
+    """Gram matrix (K^2, K^2) of the splines at points of the rim, one each mm, where the response is zero."""
+    grid = np.arange(-response.half_mm, response.half_mm + 0.5, 1.0)
+    x, y = (axis.ravel() for axis in np.meshgrid(grid, grid, indexing="ij"))
+    rim = (np.abs(x) > response.chamber_mm[0] / 2 + RIM_MM) | (
+        np.abs(y) > response.chamber_mm[1] / 2 + RIM_MM
+    )
+    rows = tensor_splines(x[rim], y[rim], response.half_mm, response.spacing_mm)
+    return rows.T @ rows
+
+
+def _by_place(coefficients: np.ndarray) -> np.ndarray:
+    """(3, K, K, C) -> (K^2, 3, C)."""
+    parts, k, _, channels = coefficients.shape
+    return coefficients.transpose(1, 2, 0, 3).reshape(k * k, parts, channels)
+
+
+def part_weights(direction_rad: float) -> np.ndarray:
+    """Weights (3,) of M, Fx, Fy for a motion's direction."""
+    return np.array([1.0, np.cos(direction_rad), np.sin(direction_rad)])
+
+
+def _solved(normal: sparse.spmatrix, right: np.ndarray) -> np.ndarray:
+    """x (n, C) of A x = b, A symmetric, positive definite and banded."""
+    upper = sparse.triu(normal).tocoo()
+    band = int((upper.col - upper.row).max())
+    stored = np.zeros((band + 1, upper.shape[0]))
+    stored[band + upper.row - upper.col, upper.col] = upper.data
+    return solveh_banded(stored, right, overwrite_ab=True, check_finite=False)
 
 
 def _whitening(residuals_v: list[np.ndarray]) -> np.ndarray:
@@ -99,7 +269,7 @@ def _whitening(residuals_v: list[np.ndarray]) -> np.ndarray:
 
 
 def _slope(speeds: np.ndarray, shifts: np.ndarray) -> float:
-    """Slope of shift over speed, s; 0 where few slides or nearly equal speeds do not tell."""
+    """Slope of shift over speed, s; 0 of few slides or nearly equal speeds."""
     return np.polyfit(speeds, shifts, 1)[0] if len(speeds) > 8 and np.ptp(speeds) > 1 else 0.0
 
 

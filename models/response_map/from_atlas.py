@@ -11,12 +11,11 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from models.ranges import SIZE, check_ranges
-from models.response_map.map import MARGIN_MM, PARTS, ResponseMap, spline_coefficients
-from models.response_map.slides import LEAST_HEIGHTS_MM, CalibrationSlide, main_height_mm, several_heights
+from models.response_map.map import MARGIN_MM, PARTS, ResponseMap, spline_coefficients, spline_grid
+from models.response_map.slides import CalibrationSlide, at_height, main_height_mm, several
 from pipeline.atlas.atlas import Atlas
 from pipeline.sensor import Sensor
 
-GRID_MM = 1.0  # of the points that splines are fitted to; they are 2.5 mm apart
 DEPTH_STEP_MM = 0.1  # of the central difference over depth
 HEIGHT_STEP_MM = 0.5  # and over the skin's height, about what recordings at several pressures differ by
 SAMPLE_MM = 2.0  # between the stretches used; neighbours say the same
@@ -68,11 +67,18 @@ def tilt_v_per_g(sensor: Sensor) -> np.ndarray:
     return np.repeat([a.sensitivity_v_per_g for a in sensor.accelerometers], 2)
 
 
+def depth_bounds(atlas: Atlas, depth_mm: float) -> tuple[float, float]:
+    """The contact depths of a central difference about one, within the atlas."""
+    low, high = np.clip(
+        [depth_mm - DEPTH_STEP_MM, depth_mm + DEPTH_STEP_MM], atlas.depth_mm[0], atlas.depth_mm[-1]
+    )
+    return float(low), float(high)
+
+
 def design_map(atlas: Atlas, sensor: Sensor, height_mm: float, depth_mm: float) -> ResponseMap:
     """The response map (V) that the atlas gives for a skin height and a contact depth, both within the atlas."""
     half = max(sensor.chamber_mm) / 2 + MARGIN_MM
-    grid = np.arange(-half, half + GRID_MM / 2, GRID_MM)
-    x, y = (axis.ravel() for axis in np.meshgrid(grid, grid, indexing="ij"))
+    grid, x, y = spline_grid(half)
     level = atlas.pressure_at(height_mm)
     volts_per_g = tilt_v_per_g(sensor)
 
@@ -82,14 +88,9 @@ def design_map(atlas: Atlas, sensor: Sensor, height_mm: float, depth_mm: float) 
 
     mean = tilt(None, depth_mm)
     along_x, along_y = tilt(0.0, depth_mm) - mean, tilt(90.0, depth_mm) - mean
-    low, high = np.clip(
-        [depth_mm - DEPTH_STEP_MM, depth_mm + DEPTH_STEP_MM], atlas.depth_mm[0], atlas.depth_mm[-1]
-    )
+    low, high = depth_bounds(atlas, depth_mm)
     slope = (tilt(None, high) - tilt(None, low)) / (high - low) if high > low else np.zeros_like(mean)
-    surfaces = [
-        spline_coefficients(values.reshape(len(grid), len(grid), -1), grid, half)
-        for values in (mean, along_x, along_y, slope)
-    ]
+    surfaces = [spline_coefficients(values, grid, half) for values in (mean, along_x, along_y, slope)]
     channels = mean.shape[1]
     return ResponseMap(
         np.stack(surfaces[:3]),
@@ -109,15 +110,15 @@ def prior_map(
 ) -> tuple[ResponseMap, dict[str, float]]:
     """The design's map with its parameters fitted to the slides, by least squares with priors; and the parameters.
 
-    Without slides the parameters are the means of the spread. Of slides of several heights of the skin those of the
-    height that most have tell them, and the map has the design's change with height.
+    Without slides the parameters are the means of the spread. Slides of several heights of the skin: they are fitted to
+    those of the height that most have, and the map has the design's change with height.
     """
     family = _family(atlas, sensor, depth_mm, spread)
     start = family.centre
-    over_heights = several_heights(slides)
+    over_heights = several(slides, "height")
     if over_heights:
         height_mm = main_height_mm(slides)
-        slides = [slide for slide in slides if abs(slide.height_mm - height_mm) <= LEAST_HEIGHTS_MM]
+        slides = [s for s, main in zip(slides, at_height(slides, height_mm), strict=True) if main]
     if slides:
         slides = slides[:: max(1, len(slides) // MOST_SLIDES)]
         peak = max(float(np.abs(s.volts).max()) for s in slides)
@@ -133,20 +134,21 @@ def prior_map(
     moved = _with_depth_change(_warped(family.design(start), sensor, start), spread)
     if over_heights:
         moved = replace(moved, height_mm=height_mm, height_slope=_height_slope(family, sensor, start))
-    report = {
-        "height_mm": family.height_mm(start),
-        "friction": 1 + float(start[1]),
-        "lag_s": float(start[2]),
+    return moved, _parameters(family, sensor, start)
+
+
+def _parameters(family: "_Family", sensor: Sensor, p: np.ndarray) -> dict[str, float]:
+    """The parameters p by name."""
+    named = {
+        "height_mm": family.height_mm(p),
+        "friction": 1 + float(p[1]),
+        "lag_s": float(p[2]),
+        "width": float(np.exp(p[3])),
     }
-    report["width"] = float(np.exp(start[3]))
-    for k, board in enumerate(sensor.accelerometers):
-        gain, turn, dx, dy = start[COMMON + 4 * k : COMMON + 4 + 4 * k]
-        report |= {
-            f"{board.name}_gain": float(np.exp(gain)),
-            f"{board.name}_turn_deg": float(np.degrees(turn)),
-        }
-        report |= {f"{board.name}_dx_mm": float(dx), f"{board.name}_dy_mm": float(dy)}
-    return moved, report
+    for board, (gain, turn, dx, dy) in zip(sensor.accelerometers, p[COMMON:].reshape(-1, 4), strict=True):
+        values = {"gain": np.exp(gain), "turn_deg": np.degrees(turn), "dx_mm": dx, "dy_mm": dy}
+        named |= {f"{board.name}_{name}": float(value) for name, value in values.items()}
+    return named
 
 
 def prior_deviations(
@@ -249,9 +251,8 @@ def _predicted(design: ResponseMap, sensor: Sensor, p: np.ndarray, slide: Calibr
     boards = []
     for k in range(design.channels // 2):
         gain, turn = p[COMMON + 4 * k : COMMON + 2 + 4 * k]
-        volts = _board(design, k).response(
-            *_design_place(*contact, sensor, k, p), slide.direction_rad, slide.depth_mm
-        )
+        place = _design_place(*contact, sensor, k, p)
+        volts = _board(design.at(slide.depth_mm), k).response(*place, slide.direction_rad)
         boards.append(np.exp(gain) * _rotated(volts, turn))
     return np.hstack(boards)
 
@@ -296,8 +297,7 @@ def _with_depth_change(response: ResponseMap, spread: SensorSpread) -> ResponseM
 
 def _warped(design: ResponseMap, sensor: Sensor, p: np.ndarray) -> ResponseMap:
     """The design with parameters p as a map: splines fitted to its responses on a grid."""
-    grid = np.arange(-design.half_mm, design.half_mm + GRID_MM / 2, GRID_MM)
-    x, y = (axis.ravel() for axis in np.meshgrid(grid, grid, indexing="ij"))
+    grid, x, y = spline_grid(design.half_mm)
     boards = []
     for k in range(design.channels // 2):
         gain, turn = p[COMMON + 4 * k : COMMON + 2 + 4 * k]
@@ -306,9 +306,7 @@ def _warped(design: ResponseMap, sensor: Sensor, p: np.ndarray) -> ResponseMap:
         for surface in (*one.coefficients, one.depth_slope):
             still = replace(one, coefficients=np.stack([surface, 0 * surface, 0 * surface]))
             values = np.exp(gain) * _rotated(still.response(*place, 0.0), turn)
-            surfaces.append(
-                spline_coefficients(values.reshape(len(grid), len(grid), 2), grid, design.half_mm)
-            )
+            surfaces.append(spline_coefficients(values, grid, design.half_mm))
         boards.append(np.stack(surfaces))
     moved = np.concatenate(boards, axis=-1)
     return replace(design, coefficients=moved[:PARTS], depth_slope=moved[PARTS])

@@ -14,9 +14,11 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy import sparse
 
 SPACING_MM = 2.5  # of the splines, unless a map says otherwise; recorded lines are 5 mm apart
 MARGIN_MM = 5.0  # the map reaches this far over the chamber's rim, two splines on which it falls to zero
+GRID_MM = 1.0  # of the points that splines are fitted to
 PARTS = 3  # mean, along x, along y
 
 
@@ -38,7 +40,7 @@ class ResponseMap:
     height_mm: h0, the skin's height of most of these recordings. height_slope: (K, K, C) V/mm, spline coefficients of
         H; None: the recordings have one height. height_range_mm: the lowest and the highest of them.
     depth_sd_mm: standard deviation about d0 of the depths that are to be expected, where the recordings have several;
-        0: they have one, and tell nothing of others.
+        0: they have one.
     lag_s: the skin's lag behind the contact.
     noise_v: (C,) V, standard deviation of one block's mean at rest.
     drift_v: (C,) V, standard deviation of the static output between a slide's start and end.
@@ -80,32 +82,25 @@ class ResponseMap:
         """Number of sensing elements."""
         return self.channels // self.axes
 
-    def response(
-        self,
-        x_mm: np.ndarray,
-        y_mm: np.ndarray,
-        direction_rad: float | np.ndarray,
-        depth_mm: float | None = None,
-    ) -> np.ndarray:
+    def response(self, x_mm: np.ndarray, y_mm: np.ndarray, direction_rad: float | np.ndarray) -> np.ndarray:
         """Subtracted output (n, C) V for contacts at (n,) positions moving in one direction or in (n,)."""
         a = np.broadcast_to(np.asarray(direction_rad, dtype=float), np.shape(x_mm))[:, None]
         weights = np.stack([np.ones_like(a), np.cos(a), np.sin(a)])
-        surfaces = self.coefficients
-        if depth_mm is not None and depth_mm != self.depth_mm:
-            weights = np.concatenate([weights, np.full((1, *a.shape), depth_mm - self.depth_mm)])
-            surfaces = np.concatenate([surfaces, self.depth_slope[None]])
         (i, across), (j, up) = (splines_at(place, self.half_mm, self.spacing_mm) for place in (x_mm, y_mm))
-        patch = surfaces.transpose(1, 2, 0, 3)[i[:, :, None], j[:, None, :]]
+        patch = self.coefficients.transpose(1, 2, 0, 3)[i[:, :, None], j[:, None, :]]
         each = across[:, :, None, None] * up[:, None, :, None] * weights.transpose(1, 2, 0)[:, :, None]
         return (each.reshape(len(i), 1, -1) @ patch.reshape(len(i), -1, self.channels))[:, 0]
 
-    def at_height(self, height_mm: float) -> "ResponseMap":
-        """The map of one height of the skin; itself where its recordings have but one, or the height is not known."""
-        if self.height_slope is None or math.isnan(height_mm):
-            return self
-        still = self.coefficients[0] + (height_mm - self.height_mm) * self.height_slope
-        coefficients = np.concatenate([still[None], self.coefficients[1:]])
-        return replace(self, coefficients=coefficients, height_mm=height_mm, height_slope=None)
+    def at(self, depth_mm: float = math.nan, height_mm: float = math.nan) -> "ResponseMap":
+        """The map at a contact depth and of one height of the skin; its own where NaN, or where it has one height."""
+        still, response = self.coefficients[0], self
+        if not math.isnan(depth_mm):
+            still = still + (depth_mm - self.depth_mm) * self.depth_slope
+            response = replace(response, depth_mm=depth_mm)
+        if self.height_slope is not None and not math.isnan(height_mm):
+            still = still + (height_mm - self.height_mm) * self.height_slope
+            response = replace(response, height_mm=height_mm, height_slope=None)
+        return replace(response, coefficients=np.concatenate([still[None], self.coefficients[1:]]))
 
     def scaled(self, gain: float | np.ndarray) -> "ResponseMap":
         """The same map with every response times `gain`, one for all channels or (C,)."""
@@ -138,6 +133,17 @@ def splines_at(
     return inside, np.where(number == inside, value, 0.0)
 
 
+def tensor_splines(
+    x_mm: np.ndarray, y_mm: np.ndarray, half_mm: float, spacing_mm: float = SPACING_MM
+) -> sparse.csr_matrix:
+    """Values of the tensor-product splines at points (n,): rows (n, K^2), 16 entries each."""
+    (i, across), (j, up) = (splines_at(place, half_mm, spacing_mm) for place in (x_mm, y_mm))
+    k = knots(half_mm, spacing_mm)
+    columns, values = k * i[:, :, None] + j[:, None, :], across[:, :, None] * up[:, None, :]
+    begins = 16 * np.arange(len(i) + 1)
+    return sparse.csr_matrix((values.ravel(), columns.ravel(), begins), shape=(len(i), k * k))
+
+
 def spline_basis(position_mm: np.ndarray, half_mm: float) -> np.ndarray:
     """Every spline at (n,) positions -> (n, K)."""
     number, value = splines_at(position_mm, half_mm)
@@ -146,8 +152,16 @@ def spline_basis(position_mm: np.ndarray, half_mm: float) -> np.ndarray:
     return basis
 
 
+def spline_grid(half_mm: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A square grid, GRID_MM apart, that covers the splines' range: its axis (n,), and x and y (n^2,) of its points."""
+    grid = np.arange(-half_mm, half_mm + GRID_MM / 2, GRID_MM)
+    x, y = (axis.ravel() for axis in np.meshgrid(grid, grid, indexing="ij"))
+    return grid, x, y
+
+
 def spline_coefficients(values: np.ndarray, grid_mm: np.ndarray, half_mm: float) -> np.ndarray:
-    """Least-squares coefficients (K, K, C) of (n, n, C) values on a square grid that covers the splines' range."""
+    """Least-squares coefficients (K, K, C) of (n^2, C) values on a square grid, whose axis (n,) covers the splines."""
     basis = spline_basis(grid_mm, half_mm)
     inverse = np.linalg.pinv(basis, rcond=1e-6)
-    return np.einsum("in,nmc,jm->ijc", inverse, values, inverse, optimize=True)
+    square = values.reshape(len(grid_mm), len(grid_mm), -1)
+    return np.einsum("in,nmc,jm->ijc", inverse, square, inverse, optimize=True)

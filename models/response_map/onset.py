@@ -1,10 +1,10 @@
-"""The onset of slides whose labels do not tell it: found in the signal, along the line that the labels name.
+"""The onset of slides whose labels leave it out: found in the signal, along the line that the labels name.
 
 With direction, speed and offset known, one number of a slide is missing: when its contact passes the foot of the
 perpendicular from the reference point. A matched filter (Turin 1960) with the design's output along the line finds it
 to about 0.5 mm; the design's parameters and the onsets are then fitted in turn, and the calibration goes on from there.
 A common delay of all slides looks like more friction, to first order: the design's friction and the chamber's rim, at
-which the response ends, tell the two apart.
+which the response ends, keep the two apart.
 """
 
 from dataclasses import dataclass, replace
@@ -14,10 +14,9 @@ import pandas as pd
 
 from features.angles import tilt_channels
 from features.stream.conditioning import Conditioning, block_means
-from models.response_map.config import CalibrationConfig
 from models.response_map.from_atlas import SensorSpread, prior_map
 from models.response_map.map import ResponseMap
-from models.response_map.slide_fit import fit_slide
+from models.response_map.slide_fit import CalibrationConfig, fit_slide
 from models.response_map.slides import LABELS, calibration_slides, means, stretch_blocks
 from pipeline.atlas.atlas import Atlas
 from pipeline.recordings.folder import Folder, Recording

@@ -1,14 +1,16 @@
 """From a sensor's slides and its design to its response map, the residual lag undone.
 
-Candidate fits (near the atlas's prior with three stiffnesses, or from recordings alone) are compared by
-cross-validation over lines: a coarse or foreign atlas must not spoil what many recordings tell, and few recordings
-need the atlas and a fit that keeps close to it.
+Top-down: read the slides (slides.py), the onset of those whose labels leave it out (onset.py); fit candidates
+(calibrate.py) near the design (from_atlas.py) or from recordings alone; choose the one that predicts held-out lines
+best; undo the lag that is left (slide_fit.py), and repeat.
 
-Of a sensor whose mechanics are not solved the candidates are splines of several spacings, and what is held out of a
-fit is whole lines and, besides, cells of the skin: lines that are close together or cross show the same places.
+Candidates near the atlas's prior have one of three stiffnesses: a coarse or foreign atlas must not spoil what many
+recordings show, and few recordings need the atlas and a fit that keeps close to it. Of a sensor whose mechanics are not
+solved the candidates are splines of several spacings, and what is held out of a fit is whole lines and cells of the
+skin: lines that are close together or cross show the same places.
 """
 
-from collections.abc import Callable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -18,14 +20,18 @@ from features.height import HeightCalibration
 from features.stream.conditioning import Conditioning
 from models.held_out import line_folds
 from models.response_map.calibrate import blank_map, calibrate
-from models.response_map.config import CalibrationConfig
+from models.response_map.card import calibrated_heights
 from models.response_map.from_atlas import SensorSpread, prior_map
-from models.response_map.heights import calibrated_heights
-from models.response_map.lag import with_lag
 from models.response_map.map import SPACING_MM, ResponseMap
 from models.response_map.onset import Onsets, moved, with_onsets
-from models.response_map.slide_fit import fit_slide
-from models.response_map.slides import LEAST_HEIGHTS_MM, CalibrationSlide, calibration_slides, main_height_mm
+from models.response_map.slide_fit import CalibrationConfig, fit_slide, with_lag
+from models.response_map.slides import (
+    LEAST_APART_MM,
+    CalibrationSlide,
+    at_height,
+    calibration_slides,
+    main_height_mm,
+)
 from pipeline.atlas.atlas import Atlas
 from pipeline.recordings.derived_labels import USUAL_DEPTH_MM
 from pipeline.recordings.folder import Folder
@@ -57,9 +63,9 @@ class CalibratedMap:
     response: fitted to all slides. held_out: for honest errors, maps fitted without some lines, each with the names of
     those lines' recordings. conditioning: of the signal that it is a map of, the lag undone. slides: how many there
     were. summary: figures of the fit; `from_atlas` is 1 where the candidate chosen starts from an atlas.
-    folder: the recordings with the motion of every slide used, fitted where the labels do not tell it (untimed of
+    folder: the recordings with the motion of every slide used, fitted where the labels leave it out (untimed of
     them). left_out: why a recording is not among the slides, by name. heights: where they have several heights of the
-    skin, what a device needs to know of them; told_mm: the height that each one's static output tells, by name.
+    skin, what a device needs to know of them; told_mm: the height that follows from each one's static output, by name.
     """
 
     response: ResponseMap
@@ -91,87 +97,79 @@ def calibrated_map(
         InputError: neither an atlas nor enough slides, or none of the folder's recordings can be used.
     """
     onsets = with_onsets(folder, atlas, conditioning, spread, calibration)
-    lag_known, sensor = conditioning.delayed > 0, folder.sensor.scaled(conditioning.scale)
-    for _ in range(FITS):
-        read = conditioning
-        slides = calibration_slides(onsets.folder, read, onsets.fitted)
-        left_out = _left_out(onsets, slides)
-        candidates = _candidates(len(slides), atlas is not None, calibration, sensor)
-        whole, folds = _parts(slides, atlas, sensor, spread)
-        response, held_out, summary = _cross_validated(candidates, whole, folds)
-        conditioning = read if lag_known else with_lag(read, slides, response, held_out)
-        if conditioning == read:
-            break
-    lag = {"delayed": read.delayed, "tau_s": read.tau_s}
-    if response.height_slope is not None:
-        shares = _shares_at_other_heights(slides, held_out, atlas, sensor, spread, calibration)
-        told = {f"heldout_residual_{name}": share for name, share in shares.items()}
-        summary |= told
+    known = _Known(atlas, folder.sensor.scaled(conditioning.scale), spread, calibration)
+    found = _fitted(onsets, conditioning, known)
+    left_out: dict[str, str] = {}
+    figures: dict[str, float] = {}
+    if found.response.height_slope is not None:
+        shares = _shares_at_other_heights(found.slides, found.held_out, known)
+        figures = {f"heldout_residual_{name}": share for name, share in shares.items()}
         if shares and shares["map_a_height"] < shares["map_over_heights"]:
-            others = _names_at_other_heights(slides)
-            alone = replace(folder, manifest=folder.manifest.drop(index=others))
-            found = calibrated_map(alone, atlas, conditioning, calibration, spread)
-            why = dict.fromkeys(
-                others, "a map of each height predicts held-out lines better; train one for it"
-            )
-            return replace(found, summary=found.summary | told, left_out=found.left_out | why)
-    untimed = [slide for slide in slides if not slide.timed]
-    shifts = {slide.recording: fit_slide(slide, response, calibration).shift_mm for slide in untimed}
-    placed = moved(onsets.folder, shifts)
-    heights = calibrated_heights(response, slides)
-    told_mm = {} if heights is None else {s.recording: heights.told(s.static_v) for s in slides}
+            main = at_height(found.slides, main_height_mm(found.slides))
+            others = [s.recording for s, mains in zip(found.slides, main, strict=True) if not mains]
+            why = "a map of each height predicts held-out lines better; train one for it"
+            left_out = dict.fromkeys(others, why)
+            kept = onsets.folder.manifest.drop(index=others)
+            onsets = replace(onsets, folder=replace(onsets.folder, manifest=kept))
+            found = _fitted(onsets, found.conditioning, known)
+    untimed = [slide for slide in found.slides if not slide.timed]
+    shifts = {slide.recording: fit_slide(slide, found.response, calibration).shift_mm for slide in untimed}
+    heights = calibrated_heights(found.response, found.slides)
     return CalibratedMap(
-        response, held_out, read, len(slides), summary | lag, placed, len(untimed), left_out, heights, told_mm
+        found.response,
+        found.held_out,
+        found.conditioning,
+        len(found.slides),
+        found.summary | figures,
+        moved(onsets.folder, shifts),
+        len(untimed),
+        _left_out(onsets, found.slides) | left_out,
+        heights,
+        {} if heights is None else {s.recording: heights.told(s.static_v) for s in found.slides},
     )
 
 
-def _names_at_other_heights(slides: list[CalibrationSlide]) -> list[str]:
-    """The recordings whose skin's height is not that of most."""
-    main_mm = main_height_mm(slides)
-    return [s.recording for s in slides if abs(s.height_mm - main_mm) > LEAST_HEIGHTS_MM]
+@dataclass(frozen=True)
+class _Known:
+    """What is known of a sensor before any of its slides is read, and the fit's constants."""
+
+    atlas: Atlas | None
+    sensor: Sensor
+    spread: SensorSpread
+    config: CalibrationConfig
 
 
-def _shares_at_other_heights(
-    slides: list[CalibrationSlide],
-    held_out: Maps,
-    atlas: Atlas | None,
-    sensor: Sensor,
-    spread: SensorSpread,
-    config: CalibrationConfig,
-) -> dict[str, float]:
-    """What a map over heights (held_out) and what a map of each height leave of held-out lines at other heights than
-    that of most: the median residual as a share of a slide's largest output. Empty where no height has enough slides.
-    """
-    names = set(_names_at_other_heights(slides))
-    others = [slide for slide in slides if slide.recording in names]
-    others.sort(key=lambda slide: slide.height_mm)
-    gaps = np.flatnonzero(np.diff([slide.height_mm for slide in others]) > LEAST_HEIGHTS_MM) + 1
-    shared: list[float] = []
-    apart: list[float] = []
-    for at in np.split(np.arange(len(others)), gaps):
-        group = [others[n] for n in at]
-        if len(group) < (2 * FOLDS if atlas is not None else LEAST_ALONE):
-            continue
-        whole, folds = _parts(group, atlas, sensor, spread)
-        candidates = _candidates(len(group), atlas is not None, config, sensor)
-        own = _cross_validated(candidates, whole, folds)[1]
-        for shares, maps in ((shared, held_out), (apart, own)):
-            shares += [
-                fit_slide(slide, response, CalibrationConfig()).rms_v / np.abs(slide.volts).max()
-                for response, unseen in maps
-                for slide in group
-                if slide.recording in unseen
-            ]
-    if not shared:
-        return {}
-    return {"map_over_heights": float(np.median(shared)), "map_a_height": float(np.median(apart))}
+@dataclass(frozen=True)
+class _Fitted:
+    """conditioning: of the signal of the slides, which the map and the held-out ones were fitted to."""
+
+    conditioning: Conditioning
+    slides: list[CalibrationSlide]
+    response: ResponseMap
+    held_out: Maps
+    summary: dict[str, float]
+
+
+def _fitted(onsets: Onsets, conditioning: Conditioning, known: _Known) -> _Fitted:
+    """The map of the signal without the lag that maps show; a lag that `conditioning` names is not looked for."""
+    undone = conditioning
+    for _ in range(FITS):
+        read = undone
+        slides = calibration_slides(onsets.folder, read, onsets.fitted)
+        _left_out(onsets, slides)
+        response, held_out, summary = _chosen(slides, known)
+        undone = read if conditioning.delayed > 0 else with_lag(read, slides, response, held_out)
+        if undone == read:
+            break
+    lag = {"delayed": read.delayed, "tau_s": read.tau_s}
+    return _Fitted(read, slides, response, held_out, summary | lag)
 
 
 def _left_out(onsets: Onsets, slides: list[CalibrationSlide]) -> dict[str, str]:
     """Why each recording that is not among the slides is not, by name.
 
     Raises:
-        InputError: none is.
+        InputError: there are recordings and no slides.
     """
     used = {slide.recording for slide in slides}
     names = [str(name) for name in onsets.folder.manifest.index if name not in used]
@@ -196,74 +194,61 @@ class _Part:
     unseen: list[CalibrationSlide]
 
 
-_Fit = Callable[[_Part], tuple[ResponseMap, dict[str, float]]]
+@dataclass(frozen=True)
+class _Candidate:
+    """A fit that is possible: near an atlas's prior or from recordings alone, with so many times the penalties."""
+
+    near_atlas: bool
+    stiffness: float = 1.0
+    spacing_mm: float = SPACING_MM
+
+    def fit(self, part: _Part, known: _Known) -> tuple[ResponseMap, dict[str, float]]:
+        """The map of a part's slides, and the fit's figures."""
+        config, prior = known.config.stiffened(self.stiffness), part.prior
+        if self.near_atlas:
+            assert prior is not None
+            return calibrate(part.slides, prior, True, config) if part.slides else (prior, {})
+        start = blank_map(known.sensor, part.depth_mm, self.spacing_mm)
+        if prior is not None:
+            # Recordings of one depth say nothing of others: that part is the design's in any case.
+            start = replace(start, depth_slope=prior.depth_slope, height_slope=prior.height_slope)
+        return calibrate(part.slides, start, False, config)
 
 
-def _candidates(slides: int, has_atlas: bool, config: CalibrationConfig, sensor: Sensor) -> dict[str, _Fit]:
-    """The fits that are possible, by name: near an atlas's prior, a stiffness each, and from recordings alone.
+def _candidates(slides: int, known: _Known) -> dict[str, _Candidate]:
+    """The fits of so many slides that are possible, by name.
 
     Raises:
         InputError: neither an atlas nor enough slides.
     """
-    if not sensor.measures_gravity:
-        return _unsolved(slides, config, sensor)
-    if not has_atlas and slides < LEAST_ALONE:
+    name = known.sensor.name
+    if not known.sensor.measures_gravity:
+        if slides < LEAST_UNSOLVED:
+            raise InputError(f"{name}: {slides} labelled slides; record at least {LEAST_UNSOLVED}")
+        return {
+            f"alone_{spacing:.1f}_mm_{smoothness:g}": _Candidate(False, smoothness, spacing)
+            for spacing in SPACINGS_MM
+            for smoothness in (SMOOTHNESS if slides < MANY else SMOOTHNESS[:1])
+        }
+    if known.atlas is None and slides < LEAST_ALONE:
         raise InputError(
-            f"{sensor.name}: {slides} labelled slides and no atlas; record at least {LEAST_ALONE}, "
+            f"{name}: {slides} labelled slides and no atlas; record at least {LEAST_ALONE}, "
             "or name an atlas that 'softslide simulate' made"
         )
-
-    def near(stiffness: float) -> _Fit:
-        stiff = config.stiffened(stiffness)
-
-        def fit(part: _Part) -> tuple[ResponseMap, dict[str, float]]:
-            assert part.prior is not None
-            return calibrate(part.slides, part.prior, True, stiff) if part.slides else (part.prior, {})
-
-        return fit
-
-    def alone(part: _Part) -> tuple[ResponseMap, dict[str, float]]:
-        start = blank_map(sensor, part.depth_mm)
-        if part.prior is not None:
-            # Recordings of one depth say nothing of others: that part is the design's in any case.
-            changes = part.prior.depth_slope, part.prior.height_slope
-            start = replace(start, depth_slope=changes[0], height_slope=changes[1])
-        return calibrate(part.slides, start, False, config)
-
-    candidates: dict[str, _Fit] = {f"atlas_{s:g}": near(s) for s in STIFFNESS} if has_atlas else {}
-    return candidates | ({"alone": alone} if slides >= LEAST_ALONE else {})
+    near = {f"atlas_{s:g}": _Candidate(True, s) for s in STIFFNESS if known.atlas is not None}
+    return near | ({"alone": _Candidate(False)} if slides >= LEAST_ALONE else {})
 
 
-def _unsolved(slides: int, config: CalibrationConfig, sensor: Sensor) -> dict[str, _Fit]:
-    """The fits of a sensor whose mechanics are not known: from recordings alone, a spacing and a smoothness each.
-
-    Raises:
-        InputError: too few slides.
-    """
-    if slides < LEAST_UNSOLVED:
-        raise InputError(f"{sensor.name}: {slides} labelled slides; record at least {LEAST_UNSOLVED}")
-
-    def alone(spacing_mm: float, smoothness: float) -> _Fit:
-        smooth = config.stiffened(smoothness)
-        return lambda part: calibrate(
-            part.slides, blank_map(sensor, part.depth_mm, spacing_mm), False, smooth
-        )
-
-    return {
-        f"alone_{spacing:.1f}_mm_{smoothness:g}": alone(spacing, smoothness)
-        for spacing in SPACINGS_MM
-        for smoothness in (SMOOTHNESS if slides < MANY else SMOOTHNESS[:1])
-    }
-
-
-def _parts(
-    slides: list[CalibrationSlide], atlas: Atlas | None, sensor: Sensor, spread: SensorSpread
-) -> tuple[_Part, list[_Part]]:
+def _parts(slides: list[CalibrationSlide], known: _Known) -> tuple[_Part, list[_Part]]:
     """All the slides; and all but a fold of lines each, where there are enough slides for folds."""
     depth_mm = float(np.median([s.depth_mm for s in slides])) if slides else USUAL_DEPTH_MM
 
     def part(seen: list[CalibrationSlide], unseen: list[CalibrationSlide]) -> _Part:
-        prior, moved = (None, {}) if atlas is None else prior_map(atlas, sensor, seen, depth_mm, spread)
+        prior, moved = (
+            (None, {})
+            if known.atlas is None
+            else prior_map(known.atlas, known.sensor, seen, depth_mm, known.spread)
+        )
         return _Part(seen, prior, moved, depth_mm, unseen)
 
     whole = part(slides, [])
@@ -275,7 +260,7 @@ def _parts(
         tuple([s for s, f in zip(slides, fold, strict=True) if (f == number) == out] for out in (False, True))
         for number in np.unique(fold)
     ]
-    if not sensor.measures_gravity:
+    if not known.sensor.measures_gravity:
         split = [(_by_cell(seen, False), _by_cell(unseen, True)) for seen, unseen in split]
     return whole, [part(seen, unseen) for seen, unseen in split]
 
@@ -295,38 +280,62 @@ def _by_cell(slides: list[CalibrationSlide], held_out: bool) -> list[Calibration
     return kept
 
 
-def _cross_validated(
-    candidates: dict[str, _Fit], whole: _Part, folds: list[_Part]
-) -> tuple[ResponseMap, Maps, dict[str, float]]:
+def _chosen(slides: list[CalibrationSlide], known: _Known) -> tuple[ResponseMap, Maps, dict[str, float]]:
     """The candidate with the least held-out residual: fitted to all slides, to each fold's, and its figures."""
-    maps = {name: [fit(fold)[0] for fold in folds] for name, fit in candidates.items()}
-    residual = {name: _residual_share(fitted, folds) for name, fitted in maps.items()}
+    candidates = _candidates(len(slides), known)
+    whole, folds = _parts(slides, known)
+    names = [np.array([slide.recording for slide in fold.unseen]) for fold in folds]
+    maps = {
+        name: list(zip([candidate.fit(fold, known)[0] for fold in folds], names, strict=True))
+        for name, candidate in candidates.items()
+    }
+    unseen = [slide for fold in folds for slide in fold.unseen]
+    residual = {name: _median(_residuals(fitted, unseen)) for name, fitted in maps.items()}
     best = min(candidates, key=lambda name: residual[name])
-    response, summary = candidates[best](whole)
+    held_out = maps[best]
+    response, summary = candidates[best].fit(whole, known)
     if not response.rim:
         # What the map leaves of places that it was not fitted to; of those that it was it leaves less.
-        floor_v = float(np.sqrt(np.mean(_residuals_v(maps[best], folds) ** 2)))
+        floor_v = float(np.sqrt(np.mean(np.square([rms_v for rms_v, _ in _residuals(held_out, unseen)]))))
         response = replace(response, floor_v=floor_v)
-        maps[best] = [replace(fitted, floor_v=floor_v) for fitted in maps[best]]
+        held_out = [(replace(fitted, floor_v=floor_v), out) for fitted, out in held_out]
         summary = summary | {"residual_v": floor_v, "spacing_mm": response.spacing_mm}
     shares = {f"heldout_residual_{name}": share for name, share in residual.items() if folds}
-    names = [np.array([slide.recording for slide in fold.unseen]) for fold in folds]
-    figures = whole.moved | summary | shares | {"from_atlas": float(best.startswith("atlas"))}
-    return response, list(zip(maps[best], names, strict=True)), figures
+    from_atlas = {"from_atlas": float(candidates[best].near_atlas)}
+    return response, held_out, whole.moved | summary | shares | from_atlas
 
 
-def _residual_share(maps: list[ResponseMap], folds: list[_Part]) -> float:
-    """Median over held-out slides of the rms residual as a share of the slide's largest output; 0 without folds."""
-    peaks_v = [np.abs(slide.volts).max() for fold in folds for slide in fold.unseen]
-    return float(np.median(_residuals_v(maps, folds) / peaks_v)) if peaks_v else 0.0
+def _shares_at_other_heights(
+    slides: list[CalibrationSlide], held_out: Maps, known: _Known
+) -> dict[str, float]:
+    """What a map over heights (held_out) and what a map of each height leave of held-out lines at other heights than
+    that of most: the median residual as a share of a slide's largest output. Empty where no height has enough slides.
+    """
+    main = at_height(slides, main_height_mm(slides))
+    others = [slide for slide, mains in zip(slides, main, strict=True) if not mains]
+    others.sort(key=lambda slide: slide.height_mm)
+    gaps = np.flatnonzero(np.diff([slide.height_mm for slide in others]) > LEAST_APART_MM) + 1
+    least = 2 * FOLDS if known.atlas is not None else LEAST_ALONE
+    shared: list[tuple[float, float]] = []
+    apart: list[tuple[float, float]] = []
+    for at in np.split(np.arange(len(others)), gaps):
+        group = [others[n] for n in at]
+        if len(group) >= least:
+            shared += _residuals(held_out, group)
+            apart += _residuals(_chosen(group, known)[1], group)
+    return {"map_over_heights": _median(shared), "map_a_height": _median(apart)} if shared else {}
 
 
-def _residuals_v(maps: list[ResponseMap], folds: list[_Part]) -> np.ndarray:
-    """(n,) V: rms residual of each held-out slide beside the map that was not fitted to it."""
-    return np.array(
-        [
-            fit_slide(slide, response, CalibrationConfig()).rms_v
-            for response, fold in zip(maps, folds, strict=True)
-            for slide in fold.unseen
-        ]
-    )
+def _residuals(maps: Maps, slides: list[CalibrationSlide]) -> Iterator[tuple[float, float]]:
+    """Of each slide and the map that was not fitted to it: the rms residual, V, and its share of the largest output."""
+    for response, unseen in maps:
+        for slide in slides:
+            if slide.recording in unseen:
+                rms_v = fit_slide(slide, response, CalibrationConfig()).rms_v
+                yield rms_v, float(rms_v / np.abs(slide.volts).max())
+
+
+def _median(residuals: Iterable[tuple[float, float]]) -> float:
+    """Of the residuals' shares; 0 without any."""
+    shares = [share for _, share in residuals]
+    return float(np.median(shares)) if shares else 0.0

@@ -1,8 +1,11 @@
-"""Labelled slides as the calibration reads them: short stretches of a known line, with their mean output."""
+"""Labelled slides as the calibration reads them: short stretches of a known line, with their mean output.
+
+And the output at rest over all of them, with how it scatters from slide to slide.
+"""
 
 import math
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -14,9 +17,13 @@ from pipeline.recordings.pooled import WEIGHT
 from pipeline.recordings.stroke import stage_motion
 
 STRETCH_MM = 0.5  # a fifth of the splines' spacing: along a stretch the response is straight
-LEAST_REST_BLOCKS = 5  # fewer tell neither the static output nor its noise
-LEAST_HEIGHTS_MM = 0.1  # what heights of the skin differ by at least; a gain of 1 % is worth as much
+LEAST_REST_BLOCKS = 5  # fewer give neither the static output nor its noise
+# What contact depths, or heights of the skin, differ by at least; a gain of 1 to 2 % is worth as much.
+LEAST_APART_MM = 0.1
 LEAD_S = 0.1  # the contact is looked at from this long before the stage starts
+# Of each static output by itself: one step of the article's converter.
+LEAST_STATIC_SD_V = 5e-4
+LEAST_RECORDINGS = 12  # twice the outputs of two accelerometers; fewer give no covariance
 # Without these labels a slide cannot be placed on the skin.
 LABELS = (
     "direction_deg",
@@ -39,7 +46,7 @@ class CalibrationSlide:
     rest_noise_v: (C,) V, standard deviation of one block's mean at rest.
     static_v: (C,) V, the same channels at rest. height_mm: of the skin; NaN: that of all slides.
     weight: how much it counts in a fit.
-    timed: the labels tell where the contact was when; else the place along the line is a first guess.
+    timed: the labels say where the contact was when; else the place along the line is a first guess.
     """
 
     recording: str
@@ -119,15 +126,20 @@ def _slide(folder: Folder, name: str, row: Any, conditioning: Conditioning) -> C
     )
 
 
-def several_heights(slides: list[CalibrationSlide]) -> bool:
-    """Whether the skin's heights differ enough to tell how the response changes with height."""
-    return bool(slides) and bool(np.ptp([slide.height_mm for slide in slides]) > LEAST_HEIGHTS_MM)
+def several(slides: list[CalibrationSlide], covariate: str) -> bool:
+    """Whether the slides' contact depths ("depth") or heights of the skin ("height") differ by LEAST_APART_MM."""
+    return bool(slides) and bool(np.ptp([getattr(s, f"{covariate}_mm") for s in slides]) > LEAST_APART_MM)
+
+
+def at_height(slides: list[CalibrationSlide], height_mm: float) -> np.ndarray:
+    """(n,) bool: the slides of a height of the skin, mm."""
+    return np.abs([slide.height_mm - height_mm for slide in slides]) <= LEAST_APART_MM
 
 
 def main_height_mm(slides: list[CalibrationSlide]) -> float:
     """The height that most slides have, mm: the median of those alike. A laser reads each a little differently."""
     heights = np.array([slide.height_mm for slide in slides])
-    alike = np.abs(heights[:, None] - heights) <= LEAST_HEIGHTS_MM
+    alike = np.abs(heights[:, None] - heights) <= LEAST_APART_MM
     return float(np.median(heights[alike[alike.sum(axis=1).argmax()]]))
 
 
@@ -140,3 +152,49 @@ def means(values: np.ndarray, count: int) -> np.ndarray:
     """Means over each `count` of the first axis; what does not fill a last one is dropped."""
     whole = len(values) // count * count
     return values[:whole].reshape(-1, count, *values.shape[1:]).mean(axis=1)
+
+
+class StaticScatter(NamedTuple):
+    """mean_v: (3 A,) V, all three outputs of each accelerometer; covariance_v2: (3 A, 3 A) V^2."""
+
+    mean_v: np.ndarray
+    covariance_v2: np.ndarray
+
+
+def static_scatter(
+    folder: Folder, conditioning: Conditioning, height_mm: float | None = None
+) -> StaticScatter | None:
+    """Of the folder's recordings, before their motion; None where they are too few.
+
+    height_mm: of recordings at several heights of the skin: the static output at this one, and its scatter about a
+    line over the height. None: they have one.
+    """
+    statics = static_outputs(folder, conditioning)
+    if len(statics) < LEAST_RECORDINGS:
+        return None
+    design = np.ones((len(statics), 1))
+    if height_mm is not None:
+        off_mm = folder.manifest.loc[list(statics), HEIGHT].to_numpy(float) - height_mm
+        design = np.column_stack([design, off_mm])
+    return scatter_about(design, np.array(list(statics.values())))
+
+
+def static_outputs(folder: Folder, conditioning: Conditioning) -> dict[str, np.ndarray]:
+    """(3 A,) V before the motion, by name, of the recordings that rest for long enough before a known start."""
+    statics = {}
+    for name, start_s in folder.manifest["motion_start_s"].dropna().items():
+        recording = folder.load(str(name))
+        rest = recording.volts[recording.time_s < start_s - conditioning.block_s]
+        blocks = block_means(rest, conditioning, folder.sensor.sample_rate_hz)
+        if len(blocks) >= LEAST_REST_BLOCKS:
+            statics[str(name)] = blocks.mean(axis=0)
+    return statics
+
+
+def scatter_about(design: np.ndarray, statics: np.ndarray) -> StaticScatter:
+    """Of statics (n, 3 A) V about their least-squares fit by a design (n, p), whose first column is 1."""
+    line = np.linalg.lstsq(design, statics, rcond=None)[0]
+    left = statics - design @ line
+    covariance = left.T @ left / (len(left) - design.shape[1])
+    # Each output's own: where a tilt makes all scatter alike, their differences hardly do.
+    return StaticScatter(line[0], covariance + LEAST_STATIC_SD_V**2 * np.eye(len(covariance)))

@@ -24,8 +24,8 @@ def slides_of(
         travelled = np.arange(0.25, 72.0, 0.5)
         blocks = max(1, round(0.5 / speed / 0.02))
         s = travelled - speed * lag_s
-        own = response.at_height(height)
-        clean = own.response(start[0] + s * np.cos(a), start[1] + s * np.sin(a), a, depth)
+        own = response.at(depth, height)
+        clean = own.response(start[0] + s * np.cos(a), start[1] + s * np.sin(a), a)
         volts = gain * clean + noise_v / np.sqrt(blocks) * rng.standard_normal(clean.shape)
         slides.append(
             CalibrationSlide(

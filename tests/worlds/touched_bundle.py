@@ -9,7 +9,7 @@ from small_bundle import write_small_bundle
 from touched_skin import NOISE, RATE_HZ, SENSOR, UNIT, ZERO
 
 from features.stream.conditioning import Conditioning
-from models.response_map.contact_card import contact_calibration
+from models.response_map.card import contact_calibration
 
 RADIUS_MM, SPEED_MM_S = 7.0, 25.0
 

@@ -6,7 +6,7 @@ import numpy as np
 from bump_map import bump_map
 
 from features.contact.tracker import ContactTracker, Track, TrackingConfig
-from models.response_map.contact_card import contact_calibration
+from models.response_map.card import contact_calibration
 from models.response_map.map import ResponseMap
 
 BLOCK_S = 0.02

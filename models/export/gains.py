@@ -14,9 +14,8 @@ import pandas as pd
 from features.angles import touch_channels
 from features.height import HeightCalibration
 from features.stream.conditioning import Conditioning, block_means
-from models.response_map.config import CalibrationConfig
 from models.response_map.map import ResponseMap
-from models.response_map.slide_fit import fit_slide
+from models.response_map.slide_fit import CalibrationConfig, fit_slide
 from models.response_map.slides import LEAST_REST_BLOCKS, CalibrationSlide, calibration_slides
 from pipeline.recordings.derived_labels import UNTIMED
 from pipeline.recordings.folder import Folder
@@ -24,7 +23,7 @@ from pipeline.recordings.folder import Folder
 # Standard deviations of the prior: a real skin was 11 to 18 % stronger on another day, channel by channel.
 COMMON_SD, CHANNEL_SD = 0.15, 0.05
 ROUNDS = 3  # of gains and shifts in turn
-# Stretches of which the map's residuals tell as much as one: they are alike over the splines' spacing.
+# Stretches of which the map's residuals say as much as one: they are alike over the splines' spacing.
 ALIKE = 4.0
 # What a press must have labelled; its direction and speed are empty, or its speed 0.
 PRESS_LABELS = ("start_x_mm", "start_y_mm", "motion_start_s", "motion_end_s")
@@ -43,7 +42,7 @@ class Press:
 
 @dataclass(frozen=True)
 class Gains:
-    """gain, sd: (C,) of each channel that answers to a touch, beside the map, and its standard deviation.
+    """gain, sd: (C,) of each channel that answers to a touch, over the map's, and its standard deviation.
     residual_v, before_v: rms of what the map leaves of the recordings with these gains and without."""
 
     gain: np.ndarray
@@ -83,14 +82,13 @@ def _evidence(
     parts = []
     for slide in slides:
         x, y = slide.place(fit_slide(slide, scaled, config).shift_mm, response.lag_s)
-        shown = response.at_height(slide.height_mm).response(x, y, slide.direction_rad, slide.depth_mm)
+        shown = response.at(slide.depth_mm, slide.height_mm).response(x, y, slide.direction_rad)
         parts.append((shown, slide.volts, np.full(len(x), 1.0 / ALIKE)))
     for press in presses:
         x, y = (np.array([place]) for place in press.place_mm)
-        depth_mm = None if np.isnan(press.depth_mm) else press.depth_mm
         # Opposite directions: what a contact that stands shows has no friction.
-        own = response.at_height(press.height_mm)
-        there, back = (own.response(x, y, a, depth_mm) for a in (0.0, np.pi))
+        own = response.at(press.depth_mm, press.height_mm)
+        there, back = (own.response(x, y, a) for a in (0.0, np.pi))
         shown = (there + back) / 2
         parts.append((shown, press.volts[None], np.ones(1)))
     shown, volts, weight = (np.concatenate(column) for column in zip(*parts, strict=True))
@@ -102,7 +100,7 @@ def labelled_contacts(
 ) -> tuple[list[CalibrationSlide], list[Press], list[str]]:
     """The folder's labelled strokes and presses, and the names of the recordings that are neither.
 
-    heights: of the skin; what the static output tells of them goes with each stroke and press. None: there is one.
+    heights: of the skin; that which a static output shows goes with each stroke and press. None: there is one.
     """
     speed = folder.manifest["speed_mm_s"]
     standing = folder.manifest[list(PRESS_LABELS)].notna().all(axis=1) & ~(speed > 0)

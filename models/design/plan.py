@@ -4,9 +4,7 @@ Bayesian linear design (Chaloner and Verdinelli 1995). The unknowns u, standard 
 its design (the parameters of from_atlas.py) and the map's own residual (the penalties of calibrate.py, read as a
 Gaussian prior). A slide is a linear observation of u with the noise of its blocks, its own gain, shift and static
 output. What counts is the error in direction, log speed and offset that the map's remaining error causes on lines
-anywhere over the skin: how a least-squares estimate answers to a wrong map.
-
-Slides are chosen one by one, then exchanged while that helps (Fedorov 1972).
+anywhere over the skin: how a least-squares estimate answers to a wrong map (line_information.py).
 """
 
 from collections.abc import Callable, Sequence
@@ -16,11 +14,22 @@ import numpy as np
 import pandas as pd
 from scipy.linalg import cho_factor, cho_solve
 
-from models.response_map.config import CalibrationConfig
-from models.response_map.from_atlas import SAMPLE_MM, SensorSpread, prior_deviations
-from models.response_map.map import PARTS, ResponseMap, knots
-from models.response_map.slides import STRETCH_MM
-from models.response_map.spline_fit import (
+from models.design.line_information import (
+    BLOCK_S,
+    ERRORS,
+    LINE_SPEED_MM_S,
+    STEPS,
+    Line,
+    criterion,
+    draw_lines,
+    exchanged,
+    places,
+    reading_variance,
+    slopes,
+    with_gain_prior,
+    without_static,
+)
+from models.response_map.calibrate import (
     MAP_VARIANCE,
     PENALTY_NOISE_V,
     RIDGE,
@@ -28,8 +37,11 @@ from models.response_map.spline_fit import (
     part_weights,
     rim_gram,
     roughness,
-    tensor_splines,
 )
+from models.response_map.from_atlas import SAMPLE_MM, SensorSpread, prior_deviations
+from models.response_map.map import PARTS, ResponseMap, knots, tensor_splines
+from models.response_map.slide_fit import CalibrationConfig
+from models.response_map.slides import STRETCH_MM
 from pipeline.atlas.atlas import Atlas
 from pipeline.sensor import Sensor
 
@@ -38,16 +50,8 @@ from pipeline.sensor import Sensor
 STIFFNESS = 0.3
 MODES = 40  # of the residual, the largest for each part
 LINES = 150  # that the errors are averaged over
-LINE_SPEED_MM_S = 2.0  # of those lines: the middle of the article's speeds; it weighs with the lag alone
-LEAST_CHORD_MM = 20.0  # over the chamber; shorter lines are at its corners
-BLOCK_S = 0.02
-GAIN_SD = 0.02  # of a slide that is estimated, as calibrations find it (ResponseMap.gain_sd)
 SHIFT_STEP_MM = 0.1  # of the difference along a line
-# Of the differences in direction (rad), log speed, offset (mm), place along the line (mm) and log gain.
-STEPS = np.array([0.01, 0.01, 0.1, 0.1, 0.01])
-ERRORS = 3  # direction, log speed and offset: the others are fitted besides
 SWEEPS = 2  # of exchanges; a third changes nothing on bench-a
-LEAST_GAIN = 1e-6  # of the criterion, below which an exchange is none
 
 
 @dataclass(frozen=True)
@@ -75,22 +79,16 @@ def plan_slides(
     unknowns = Unknowns(atlas, sensor, depth_mm, config.stiffened(STIFFNESS), spread)
     observations = [_observation(unknowns, row, config) for _, row in candidates.iterrows()]
     errors = _line_errors(unknowns, sensor, np.random.default_rng(seed))
-    chosen: list[int] = []
-    for _ in progress(range(count)):
-        chosen.append(_best(observations, errors, _posterior(unknowns.size, observations, chosen), chosen)[0])
-    least = _criterion(_variances(errors, _posterior(unknowns.size, observations, chosen)))
-    for _ in range(SWEEPS):
-        before = list(chosen)
-        for place in range(count):
-            others = chosen[:place] + chosen[place + 1 :]
-            one, value = _best(observations, errors, _posterior(unknowns.size, observations, others), others)
-            if value < least - LEAST_GAIN:
-                chosen[place], least = one, value
-        if chosen == before:
-            break
-    after = _variances(errors, _posterior(unknowns.size, observations, chosen))
-    start = _variances(errors, np.eye(unknowns.size))
-    return Plan(chosen, np.sqrt(after.mean(axis=1)), np.sqrt(start.mean(axis=1)))
+
+    def after(chosen: list[int]) -> np.ndarray:
+        return _posterior(unknowns.size, observations, chosen)
+
+    def best(chosen: list[int]) -> tuple[int, float]:
+        return _best(observations, errors, after(chosen), chosen)
+
+    chosen = exchanged(best, progress(range(count)), SWEEPS)
+    deviations = (np.sqrt(_variances(errors, after(some)).mean(axis=1)) for some in (chosen, []))
+    return Plan(chosen, *deviations)
 
 
 class Unknowns:
@@ -188,50 +186,22 @@ def _observation(
 
 def _line_errors(unknowns: Unknowns, sensor: Sensor, random: np.random.Generator) -> np.ndarray:
     """(3, LINES, R): the errors in direction (rad), log speed and offset (mm) that each unknown causes on lines drawn
-    over the chamber, any direction and offset alike."""
-    found: list[np.ndarray] = []
-    half = np.array(sensor.chamber_mm) / 2
-    while len(found) < LINES:
-        direction, offset = random.uniform(0, 2 * np.pi), random.uniform(-1, 1) * min(half)
-        along = np.arange(-2 * half.sum(), 2 * half.sum(), SAMPLE_MM)
-        places = _places(sensor, direction, offset, along)
-        over = (np.abs(places) < half[:, None]).all(axis=0)
-        if over.sum() * SAMPLE_MM >= LEAST_CHORD_MM:
-            found.append(_line_error(unknowns, sensor, direction, offset, along[over]))
-    return np.stack(found, axis=1)
+    over the chamber."""
+    lines = draw_lines(sensor.chamber_mm, sensor.reference_mm, LINES, random)
+    return np.stack([_line_error(unknowns, line) for line in lines], axis=1)
 
 
-def _places(sensor: Sensor, direction: float, offset: float, along: np.ndarray) -> np.ndarray:
-    """(2, n) mm: the places along a line, counted from its foot."""
-    cos, sin = np.cos(direction), np.sin(direction)
-    foot = np.array(sensor.reference_mm) + offset * np.array([-sin, cos])
-    return foot[:, None] + np.array([cos, sin])[:, None] * along
-
-
-def _line_error(
-    unknowns: Unknowns, sensor: Sensor, direction: float, offset: float, along: np.ndarray
-) -> np.ndarray:
+def _line_error(unknowns: Unknowns, line: Line) -> np.ndarray:
     """(3, R) for one line: least squares over direction, log speed, offset, place, gain and static output."""
     response = unknowns.response
     assert response.drift_v is not None
-
-    def volts(change: np.ndarray) -> np.ndarray:
-        turn, log_speed, aside, ahead, log_gain = change
-        way = along[-1] + ahead - (along[-1] - along) * np.exp(log_speed)
-        x, y = _places(sensor, direction + turn, offset + aside, way)
-        return np.exp(log_gain) * response.response(x, y, direction + turn)
-
-    slopes = [(volts(step) - volts(-step)).ravel() / (2 * step.sum()) for step in np.diag(STEPS)]
-    channels = response.channels
-    static = np.tile(np.eye(channels), (len(along), 1))
-    jacobian = np.hstack([np.stack(slopes, axis=1), static])
-    blocks = SAMPLE_MM / LINE_SPEED_MM_S / BLOCK_S
-    weighted = jacobian / (_noise_v(response) ** 2 * (1 / blocks + MAP_VARIANCE))
-    prior = np.diag([0.0, 0.0, 0.0, 0.0, GAIN_SD**-2, *response.drift_v**-2])
-    answer = np.linalg.solve(jacobian.T @ weighted + prior, weighted.T)[:ERRORS]
-    x, y = _places(sensor, direction, offset, along)
-    rows, _ = unknowns.rows(x, y, direction, LINE_SPEED_MM_S)
-    return answer @ rows.reshape(len(along) * channels, -1)
+    jacobian, variance = slopes(response, line), reading_variance(_noise_v(response))
+    weighted = without_static(jacobian, response.drift_v, variance) / variance
+    information = np.einsum("ncj,nck->jk", weighted, jacobian)
+    answer = np.linalg.solve(with_gain_prior(information), weighted.reshape(-1, len(STEPS)).T)[:ERRORS]
+    x, y = places(response.reference_mm, line.direction_rad, line.offset_mm, line.along_mm)
+    rows, _ = unknowns.rows(x, y, line.direction_rad, LINE_SPEED_MM_S)
+    return answer @ rows.reshape(answer.shape[1], -1)
 
 
 Observations = list[tuple[np.ndarray, np.ndarray]]
@@ -242,8 +212,8 @@ def _posterior(size: int, observations: Observations, chosen: Sequence[int]) -> 
     covariance = np.eye(size)
     for one in chosen:
         rows, noise = observations[one]
-        told = covariance @ rows.T
-        covariance -= told @ cho_solve(cho_factor(rows @ told + noise), told.T)
+        shown = covariance @ rows.T
+        covariance -= shown @ cho_solve(cho_factor(rows @ shown + noise), shown.T)
     return covariance
 
 
@@ -252,16 +222,10 @@ def _variances(errors: np.ndarray, covariance: np.ndarray) -> np.ndarray:
     return np.einsum("qlr,rs,qls->ql", errors, covariance, errors, optimize=True)
 
 
-def _criterion(variances: np.ndarray) -> float:
-    """What the plan makes small: the product over direction, speed and offset of the mean variance, as a logarithm, so
-    that their units do not matter."""
-    return float(np.log(variances.mean(axis=-1)).sum())
-
-
 def _best(
     observations: Observations, errors: np.ndarray, covariance: np.ndarray, taken: Sequence[int]
 ) -> tuple[int, float]:
-    """The slide that, besides those already in `covariance`, leaves the least criterion; and that."""
+    """The slide that, added to those already in `covariance`, leaves the least criterion; and that."""
     flat = errors.reshape(-1, errors.shape[-1])
     carried = flat @ covariance
     variances = np.einsum("tr,tr->t", carried, flat)
@@ -269,7 +233,8 @@ def _best(
     for one, (rows, noise) in enumerate(observations):
         if one in taken:
             continue
-        told = carried @ rows.T
-        less = np.einsum("tn,nt->t", told, cho_solve(cho_factor(rows @ covariance @ rows.T + noise), told.T))
-        values[one] = _criterion((variances - less).reshape(errors.shape[:2]))
+        shown = carried @ rows.T
+        noisy = cho_factor(rows @ covariance @ rows.T + noise)
+        less = np.einsum("tn,nt->t", shown, cho_solve(noisy, shown.T))
+        values[one] = criterion((variances - less).reshape(errors.shape[:2]).T)
     return int(values.argmin()), float(values.min())

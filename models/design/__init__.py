@@ -1,0 +1,1 @@
+"""What to record, and where to put the accelerometers."""

@@ -1,0 +1,222 @@
+"""What a device needs of a calibrated map, as sections of the model card: contacts, heights of the skin, forces."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from features.card import Card
+from features.contact.calibration import ContactCalibration, encoded
+from features.contact.force_map import ForceMap, in_steps
+from features.force import STEP_MM, ForceReader
+from features.height import HeightCalibration
+from features.stream.conditioning import ONSETS
+from models.response_map.from_atlas import depth_bounds, tilt_v_per_g
+from models.response_map.map import (
+    MARGIN_MM,
+    PARTS,
+    SPACING_MM,
+    ResponseMap,
+    spline_coefficients,
+    spline_grid,
+)
+from models.response_map.slides import LEAST_STATIC_SD_V, CalibrationSlide, StaticScatter
+from pipeline.atlas.atlas import Atlas
+from pipeline.recordings.folder import Folder
+from pipeline.recordings.heights import laser_readings_mm
+from pipeline.sensor import Sensor
+from pipeline.skin.lines import PER_BOARD
+
+SCALE = "force_mn"  # column of the manifest: the largest normal force of the stroke that a scale read
+# Without a scale the force is as uncertain as the modulus, which it is proportional to at a given height: the article
+# has 0.07 MPa, the data sheet of Ecoflex 00-10 8 psi = 0.055 MPa at 100 % (a factor of 1.27).
+MODULUS_SD = 0.24
+# And as the height: fitted to slides and not read; the force grows by a quarter a mm (experiments/LOG.md).
+HEIGHT_SD_MM = 0.5
+FORCE_PER_MM = 0.25
+# Of one reading over the map: what the map's shape is off along a stroke (another mesh, experiments/LOG.md).
+READING_SD = 0.05
+
+
+def contact_calibration(
+    response: ResponseMap, inflation_v_per_mm: tuple[float, ...] = (), static: StaticScatter | None = None
+) -> ContactCalibration:
+    """What a device needs of the map to track contacts. inflation_v_per_mm: as there, empty where not known. static: of
+    the output at rest."""
+    assert response.noise_v is not None
+    text, scale = encoded(np.concatenate([response.coefficients, response.depth_slope[None]]))
+    return ContactCalibration(
+        coefficients=text,
+        scale_v=scale,
+        knots=response.coefficients.shape[1],
+        half_mm=response.half_mm,
+        spacing_mm=response.spacing_mm,
+        chamber_mm=response.chamber_mm,
+        depth_mm=response.depth_mm,
+        noise_v=tuple(float(v) for v in response.noise_v),
+        floor_v=float(response.floor_v),
+        gain_sd=float(response.gain_sd),
+        depth_sd_mm=response.depth_sd_mm or ContactCalibration.depth_sd_mm,
+        inflation_v_per_mm=inflation_v_per_mm,
+        static_v=() if static is None else tuple(static.mean_v.tolist()),
+        static_covariance_v2=() if static is None else tuple(map(tuple, static.covariance_v2.tolist())),
+    )
+
+
+def response_of(card: Card) -> ResponseMap:
+    """The map that a card carries: without the lag, which its conditioning undoes, and the drift, which it has not.
+
+    Raises:
+        ValueError: it has no section `contact`.
+    """
+    contact = card.contact
+    if contact is None:
+        raise ValueError("the card carries no response map")
+    surfaces = contact.splines()
+    return ResponseMap(
+        surfaces[:PARTS],
+        surfaces[PARTS],
+        (contact.chamber_mm[0], contact.chamber_mm[1]),
+        card.reference_mm,
+        depth_mm=contact.depth_mm,
+        noise_v=np.array(contact.noise_v),
+        floor_v=contact.floor_v,
+        gain_sd=contact.gain_sd,
+        axes=len(card.conditioning.touch_axes),
+        rim=card.conditioning.onset == ONSETS[0],
+        spacing_mm=contact.spacing_mm,
+        **_heights(card),
+    )
+
+
+def _heights(card: Card) -> dict[str, Any]:
+    """What a map has of the heights of the skin that a card is for."""
+    heights = card.heights
+    if heights is None:
+        return {}
+    return {
+        "height_mm": heights.height_mm,
+        "height_slope": heights.splines(),
+        "height_range_mm": (heights.lowest_mm, heights.highest_mm),
+    }
+
+
+def calibrated_heights(response: ResponseMap, slides: list[CalibrationSlide]) -> HeightCalibration | None:
+    """What a device needs to know of the skin's height; None where the slides have one.
+
+    The static output is fitted by a line over the height, by least squares.
+    """
+    if response.height_slope is None:
+        return None
+    off_mm = np.array([slide.height_mm - response.height_mm for slide in slides])
+    static = np.array([slide.static_v for slide in slides])
+    design = np.stack([np.ones_like(off_mm), off_mm], axis=1)
+    line = np.linalg.lstsq(design, static, rcond=None)[0]
+    sd = np.maximum(np.sqrt(np.mean((static - design @ line) ** 2, axis=0)), LEAST_STATIC_SD_V)
+    text, scale = encoded(response.height_slope)
+    return HeightCalibration(
+        coefficients=text,
+        scale_v=scale,
+        knots=len(response.height_slope),
+        height_mm=response.height_mm,
+        lowest_mm=response.height_range_mm[0],
+        highest_mm=response.height_range_mm[1],
+        static_v=tuple(line[0].tolist()),
+        static_v_per_mm=tuple(line[1].tolist()),
+        static_sd_v=tuple(sd.tolist()),
+    )
+
+
+def inflation_v_per_mm(
+    heights: HeightCalibration | None, atlas: Atlas | None, sensor: Sensor, fit: Mapping[str, float]
+) -> tuple[float, ...]:
+    """(C,) V/mm, by which the output at rest changes as the skin rises: as recordings of several heights show it, else
+    as the solved design does, on the whole of its way from the flat skin; empty where neither is known.
+
+    fit: figures of the calibration; a board that tilts `NAME_gain` times as far in a contact does so at
+    rest.
+    """
+    if heights is not None:
+        return heights.static_v_per_mm
+    if atlas is None:
+        return ()
+    tilts_g = atlas.statics[:, :, :2].reshape(len(atlas.height_mm), -1)
+    per_mm = atlas.height_mm @ tilts_g / (atlas.height_mm @ atlas.height_mm)
+    gain = np.repeat([fit.get(f"{board.name}_gain", 1.0) for board in sensor.accelerometers], 2)
+    return tuple((tilt_v_per_g(sensor) * gain * per_mm).tolist())
+
+
+def with_gains(heights: HeightCalibration, gain: np.ndarray) -> HeightCalibration:
+    """The same of a sensor whose channels answer `gain` (C,) times as much. What they show at rest is left as it is."""
+    text, scale = encoded(gain * heights.splines())
+    return replace(heights, coefficients=text, scale_v=scale)
+
+
+def force_map(
+    atlas: Atlas, chamber_mm: tuple[float, float], height_mm: float, depth_mm: float, friction: float = 1.0
+) -> ForceMap:
+    """The map that the atlas gives for a skin height and a contact depth, both brought into the atlas.
+
+    friction: over the design's.
+    """
+    height_mm = float(np.clip(height_mm, atlas.height_mm[0], atlas.height_mm[-1]))
+    depth_mm = float(np.clip(depth_mm, atlas.depth_mm[0], atlas.depth_mm[-1]))
+    level, half = atlas.pressure_at(height_mm), max(chamber_mm) / 2 + MARGIN_MM
+    grid, x, y = spline_grid(half)
+    forces = slice(PER_BOARD * atlas.boards, None)
+
+    def parts_mn(depth: float) -> np.ndarray:
+        return 1e3 * np.nan_to_num(atlas.friction_parts(x, y, depth, level, forces))
+
+    low, high = depth_bounds(atlas, depth_mm)
+    parts = parts_mn(depth_mm)
+    slope = (parts_mn(high) - parts_mn(low))[:, 0] / (high - low) if high > low else 0 * parts[:, 0]
+    surfaces = (parts[:, 0], friction * parts[:, 1], friction * parts[:, 2], slope)
+    splines = np.stack([spline_coefficients(values, grid, half) for values in surfaces])
+    text, steps_mn = in_steps(splines)
+    return ForceMap(
+        coefficients=text,
+        steps_mn=steps_mn,
+        knots=splines.shape[1],
+        half_mm=half,
+        spacing_mm=SPACING_MM,
+        depth_mm=depth_mm,
+        relative_sd=math.hypot(MODULUS_SD, FORCE_PER_MM * HEIGHT_SD_MM),
+    )
+
+
+def calibrated_forces(folder: Folder, atlas: Atlas, fitted: dict[str, float], depth_mm: float) -> ForceMap:
+    """The force map of a folder's sensor.
+
+    The skin's height is a laser's reading (`skin_height_mm` of the manifest) where there is one, else what the slides
+    fit (`height_mm` of `fitted`; `friction` as well). A scale's readings (`force_mn`) of slides with all labels give a
+    factor: the mean of their logarithms over the map's, with a prior of no factor.
+    """
+    table = folder.manifest
+    read = laser_readings_mm(folder).mean()
+    height_mm = fitted["height_mm"] if math.isnan(read) else float(read)
+    forces = force_map(atlas, folder.sensor.chamber_mm, height_mm, depth_mm, fitted.get("friction", 1.0))
+    reader, ratios = ForceReader(forces), []
+    for row in table.to_dict("records") if SCALE in table else ():
+        read_mn, angle = float(row[SCALE]), math.radians(row["direction_deg"])
+        way = np.arange(0.0, max(np.nan_to_num(row["travel_mm"]), STEP_MM), STEP_MM)
+        x, y = row["start_x_mm"] + way * math.cos(angle), row["start_y_mm"] + way * math.sin(angle)
+        if not (read_mn > 0 and np.isfinite(x + y).all()):
+            continue
+        depth = depth_mm if math.isnan(row["depth_mm"]) else row["depth_mm"]
+        largest = reader.at(x, y, np.full(len(x), angle), depth)[:, 2].max()
+        ratios.append(math.log(read_mn / largest))
+    if not ratios:
+        return forces
+    # A normal prior of the logarithm about 0, and readings that each err by READING_SD.
+    precision = 1 / forces.relative_sd**2 + len(ratios) / READING_SD**2
+    factor = math.exp(sum(ratios) / READING_SD**2 / precision)
+    # The map's own error along a stroke is in no mean over readings.
+    return replace(
+        forces,
+        steps_mn=tuple(factor * step for step in forces.steps_mn),
+        relative_sd=math.hypot(precision**-0.5, READING_SD),
+        scale_readings=len(ratios),
+    )
