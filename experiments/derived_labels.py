@@ -8,9 +8,9 @@ import pandas as pd
 
 from features.errors import InputError
 from features.stream.conditioning import Conditioning
-from models.response_map.config import CalibrationConfig
 from models.response_map.from_atlas import SensorSpread
 from models.response_map.onset import with_onsets
+from models.response_map.slide_fit import CalibrationConfig
 from models.response_map.slides import LABELS as OF_A_SLIDE
 from pipeline.atlas.library import atlas_at_hand
 from pipeline.recordings.at_rest import conditioning_for

@@ -19,7 +19,6 @@ from pipeline.toml_tables import from_table, read_toml
 
 # Noise density of an accelerometer by its data sheet, g / sqrt(Hz). MMA7361L: Freescale, rev. 0, 350 ug / sqrt(Hz).
 NOISE_G_RTHZ = {"MMA7361L": 350e-6}
-STANDARD_GRAVITY = 9.80665  # m/s2
 # Skin left between a board and the clamped rim, and between two boards: less would be a sliver of an element.
 _RIM_MM = 0.5
 _BOARD_GAP_MM = 0.5

@@ -5,8 +5,11 @@ from pathlib import Path
 
 import numpy as np
 
+from features.card import Card
 from features.clock import check_clock
+from features.errors import InputError
 from features.recording_file import finite, read_samples
+from features.units import impossible_output
 
 
 def read_recording(path: Path, channels: Sequence[str], rate_hz: float) -> np.ndarray:
@@ -19,6 +22,24 @@ def read_recording(path: Path, channels: Sequence[str], rate_hz: float) -> np.nd
     """
     columns = ("time_s", *channels)
     return checked_volts(path, columns, read_samples(path, columns), rate_hz)
+
+
+def read_for(path: Path, card: Card) -> np.ndarray:
+    """The volts (n, C) of one recording of a bundle's sensor, in the order of `Card.columns`.
+
+    Raises:
+        InputError: as `read_recording`, or numbers that are volts of none of the accelerometers.
+    """
+    volts = read_recording(path, card.columns, card.sample_rate_hz)
+    # Most of a recording is rest, or a slide of a few hundredths of a g.
+    median = np.median(volts, axis=0)
+    faults = [
+        f"{part['name']}: {impossible_output(median[3 * n : 3 * n + 3], part)}"
+        for n, part in enumerate(card.sensor["accelerometers"])
+    ]
+    if all(not fault.endswith(": ") for fault in faults):
+        raise InputError(f"{path}: {faults[0]}")
+    return volts
 
 
 def checked_volts(

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from features.errors import InputError
-from serve.files import read_recording
+from serve.files import read_for
 from serve.localizer import Localizer
 from serve.records import record
 from serve.whole_contacts import whole_contacts
@@ -13,13 +13,13 @@ from serve.whole_contacts import whole_contacts
 
 def predict(
     bundle: str | Path,
-    paths: Sequence[str | Path],
+    paths: str | Path | Sequence[str | Path],
     track: bool = False,
     refused: Callable[[InputError], None] | None = None,
     height_mm: float | None = None,
     whole_contact: bool = False,
 ) -> Iterator[dict[str, Any]]:
-    """The estimate at the end of each recording, ready for JSON; None: not estimated.
+    """The estimate at the end of each recording, or of the one, ready for JSON; None: not estimated.
 
     track: every estimate, one a block. whole_contact: the same, but each moment's from its whole contact, what comes
     after it included (`whole_contacts`). refused: is called with why a file could not be read, and the others go on;
@@ -31,9 +31,9 @@ def predict(
     """
     localizer = Localizer.load(bundle, height_mm)
     card = localizer.card
-    for path in map(Path, paths):
+    for path in map(Path, [paths] if isinstance(paths, str | Path) else paths):
         try:
-            volts = read_recording(path, card.columns, card.sample_rate_hz)
+            volts = read_for(path, card)
         except InputError as error:
             if refused is None:
                 raise

@@ -2,6 +2,7 @@
 
 import sys
 from collections.abc import Callable
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "worlds")]
 from readers import manifest, recording, slide  # noqa: E402
 
 from features.errors import InputError  # noqa: E402
-from pipeline.checks.wrong_units import impossible_output  # noqa: E402
+from features.units import impossible_output  # noqa: E402
 from pipeline.recordings.folder import SAMPLE  # noqa: E402
 from pipeline.sensor import read_sensor  # noqa: E402
 from serve.bundle import open_bundle  # noqa: E402
@@ -119,7 +120,7 @@ def page(folder: Path) -> str:
         message = said(folder / str(number), name, content, read)
         rows.append((what, f"{name}: {message}" if name == "standard input" else message))
     part = read_sensor(SAMPLE / "sensor.toml").accelerometers[0]
-    rows += [(what, f"{part.name}: {impossible_output(rest, part)}") for what, rest in UNITS.items()]
+    rows += [(what, f"{part.name}: {impossible_output(rest, asdict(part))}") for what, rest in UNITS.items()]
     return HEAD + "".join(f"| {what} | `{message.replace('|', chr(92) + '|')}` |\n" for what, message in rows)
 
 

@@ -1,14 +1,17 @@
 """Signals that are not what a stream should be: clocks that run fast, packets, lost samples, a contact at the start."""
 
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
 from small_bundle import write_small_bundle
-from streams import RATE_HZ, a_sensor, pass_over, still, stream
+from streams import RATE_HZ, ZERO_V, a_sensor, pass_over, still, stream
 
+from features.errors import InputError
 from features.estimate import Estimate, Reason
 from serve.localizer import Localizer
+from serve.predict import predict
 
 SLIDE = stream(still(1.0), pass_over(3.0), still(0.8))
 
@@ -101,3 +104,22 @@ def test_a_stream_that_begins_in_mid_contact_says_nothing_of_it(
 def test_a_slide_after_half_a_second_of_rest_is_no_beginning_in_mid_contact(localizer: Localizer) -> None:
     for seed in range(40):
         assert pushed(localizer, stream(still(0.5), pass_over(1.5), still(0.6), seed=seed))[-1].valid
+
+
+@pytest.mark.parametrize(
+    ("function", "unit"),
+    [(lambda v: 1000 * v, "mV"), (lambda v: (v - ZERO_V) / 0.8 * 9.80665, "m/s2"), (lambda v: v - 0.5, "")],
+)
+def test_recordings_in_another_unit_are_refused(
+    tmp_path: Path, function: Callable[[np.ndarray], np.ndarray], unit: str
+) -> None:
+    """By `predict`, whose error names the unit; a zero that is off is no other unit."""
+    bundle = write_small_bundle(tmp_path / "b", a_sensor(), offset_mm_per_v=50.0)
+    volts = function(stream(still(0.6), pass_over(1.0), still(0.4)))
+    table = np.column_stack([np.arange(len(volts)) / RATE_HZ, volts])
+    np.savetxt(tmp_path / "a.csv", table, "%.6f", ",", header="time_s,a0_vx,a0_vy,a0_vz", comments="")
+    if not unit:
+        assert len(list(predict(bundle, tmp_path / "a.csv"))) == 1
+        return
+    with pytest.raises(InputError, match=f"a.csv: a0: .* they look like {unit}:"):
+        list(predict(bundle, tmp_path / "a.csv"))

@@ -13,7 +13,7 @@ from streams import a_sensor, pass_over, still, stream
 from features.errors import InputError
 from features.estimate import Estimate
 from features.stream.tracker import SlideState
-from pipeline.sensor import STANDARD_GRAVITY
+from features.units import STANDARD_GRAVITY
 from serve.localizer import Localizer
 from serve.stream.ros import UNKNOWN, imu_reader, with_velocity
 

@@ -10,15 +10,16 @@ or made up. `report.not_checked` says so.
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import numpy as np
 import pandas as pd
 
 from features.errors import InputError
+from features.units import impossible_output
 from pipeline.checks.measurements import Measurements, measure
 from pipeline.checks.rail_run import MOST_AT_RAIL
-from pipeline.checks.wrong_units import impossible_output, impossible_speed
+from pipeline.checks.wrong_speeds import impossible_speed
 from pipeline.checks.zone_signs import line_mismatch_mm
 from pipeline.progress import progress_bar
 from pipeline.recordings.base_motion import base_motion_of
@@ -141,7 +142,7 @@ def _units(measured: Sequence[Measurements], folder: Folder, limits: Limits) -> 
     for k, part in enumerate(folder.sensor.accelerometers):
         rest = np.array([one.rest_v[3 * k : 3 * k + 3] for one in measured])
         rest = rest[np.isfinite(rest).all(axis=1)]
-        if len(rest) and (text := impossible_output(np.median(rest, axis=0), part)):
+        if len(rest) and (text := impossible_output(np.median(rest, axis=0), asdict(part))):
             off = abs(np.linalg.norm(np.median(rest, axis=0) - part.zero_g_v) / part.sensitivity_v_per_g - 1)
             yield Finding("error", "unit", "", part.name, float(off), limits.gravity_g, text)
     factor, text = impossible_speed(folder.manifest, folder.sensor)

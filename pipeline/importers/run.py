@@ -20,7 +20,7 @@ import pyarrow.parquet as pq
 
 from features.clock import check_clock
 from features.errors import InputError
-from pipeline.checks.wrong_units import impossible_output
+from features.units import impossible_output
 from pipeline.checks.zone_signs import sign_agreement, start_mm
 from pipeline.importers.import_map import Map
 from pipeline.importers.labels import Row, label_columns, label_row, read_sheet, recording_name
@@ -175,7 +175,7 @@ def _import_one(
     check_clock(source, time_s, sensor.sample_rate_hz)
     for k, part in enumerate(sensor.accelerometers):
         # Most of a recording is rest, or a slide of a few hundredths of a g.
-        if text := impossible_output(np.median(volts[:, 3 * k : 3 * k + 3], axis=0), part):
+        if text := impossible_output(np.median(volts[:, 3 * k : 3 * k + 3], axis=0), asdict(part)):
             raise InputError(f"{source}: {part.name}: {text}")
     recording = Recording(job.name, time_s, volts)
     if mapping.time.align == "onset" and not np.isnan(shift := _shift_s(recording, labels, sensor)):

@@ -17,9 +17,10 @@ import numpy as np
 import pandas as pd
 
 from features.errors import InputError
+from features.units import STANDARD_GRAVITY
 from pipeline.importers.import_map import Board, Map, Signal
 from pipeline.recordings.text_table import read_text_table
-from pipeline.sensor import STANDARD_GRAVITY, Accelerometer, Base
+from pipeline.sensor import Accelerometer, Base
 
 POSITIONS = {
     "+x": (1, 0, 0),

@@ -11,11 +11,11 @@ import numpy as np
 from features.card import HALF_WIDTH_SD, Card
 from features.errors import InputError
 from features.estimate import Estimate
+from features.units import STANDARD_GRAVITY
 from serve.records import record
 from serve.stream.framing import Chunk
 
 _WAIT_S = 0.2
-_STANDARD_GRAVITY = 9.80665  # m/s2
 # Variance of what no estimate has: the velocity across the skin, and any turning.
 UNKNOWN = 1e6
 
@@ -76,7 +76,7 @@ def imu_reader(topic: str, card: Card) -> Read:
                 f"topic {topic}: its messages hold no acceleration; name another topic", "source"
             )
         a, stamp = message.linear_acceleration, message.header.stamp
-        volts = zero_v + v_per_g / _STANDARD_GRAVITY * np.array([[a.x, a.y, a.z]])
+        volts = zero_v + v_per_g / STANDARD_GRAVITY * np.array([[a.x, a.y, a.z]])
         return volts, np.array([stamp.sec + 1e-9 * stamp.nanosec])
 
     return read

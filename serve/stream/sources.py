@@ -17,7 +17,7 @@ import numpy as np
 
 from features.card import Card
 from features.errors import InputError
-from serve.files import read_recording
+from serve.files import read_for
 from serve.stream.datagrams import Datagrams
 from serve.stream.framing import Chunk, Framing, framing_of
 
@@ -44,7 +44,7 @@ def open_source(name: str, card: Card, form: str, fast: bool) -> Source:
         return accelerations(name.removeprefix("ros2+imu://"), card)
     if is_live(name):
         return open_live(name, len(card.columns), form)
-    volts = read_recording(Path(name), card.columns, card.sample_rate_hz)
+    volts = read_for(Path(name), card)
     return _played(volts, card, fast)
 
 
