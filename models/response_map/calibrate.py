@@ -11,6 +11,7 @@ height. The lines of each are too few for a change that is free in place: held-o
 """
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from scipy import sparse
@@ -145,7 +146,7 @@ def _with_changes(
     for name in changing:
         found = getattr(prior, f"{name}_slope")
         design = flat if found is None else found
-        without = replace(response, **{f"{name}_slope": flat})
+        without = _with_slope(response, name, flat)
         parts = [replace(without, coefficients=np.stack([part, flat, flat])) for part in (design, still)]
         # In units of a block's noise.
         normal = np.diag(1.0 / np.square(CHANGE_SD))
@@ -161,8 +162,14 @@ def _with_changes(
             normal += weight * rows.T @ rows
             right += weight * rows.T @ rest.ravel()
         factor, share = np.linalg.solve(normal, right)
-        response = replace(response, **{f"{name}_slope": factor * design + share * still})
+        response = _with_slope(response, name, factor * design + share * still)
     return response
+
+
+def _with_slope(response: ResponseMap, covariate: str, slope: np.ndarray) -> ResponseMap:
+    """The map with another change (K, K, C) with a covariate, V/mm."""
+    changed: dict[str, Any] = {f"{covariate}_slope": slope}
+    return replace(response, **changed)
 
 
 def _weight(slide: CalibrationSlide) -> float:
