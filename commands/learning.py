@@ -49,6 +49,8 @@ def train(parser: Parser) -> Run:
     """
     from models import registry
 
+    names = list(registry.MODELS)
+
     arguments.existing(
         parser,
         "--recordings",
@@ -75,7 +77,7 @@ def train(parser: Parser) -> Run:
         "--model",
         default=registry.DEFAULT,
         metavar="NAME",
-        help=f"{', '.join(registry.names()[:-1])} or {registry.names()[-1]} (default: %(default)s)",
+        help=f"{', '.join(names[:-1])} or {names[-1]} (default: %(default)s)",
     )
     arguments.existing(
         parser,
@@ -224,11 +226,9 @@ def evaluate(parser: Parser) -> Run:
 
 
 def export(parser: Parser) -> Run:
-    """other formats of a bundle: int8, ORT, C99
+    """other formats of a bundle: ORT, C99
 
-    int8: weights of convolutions and dense layers in 8 bits, refused where it
-    costs accuracy; the errors of both, in degrees (deg), percent (%) and mm,
-    are shown. ort: ONNX Runtime's own format, with the list of operators for
+    ort: ONNX Runtime's own format, with the list of operators for
     a reduced build. c: model.c and model.h in C99 that need nothing but
     math.h, one function from a window to the estimate, with check.c that
     computes the card's example on the target; constants and static memory in
@@ -237,7 +237,7 @@ def export(parser: Parser) -> Run:
         softslide export --model my-model --to c --out my-model-c
     """
     arguments.model(parser)
-    parser.add_argument("--to", required=True, choices=("int8", "ort", "c"), help="the format")
+    parser.add_argument("--to", required=True, choices=("ort", "c"), help="the format")
     arguments.out(parser, "the bundle to write")
 
     def run(given: argparse.Namespace) -> None:

@@ -157,11 +157,3 @@ def test_its_c_code_computes_the_same(bundle: Path, windows: LabelledWindows, tm
     stands = believed(wanted, card)
     assert stands.sum() > 10
     assert difference(case.c_rows(tmp_path, card)[stands], wanted[stands]) < PARITY
-
-
-def test_int8_is_not_set_on_another_kinds_sample(
-    bundle: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    command = ["export", "--model", str(bundle), "--to", "int8", "--out", str(tmp_path / "out")]
-    assert softslide.main(command) == 2
-    assert "of kind 'magnetometer'" in capsys.readouterr().err

@@ -1,7 +1,7 @@
 """Writes a bundle, model.onnx and model.json, and refuses one that does not compute what was trained."""
 
 import hashlib
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -60,7 +60,7 @@ def write_bundle(
     # either of two minima, and rounding decides: such rows are no estimates and nothing to compare.
     stands, also_stands = believed(original, fitted), believed(exported, fitted)
     if fitted.validity.misfit == 0.0:
-        # Too few slides to say what is usual (models/misfit_limit.py): none is believed, the rows are compared still.
+        # Too few slides to say what is usual (models/intervals.py): none is believed, the rows are compared still.
         stands = np.isfinite(original).all(axis=1)
     elif np.mean(also_stands != stands) <= AT_LIMIT:
         # Rounding decides on a window at one of the limits.
@@ -109,6 +109,14 @@ def session_of(graph: bytes) -> ort.InferenceSession:
     options = ort.SessionOptions()
     options.log_severity_level = 3
     return ort.InferenceSession(graph, options, providers=["CPUExecutionProvider"])
+
+
+def with_graph(card: Card, graph: bytes) -> Card:
+    """The card of another graph: its hash, and its own row for the worked example."""
+    inputs = {name: np.array(value, np.float32) for name, value in card.golden["inputs"].items()}
+    row = session_of(graph).run(None, inputs)[0][0]
+    golden = {**card.golden, "estimate": row.tolist()}
+    return replace(card, golden=golden, graph_sha256=hashlib.sha256(graph).hexdigest())
 
 
 def believed(rows: np.ndarray, fitted: FittedModel | Card) -> np.ndarray:

@@ -9,11 +9,10 @@ import onnx
 from onnx import numpy_helper
 
 from features.card import Card, write_card
-from features.digest import sha256
 from features.errors import InputError
 from models.cnn.forward_model import TABLE
 from models.cnn.height_input import SLOPE
-from models.export.bundle import read_graph, session_of
+from models.export.bundle import read_graph, with_graph
 from models.export.gains import Gains, fit_gains, labelled_contacts
 from models.graph.packing import pack
 from models.response_map.card import contact_calibration, response_of, with_gains
@@ -97,15 +96,12 @@ def _renewed(card: Card, gains: Gains, graph: bytes, found: dict[str, Any]) -> C
     contact = contact_calibration(response_of(card).scaled(gains.gain))
     at_rest = ("inflation_v_per_mm", "static_v", "static_covariance_v2")
     contact = replace(contact, **{name: getattr(card.contact, name) for name in at_rest})
-    session = session_of(graph)
-    inputs = {name: np.array(value, np.float32) for name, value in card.golden["inputs"].items()}
+    recalibrations = [*card.provenance.get("recalibrations", ()), found]
     return replace(
-        card,
+        with_graph(card, graph),
         contact=contact,
         heights=None if card.heights is None else with_gains(card.heights, gains.gain),
-        golden={**card.golden, "estimate": session.run(None, inputs)[0][0].tolist()},
-        graph_sha256=sha256(graph).hexdigest(),
-        provenance={**card.provenance, "recalibrations": [*card.provenance.get("recalibrations", ()), found]},
+        provenance={**card.provenance, "recalibrations": recalibrations},
     )
 
 

@@ -44,7 +44,7 @@ FORMULAS = {
     "Where": "{0} ? {1} : {2}",
 }
 # To whole numbers: C leaves open what becomes of NaN and of what is beyond them.
-WHOLE = {
+WHOLE_NUMBERS = {
     "int32": "(int32_t)fmin(fmax({0}, -2147483647), 2147483647)",
     "int64": "(int64_t)fmin(fmax({0}, -9e15), 9e15)",
 }
@@ -63,7 +63,7 @@ TOTALS = {
     "ReduceSum": ("0", "s += {0};", "s"),
     "ReduceSumSquare": ("0", "s += {0} * {0};", "s"),
 }
-# What they tell is settled with the shapes.
+# What they give is settled with the shapes.
 SETTLED = ("Shape", "Size")
 
 
@@ -105,10 +105,10 @@ def _cast(node: Node) -> Done:
     kind = helper.tensor_dtype_to_np_dtype(node.attributes["to"])
     if kind == given.kind:
         return [], [given]
-    if kind.name not in ("float32", "float64", *WHOLE):
+    if kind.name not in ("float32", "float64", *WHOLE_NUMBERS):
         raise NoForm(f"operator Cast to {kind}")
     out = scratch(given.shape, kind)
-    return [Nest("Cast", out, (given,), WHOLE.get(kind.name, "{0}"))], [out]
+    return [Nest("Cast", out, (given,), WHOLE_NUMBERS.get(kind.name, "{0}"))], [out]
 
 
 def _paired(node: Node) -> Done:
@@ -163,7 +163,6 @@ OPERATORS: dict[str, Callable[[Node], Done]] = {
     "Clip": _clip,
     "Concat": views.concat,
     "Conv": products.conv,
-    "Einsum": products.einsum,
     "Gemm": products.gemm,
     "Inverse": inverse,
     "MatMul": products.matmul,

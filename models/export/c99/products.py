@@ -40,25 +40,6 @@ def _times(factor: float, entry: str) -> str:
     return entry if factor == 1 else f"({factor!r}) * {entry}"
 
 
-def einsum(node: Node) -> Done:
-    """Of two operands, no axis twice in one."""
-    equation = node.attributes["equation"].decode().replace(" ", "")
-    terms, _, letters = equation.partition("->")
-    given = list(zip(terms.split(","), (node.tensor(n) for n in range(len(node.inputs))), strict=True))
-    if len(given) != 2 or "." in equation or any(len(set(term)) < len(term) for term, _ in given):
-        raise NoForm(f"operator Einsum with {equation}")
-    sizes = {c: n for term, operand in given for c, n in zip(term, operand.shape, strict=True)}
-    summed = "".join(c for c in sizes if c not in letters)
-    operands = []
-    for term, operand in given:
-        index = operand.index.transpose([term.index(c) for c in letters + summed if c in term])
-        missing = [n for n, c in enumerate(letters + summed) if c not in term]
-        operands.append(operand.seen(np.expand_dims(index, missing)))
-    out = scratch(tuple(sizes[c] for c in letters), operands[0].kind)
-    inner = tuple(sizes[c] for c in summed)
-    return [Nest("Einsum", out, tuple(operands), "s", inner, _START, _UPDATE)], [out]
-
-
 def conv(node: Node) -> Done:
     """The kernel times a sliding view of the padded input."""
     x, w = node.tensor(0), node.tensor(1)
