@@ -9,6 +9,7 @@ import pytest
 
 import softslide
 from features.errors import InputError
+from features.stream.conditioning import Conditioning
 from models.design.board_places import (
     GAP_MM,
     arrangement,
@@ -17,7 +18,7 @@ from models.design.board_places import (
     lines_over,
     response_of,
 )
-from models.design.line_information import BLOCK_S, GAIN_SD, LINE_SPEED_MM_S, Line, places, slopes
+from models.design.line_information import GAIN_SD, LINE_SPEED_MM_S, Line, places, slopes
 from models.response_map.calibrate import MAP_VARIANCE
 from models.response_map.from_atlas import DESIGN_DRIFT_V, DESIGN_NOISE_V, SAMPLE_MM
 from pipeline.atlas.atlas import read_atlas
@@ -81,7 +82,7 @@ def test_the_bound_is_the_scatter_of_least_squares(
     response, board = response_of(field, sensor), 4
     line = Line(0.3, 3.0, np.arange(-24.0, 24.0, SAMPLE_MM))
     bound = arrangement(field.places_mm[[board]], information(field, sensor, [line])[board]).deviations[:, 0]
-    variance = DESIGN_NOISE_V**2 * (LINE_SPEED_MM_S * BLOCK_S / SAMPLE_MM + MAP_VARIANCE)
+    variance = DESIGN_NOISE_V**2 * (LINE_SPEED_MM_S * Conditioning.block_s / SAMPLE_MM + MAP_VARIANCE)
     own = slopes(response, line)[:, 2 * board : 2 * board + 2]
     jacobian = np.concatenate([own, np.tile(np.eye(2), (len(own), 1, 1))], axis=-1).reshape(-1, 7)
     prior = np.diag([0, 0, 0, 0, GAIN_SD**-2, *[DESIGN_DRIFT_V**-2] * 2])

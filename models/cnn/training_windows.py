@@ -21,7 +21,7 @@ from pipeline.recordings.windows import LabelledWindows
 
 SAMPLES = 2 * WINDOW_BINS  # of a slide before its window is cut: two a bin
 TABLE_MM = 0.5  # spacing of the look-up table, a fifth of the map's splines
-LEAST_CHORD_MM = 10.0  # of a line through the chamber; a shorter one only grazes the rim
+GRAZING_MM = 10.0  # of a line through the chamber; a shorter one only grazes the rim
 BEYOND_MM = 6.0  # a slide begins and ends up to so far beyond the chamber, where the response ends at its rim
 WITHIN_MM = 3.0  # and up to so far within it where it does not
 MIDWAY_SHARE = 0.6  # of the chord: the latest place on the dome where a slide begins
@@ -292,8 +292,8 @@ class _Lines:
 
     @property
     def crosses(self) -> Tensor:
-        """Whether it crosses the chamber by more than LEAST_CHORD_MM."""
-        return self.leave - self.enter > LEAST_CHORD_MM
+        """Whether it crosses the chamber by more than GRAZING_MM."""
+        return self.leave - self.enter > GRAZING_MM
 
 
 @dataclass(frozen=True)

@@ -28,9 +28,9 @@ from models.response_map.map import MARGIN_MM, PARTS, ResponseMap, spline_coeffi
 from pipeline.atlas.bare_skin import TiltField
 from pipeline.sensor import Sensor
 
-LINES = 300  # that the bound is averaged over
+BOARD_LINES = 300  # that the bound is averaged over
 GAP_MM = 0.5  # of skin between two boards
-SWEEPS = 5  # of exchanges; on the article's skin the third changes nothing
+BOARD_SWEEPS = 5  # of exchanges; on the article's skin the third changes nothing
 CENTRE_MM = (0.0, 0.0)  # that offsets are measured from: no board stands anywhere yet
 
 
@@ -43,8 +43,8 @@ class Arrangement:
 
 
 def lines_over(sensor: Sensor, seed: int = 0) -> list[Line]:
-    """LINES lines over the sensor's chamber, seen from its centre."""
-    return list(draw_lines(sensor.chamber_mm, CENTRE_MM, LINES, np.random.default_rng(seed)))
+    """BOARD_LINES lines over the sensor's chamber, seen from its centre."""
+    return list(draw_lines(sensor.chamber_mm, CENTRE_MM, BOARD_LINES, np.random.default_rng(seed)))
 
 
 def information(field: TiltField, sensor: Sensor, lines: Sequence[Line]) -> np.ndarray:
@@ -83,7 +83,7 @@ def best_places(
             values[one] = criterion(_variances(base + information[one]))
         return int(values.argmin()), float(values.min())
 
-    chosen = exchanged(best, range(boards), SWEEPS)
+    chosen = exchanged(best, range(boards), BOARD_SWEEPS)
     return arrangement(places_mm[chosen], information[chosen].sum(axis=0))
 
 

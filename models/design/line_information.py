@@ -9,13 +9,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from features.stream.conditioning import Conditioning
 from models.response_map.calibrate import MAP_VARIANCE
 from models.response_map.from_atlas import SAMPLE_MM
 from models.response_map.map import ResponseMap
 
 LINE_SPEED_MM_S = 2.0  # of the lines: the middle of the article's speeds; it weighs with the lag alone
 LEAST_CHORD_MM = 20.0  # over the chamber; shorter lines are at its corners
-BLOCK_S = 0.02
 GAIN_SD = 0.02  # of a slide that is estimated, as calibrations find it (ResponseMap.gain_sd)
 # Of the differences in direction (rad), log speed, offset (mm), place along the line (mm) and log gain.
 STEPS = np.array([0.01, 0.01, 0.1, 0.1, 0.01])
@@ -75,7 +75,7 @@ def slopes(response: ResponseMap, line: Line) -> np.ndarray:
 
 def reading_variance(noise_v: float) -> float:
     """V^2, of the mean over SAMPLE_MM at LINE_SPEED_MM_S: a block's noise, and the map's own residual."""
-    blocks = SAMPLE_MM / LINE_SPEED_MM_S / BLOCK_S
+    blocks = SAMPLE_MM / LINE_SPEED_MM_S / Conditioning.block_s
     return noise_v**2 * (1 / blocks + MAP_VARIANCE)
 
 

@@ -14,8 +14,8 @@ import numpy as np
 import pandas as pd
 from scipy.linalg import cho_factor, cho_solve
 
+from features.stream.conditioning import Conditioning
 from models.design.line_information import (
-    BLOCK_S,
     ERRORS,
     LINE_SPEED_MM_S,
     STEPS,
@@ -47,11 +47,11 @@ from pipeline.sensor import Sensor
 
 # Times the penalties of the calibration, where they stand for the residual's prior. On held-out lines 0.3 was best of
 # 0.3, 1, 3 and 30, by about as much as chance (experiments/LOG.md).
-STIFFNESS = 0.3
+RESIDUAL_STIFFNESS = 0.3
 MODES = 40  # of the residual, the largest for each part
-LINES = 150  # that the errors are averaged over
-SHIFT_STEP_MM = 0.1  # of the difference along a line
-SWEEPS = 2  # of exchanges; a third changes nothing on bench-a
+PLAN_LINES = 150  # that the errors are averaged over
+ALONG_STEP_MM = 0.1  # of the difference along a line
+PLAN_SWEEPS = 2  # of exchanges; a third changes nothing on bench-a
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ def plan_slides(
     progress: Callable[[Sequence[int]], Sequence[int]] = lambda steps: steps,
 ) -> Plan:
     """Chooses `count` of the candidates, rows with the manifest's labels. seed: of the lines averaged over."""
-    unknowns = Unknowns(atlas, sensor, depth_mm, config.stiffened(STIFFNESS), spread)
+    unknowns = Unknowns(atlas, sensor, depth_mm, config.stiffened(RESIDUAL_STIFFNESS), spread)
     observations = [_observation(unknowns, row, config) for _, row in candidates.iterrows()]
     errors = _line_errors(unknowns, sensor, np.random.default_rng(seed))
 
@@ -86,7 +86,7 @@ def plan_slides(
     def best(chosen: list[int]) -> tuple[int, float]:
         return _best(observations, errors, after(chosen), chosen)
 
-    chosen = exchanged(best, progress(range(count)), SWEEPS)
+    chosen = exchanged(best, progress(range(count)), PLAN_SWEEPS)
     deviations = (np.sqrt(_variances(errors, after(some)).mean(axis=1)) for some in (chosen, []))
     return Plan(chosen, *deviations)
 
@@ -148,11 +148,11 @@ def _noise_v(response: ResponseMap) -> float:
 
 def _slope(response: ResponseMap, x_mm: np.ndarray, y_mm: np.ndarray, direction_rad: float) -> np.ndarray:
     """The response's derivative along a motion, (n, C) V/mm."""
-    along = SHIFT_STEP_MM * np.array([np.cos(direction_rad), np.sin(direction_rad)])
+    along = ALONG_STEP_MM * np.array([np.cos(direction_rad), np.sin(direction_rad)])
     ahead, behind = (
         response.response(x_mm + sign * along[0], y_mm + sign * along[1], direction_rad) for sign in (1, -1)
     )
-    return (ahead - behind) / (2 * SHIFT_STEP_MM)
+    return (ahead - behind) / (2 * ALONG_STEP_MM)
 
 
 def _observation(
@@ -169,7 +169,7 @@ def _observation(
     x, y = x[inside], y[inside]
     rows, slope = unknowns.rows(x, y, direction, float(row["speed_mm_s"]))
     volts = response.response(x, y, direction)
-    blocks = max(1.0, STRETCH_MM / row["speed_mm_s"] / BLOCK_S)
+    blocks = max(1.0, STRETCH_MM / row["speed_mm_s"] / Conditioning.block_s)
     # As the calibration weighs a stretch, for the stretches between two places.
     variance = _noise_v(response) ** 2 * (1 / blocks + MAP_VARIANCE) * STRETCH_MM / SAMPLE_MM
     static = np.eye(response.channels) * response.drift_v
@@ -185,9 +185,8 @@ def _observation(
 
 
 def _line_errors(unknowns: Unknowns, sensor: Sensor, random: np.random.Generator) -> np.ndarray:
-    """(3, LINES, R): the errors in direction (rad), log speed and offset (mm) that each unknown causes on lines drawn
-    over the chamber."""
-    lines = draw_lines(sensor.chamber_mm, sensor.reference_mm, LINES, random)
+    """(3, L, R): the errors in direction (rad), log speed and offset (mm) that each unknown causes on lines drawn."""
+    lines = draw_lines(sensor.chamber_mm, sensor.reference_mm, PLAN_LINES, random)
     return np.stack([_line_error(unknowns, line) for line in lines], axis=1)
 
 
@@ -218,7 +217,7 @@ def _posterior(size: int, observations: Observations, chosen: Sequence[int]) -> 
 
 
 def _variances(errors: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-    """(3, LINES): of the errors that the unknowns still cause."""
+    """(3, L): of the errors that the unknowns still cause."""
     return np.einsum("qlr,rs,qls->ql", errors, covariance, errors, optimize=True)
 
 

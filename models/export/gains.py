@@ -22,7 +22,7 @@ from pipeline.recordings.folder import Folder
 
 # Standard deviations of the prior: a real skin was 11 to 18 % stronger on another day, channel by channel.
 COMMON_SD, CHANNEL_SD = 0.15, 0.05
-ROUNDS = 3  # of gains and shifts in turn
+GAIN_ROUNDS = 3  # of gains and shifts in turn
 # Stretches of which the map's residuals say as much as one: they are alike over the splines' spacing.
 ALIKE = 4.0
 # What a press must have labelled; its direction and speed are empty, or its speed 0.
@@ -58,7 +58,7 @@ def fit_gains(response: ResponseMap, slides: list[CalibrationSlide], presses: li
     gain, covariance = np.ones(channels), prior
     noise_v = max(response.floor_v, 1e-6)
     before = _evidence(response, np.ones(channels), slides, presses)
-    for _ in range(ROUNDS):
+    for _ in range(GAIN_ROUNDS):
         shown, volts, weight = _evidence(response, gain, slides, presses)
         information = (weight[:, None] * shown**2).sum(axis=0) / noise_v**2
         covariance = np.linalg.inv(np.linalg.inv(prior) + np.diag(information))

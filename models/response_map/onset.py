@@ -20,8 +20,9 @@ from models.response_map.slide_fit import CalibrationConfig, fit_slide
 from models.response_map.slides import LABELS, calibration_slides, means, stretch_blocks
 from pipeline.atlas.atlas import Atlas
 from pipeline.recordings.folder import Folder, Recording
+from pipeline.synthesis.slide_plan import chord
 
-ROUNDS = 3  # of the design's parameters and the onsets in turn
+ONSET_ROUNDS = 3  # of the design's parameters and the onsets in turn
 REST_S = 0.5  # the static output is read from the recording's first half second
 RUN_UP_MM = 4.0  # the motion is taken to start and end so far outside the chamber, where nothing answers yet
 
@@ -89,7 +90,7 @@ def _refined(
 ) -> Folder:
     """The onsets fitted to the design's map, and its parameters to the slides, in turn."""
     sensor = folder.sensor.scaled(conditioning.scale)
-    for _ in range(ROUNDS):
+    for _ in range(ONSET_ROUNDS):
         slides = calibration_slides(folder, conditioning, fitted)
         if not slides:
             return folder
@@ -151,7 +152,8 @@ def _placed(folder: Folder, recording: Recording, row: pd.Series, passing_s: flo
     along, left = _axes(row)
     reference, speed = np.array(folder.sensor.reference_mm), row["speed_mm_s"]
     foot = reference + row["offset_mm"] * left
-    begin, end = _crossing(foot, along, np.array(folder.sensor.chamber_mm) / 2 + RUN_UP_MM)
+    # A line that misses the chamber stands at its foot.
+    begin, end = chord(foot, along, np.array(folder.sensor.chamber_mm) / 2 + RUN_UP_MM) or (0.0, 0.0)
     if row[["motion_start_s", "motion_end_s"]].notna().all():
         start_s, end_s = row["motion_start_s"], row["motion_end_s"]
     else:
@@ -174,11 +176,3 @@ def _axes(row: pd.Series) -> tuple[np.ndarray, np.ndarray]:
     """Unit vectors (2,) along the motion and to its left."""
     a = np.deg2rad(row["direction_deg"])
     return np.array([np.cos(a), np.sin(a)]), np.array([-np.sin(a), np.cos(a)])
-
-
-def _crossing(foot: np.ndarray, along: np.ndarray, half_mm: np.ndarray) -> tuple[float, float]:
-    """Where a line enters and leaves the rectangle [-half, half], mm from its foot; the foot twice if it misses it."""
-    slope = np.where(np.abs(along) < 1e-9, 1e-9, along)
-    edges = np.sort(np.stack([(-half_mm - foot) / slope, (half_mm - foot) / slope]), axis=0)
-    begin, end = edges[0].max(), edges[1].min()
-    return (float(begin), float(end)) if begin < end else (0.0, 0.0)

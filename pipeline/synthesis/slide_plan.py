@@ -84,15 +84,15 @@ def crossing(
     # Sines of whole right angles are to be exact zeros: a start has no digits of rounding.
     along = np.round([np.cos(angle), np.sin(angle)], 15)
     foot = np.array(sensor.reference_mm) + offset_mm * np.array([-along[1], along[0]])
-    outer, inner = (_span(foot, along, half) for half in (reach, np.array(sensor.chamber_mm) / 2))
+    outer, inner = (chord(foot, along, half) for half in (reach, np.array(sensor.chamber_mm) / 2))
     if outer is None or inner is None:
         return None
     x, y = foot + outer[0] * along + 0.0
     return (float(x), float(y)), outer[1] - outer[0], inner[1] - inner[0]
 
 
-def _span(foot: np.ndarray, along: np.ndarray, half: np.ndarray) -> tuple[float, float] | None:
-    """First and last s of foot + s along within +-half; None if there is none."""
+def chord(foot: np.ndarray, along: np.ndarray, half: np.ndarray) -> tuple[float, float] | None:
+    """First and last s of the line foot + s along within the rectangle +-half, each (2,); None if it misses it."""
     first, last = -np.inf, np.inf
     for f, a, h in zip(foot, along, half, strict=True):
         if a == 0:
