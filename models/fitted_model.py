@@ -12,6 +12,9 @@ from features.contact.calibration import ContactCalibration
 from features.contact.force_map import ForceMap
 from features.height import HeightCalibration
 from features.stream.conditioning import Conditioning
+from models.response_map.select import CalibratedMap, calibrated_map
+from pipeline.atlas.atlas import Atlas
+from pipeline.recordings.folder import Folder
 from pipeline.recordings.windows import LabelledWindows
 
 
@@ -19,7 +22,7 @@ from pipeline.recordings.windows import LabelledWindows
 class FittedModel:
     """A trained model, ready for export.
 
-    input: "window" or "features" (features/card.py). outputs: columns of the graph's row.
+    name: the registry's. input: "window" or "features" (features/card.py). outputs: columns of the graph's row.
     original: graph inputs by name -> (B, K), what the exported graph must reproduce.
     conditioning: of the signal that it reads.
     summary: figures of the fit, for the record.
@@ -29,7 +32,6 @@ class FittedModel:
     untimed: how many slides had their onset fitted. left_out: why a recording was not learnt from, by name.
     """
 
-    name: str
     input: str
     outputs: tuple[str, ...]
     graph: onnx.ModelProto
@@ -44,22 +46,41 @@ class FittedModel:
     heights: HeightCalibration | None = None
     untimed: int = 0
     left_out: dict[str, str] = field(default_factory=dict)
+    name: str = ""
+
+
+@dataclass(frozen=True)
+class Given:
+    """What a fit is given next to recordings and configuration. A model takes of it what its entry says.
+
+    atlas: of the sensor's design. init: the graph of a bundle of the same model to start from. calibrate: what makes
+    the response map. progress: called with the step and the loss, now and then. judge: sees the errors on held-out
+    lines after each third of the training but the last, and ends the fit by what it raises.
+    """
+
+    atlas: Atlas | None = None
+    init: onnx.ModelProto | None = None
+    calibrate: Callable[..., CalibratedMap] = calibrated_map
+    progress: Callable[[int, float], None] = lambda step, loss: None
+    judge: Callable[[int, dict[str, float]], None] | None = None
+
+
+NOTHING = Given()
 
 
 @dataclass(frozen=True)
 class Model:
-    """A model's entry in the registry.
+    """A model's entry in the registry, which gives it its name.
 
     config: its default configuration, a frozen dataclass with a field `conditioning`, the signal path's constants.
-    fit: (folder, configuration) -> FittedModel; with from_design (folder, configuration, atlas, calibrate), with alone
-    (folder, configuration, atlas, init, progress, calibrate, judge), as `models.registry.fit_model` describes them.
-    from_design: whether it can use an atlas of the sensor's design. alone: whether that suffices, so that an atlas is
-    solved where none is at hand; such a model can also start from an earlier bundle. several_heights: whether it can
-    learn from recordings at several heights of the skin.
+    uses_design: whether it can use an atlas of the sensor's design. design_suffices: whether it needs no recordings, so
+    that an atlas is solved where none is at hand; such a model can also start from an earlier bundle. several_heights:
+    whether it can learn from recordings at several heights of the skin.
     """
 
     config: Callable[[], Any]
-    fit: Callable[..., FittedModel]
-    from_design: bool = False
-    alone: bool = False
+    fit: Callable[[Folder, Any, Given], FittedModel]
+    uses_design: bool = False
+    design_suffices: bool = False
     several_heights: bool = False
+    name: str = ""

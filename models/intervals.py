@@ -1,4 +1,4 @@
-"""Intervals that hold: a model's own standard deviations, corrected on lines that it has not seen.
+"""Intervals that hold, and the largest misfit of a valid estimate, from lines that a fit has not seen.
 
 Split conformal prediction on the ratio |error| / sqrt(sd^2 + floor^2): its 90 % quantile over held-out windows is the
 interval's scale, whatever the errors' distribution. The floor, the part of the error that the model does not know of,
@@ -12,10 +12,29 @@ import numpy as np
 from features.card import Interval
 
 COVERAGE = 0.9
+LEAST_WINDOWS = 20  # to set intervals on: with fewer a 90 % quantile is the largest error
 LEAST_FLOOR = 1e-3  # of the largest error: the middle of the floors that are tried
 SAME = 1e-4  # answers that differ by less than this share of their range are one value
+# Of an estimate of a slide of the calibration's kind to be rejected. A fit that ended in a wrong minimum has a misfit
+# of ten and more, in a third of a percent of bench-a's held-out windows: the limit must not follow those.
+CHANCE = 0.02
+# With fewer nothing says how far misfits scatter, and no estimate is believed.
+LEAST_SLIDES = 5
 OFTEN = 5  # times that each value is answered on average, where answers are values of a list
 GROUPS = 5  # of equally many windows, by their deviation
+
+
+def conformal_rank(windows: int, slides: int, coverage: float) -> int:
+    """Which of so many sorted values of held-out windows, from 0, bounds a further one with the coverage: windows of
+    one slide are alike, so that slides count for how many there are. With few slides it is the largest."""
+    return min(math.ceil(coverage * (1 + 1 / slides) * windows - 1e-9), windows) - 1
+
+
+def misfit_limit(misfit: np.ndarray, slide: np.ndarray) -> float:
+    """The limit for misfits (n,) of windows, and which slide (n,) each is of; 0 with fewer than LEAST_SLIDES slides."""
+    if (count := len(np.unique(slide))) < LEAST_SLIDES:
+        return 0.0
+    return float(np.sort(np.asarray(misfit, float))[conformal_rank(len(misfit), count, 1.0 - CHANCE)])
 
 
 def conformal_interval(
@@ -39,7 +58,7 @@ def conformal_interval(
     if not errors.size:
         raise ValueError("no held-out errors to calibrate an interval on")
     count = len(errors) if slide is None else len(np.unique(slide))
-    rank = min(math.ceil(coverage * (1 + 1 / count) * len(errors) - 1e-9), len(errors)) - 1
+    rank = conformal_rank(len(errors), count, coverage)
     # A model that is mostly right to the last bit has a median of 0.
     floors = max(float(np.median(errors)), LEAST_FLOOR * float(errors.max()), 1e-9) * np.geomspace(
         0.02, 5.0, 60

@@ -13,12 +13,12 @@ import softslide
 from experiments import demo
 from experiments.demo import DEMO_MODELS, _shortened
 from experiments.evaluate import evaluate
-from models.registry import default_config
+from models.registry import model_named
 
 
 @pytest.mark.parametrize("model", DEMO_MODELS)
 def test_the_demo_shortens_what_trains_in_steps_alone(model: str) -> None:
-    default = default_config(model)
+    default = model_named(model).config()
     changed = _shortened(default)
     if model == "cnn":
         assert changed.training.steps < default.training.steps

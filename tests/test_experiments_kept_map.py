@@ -12,7 +12,7 @@ from experiments import kept_map as module
 from experiments.kept_map import kept_map
 from experiments.train import train
 from features.errors import InputError
-from models.registry import default_config
+from models.registry import model_named
 from models.response_map import select
 from models.response_map.select import CalibratedMap
 from models.response_map.slide_fit import CalibrationConfig
@@ -51,7 +51,7 @@ def found(
     folder: Folder, config: CalibrationConfig | None = None, **options: bool
 ) -> tuple[CalibratedMap, bool]:
     """The map, and whether it was taken from what was kept."""
-    cnn, taken = default_config("cnn"), []
+    cnn, taken = model_named("cnn").config(), []
     conditioning = replace(cnn.conditioning, delayed=0.1)
     calibration = config or replace(cnn.calibration, iterations=1)
     told = kept_map(folder, None, conditioning, calibration, cnn.spread, taken=taken.append, **options)

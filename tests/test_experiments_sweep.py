@@ -28,7 +28,7 @@ from experiments.sweep.search import _tell
 from experiments.sweep.space import read_sweep
 from experiments.sweep.trial import LEAST_ENDED, QUANTITIES, overall, run_trial
 from features.errors import InputError
-from models.registry import default_config
+from models.registry import model_named
 from pipeline.recordings.derived_labels import recordings_to_learn_from
 from pipeline.recordings.folder import SAMPLE, read_folder
 from pipeline.recordings.manifest import write_manifest
@@ -257,7 +257,7 @@ def test_a_hopeless_trial_is_given_up(value: float, thirds: list[int]) -> None:
     folder = recordings_to_learn_from(read_folder(SAMPLE))
     fastest = folder.manifest["speed_mm_s"].nlargest(26).index
     folder = replace(folder, manifest=folder.manifest.loc[fastest])
-    default = default_config("cnn")
+    default = model_named("cnn").config()
     settings = replace(
         default,
         conditioning=replace(default.conditioning, delayed=0.1),

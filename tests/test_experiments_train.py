@@ -20,7 +20,7 @@ from experiments.tracking import find_run
 from features.card import Validity
 from features.stream.conditioning import Conditioning
 from models.fitted_model import FittedModel
-from models.registry import default_config
+from models.registry import model_named
 from pipeline.recordings.folder import SAMPLE, read_folder
 from serve.localizer import Localizer
 
@@ -105,7 +105,7 @@ def test_the_configuration_of_a_run_is_one_for_training(
 ) -> None:
     run = the_run(store, bundle=bundle_hash(bundle), command="train")
     path = Path(mlflow.artifacts.download_artifacts(run.info.artifact_uri + "/configuration.json"))
-    default = default_config("interpolation")
+    default = model_named("interpolation").config()
     assert (
         configured(replace(default, conditioning=Conditioning(trigger_v=1.0)), path, "interpolation")
         == default

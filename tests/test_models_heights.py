@@ -26,7 +26,7 @@ from models.export.bundle import read_graph
 from models.export.c99.program import program
 from models.export.gains import fit_gains, labelled_contacts
 from models.graph.from_torch import export_graph
-from models.registry import default_config
+from models.registry import model_named
 from models.response_map import select
 from models.response_map.calibrate import calibrate
 from models.response_map.card import calibrated_heights, contact_calibration, with_gains
@@ -336,7 +336,7 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Folder:
 
 
 def mapped(lab: Folder) -> CalibratedMap:
-    cnn = default_config("cnn")
+    cnn = model_named("cnn").config()
     conditioning, config = replace(cnn.conditioning, delayed=0.1), replace(cnn.calibration, iterations=2)
     return calibrated_map(recordings_to_learn_from(lab, True), None, conditioning, config, cnn.spread)
 

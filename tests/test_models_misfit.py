@@ -15,14 +15,14 @@ from models.classical.interpolation import DIRECTIONS_DEG, fit_interpolation
 from models.classical.misfit import Misfit
 from models.classical.regression import float_features
 from models.export.bundle import write_bundle
-from models.intervals import conformal_interval, step_between
-from models.misfit_limit import CHANCE, LEAST_SLIDES, misfit_limit
-from models.registry import default_config, fit_model
+from models.intervals import CHANCE, LEAST_SLIDES, conformal_interval, misfit_limit, step_between
+from models.registry import fit_model, model_named
 from pipeline.recordings.folder import Folder
 from pipeline.recordings.windows import labelled_windows
 from serve.localizer import Localizer
 
 SENSOR = bump_sensor(1)
+INTERPOLATION = model_named("interpolation")
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +35,7 @@ def axes(tmp_path_factory: pytest.TempPathFactory) -> Folder:
 @pytest.fixture(scope="module")
 def localizer(axes: Folder, tmp_path_factory: pytest.TempPathFactory) -> Localizer:
     """The interpolation: every model on features gets its misfit and limits in the same way."""
-    fitted = fit_model("interpolation", axes, default_config("interpolation"))
+    fitted = fit_model(INTERPOLATION, axes, INTERPOLATION.config())
     out = tmp_path_factory.mktemp("interpolation") / "bundle"
     write_bundle(fitted, SENSOR, labelled_windows(axes, fitted.conditioning), {}, out)
     return Localizer.load(out)
@@ -76,7 +76,7 @@ def test_a_direction_that_no_recording_showed_is_held_by_the_interval_or_not_val
 
 def test_nothing_is_valid_where_too_few_slides_show_what_is_usual(tmp_path: Path) -> None:
     folder = bump_folder(tmp_path / "lab", SENSOR, {"calibration": lines((0,), (-8, -4, 3, 7), (12,))})
-    fitted = fit_model("interpolation", folder, default_config("interpolation"))
+    fitted = fit_model(INTERPOLATION, folder, INTERPOLATION.config())
     assert fitted.validity.misfit == 0.0
     write_bundle(fitted, SENSOR, labelled_windows(folder, fitted.conditioning), {}, tmp_path / "bundle")
     told = Localizer.load(tmp_path / "bundle").push(slide_volts(SENSOR, 0.0, 2.0, 12.0, seed=3))

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from features.errors import InputError
-from models.registry import MODELS, default_config
+from models.registry import MODELS, model_named
 from pipeline.toml_tables import changed
 
 WRONG = (float("nan"), float("inf"), -1e300, 1e300)
@@ -31,7 +31,7 @@ def table(keys: tuple[str, ...], value: Any) -> dict[str, Any]:
 
 @pytest.mark.parametrize("model", MODELS)
 def test_no_setting_is_beyond_its_range(model: str) -> None:
-    default = default_config(model)
+    default = model_named(model).config()
     for keys, value in numbers(default):
         for wrong in WRONG:
             for given in (wrong, int(wrong)) if abs(wrong) == 1e300 else (wrong,):
@@ -57,4 +57,4 @@ def test_no_setting_is_beyond_its_range(model: str) -> None:
 )
 def test_what_cannot_be_learnt_with_is_refused(model: str, settings: dict[str, Any]) -> None:
     with pytest.raises(InputError):
-        changed(default_config(model), settings, "settings")
+        changed(model_named(model).config(), settings, "settings")

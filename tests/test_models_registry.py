@@ -13,6 +13,7 @@ import pytest
 from features.errors import InputError
 from models import registry
 from models.export.bundle import write_bundle
+from models.fitted_model import Given
 from pipeline.recordings.folder import SAMPLE, read_folder
 from pipeline.recordings.windows import labelled_windows
 from serve.predict import predict
@@ -41,7 +42,8 @@ def added(monkeypatch):
 
 def test_the_model_of_the_guide_is_fitted_exported_and_predicts(added, tmp_path):
     folder = read_folder(SAMPLE).select("calibration").labelled()
-    fitted = registry.fit_model(added, folder, registry.default_config(added))
+    model = registry.model_named(added)
+    fitted = registry.fit_model(model, folder, model.config())
     windows = labelled_windows(folder, fitted.conditioning)
     write_bundle(fitted, folder.sensor, windows, {}, tmp_path / "bundle")
     # On lines it has not seen it does far better than chance: 90 degrees, and the lines' own offsets.
@@ -69,7 +71,7 @@ def test_the_registry_lines_of_the_guide_are_of_the_registry_s_form():
 
 def test_names_cost_no_heavy_import():
     program = (
-        "import sys; from models import registry; print(*registry.names()); "
+        "import sys; from models import registry; print(*registry.MODELS); "
         "print({'torch', 'sklearn', 'onnx', 'pandas'} & set(sys.modules))"
     )
     done = subprocess.run(
@@ -78,19 +80,19 @@ def test_names_cost_no_heavy_import():
     assert done.stdout.splitlines() == ["interpolation trees mlp gp cnn", "set()"]
 
 
-@pytest.mark.parametrize("name", registry.names())
+@pytest.mark.parametrize("name", registry.MODELS)
 def test_every_model_has_a_configuration_with_conditioning(name):
-    config = registry.default_config(name)
+    config = registry.model_named(name).config()
     assert replace(config, conditioning=config.conditioning) == config
 
 
 def test_an_unknown_name_is_refused_with_the_known_ones():
     with pytest.raises(InputError, match="name one of interpolation, trees, mlp, gp, cnn"):
-        registry.default_config("oracle")
+        registry.model_named("oracle")
 
 
-@pytest.mark.parametrize("name", [n for n in registry.names() if not registry.learns_from_design_alone(n)])
+@pytest.mark.parametrize("name", ["interpolation", "trees", "mlp", "gp"])
 def test_a_model_on_features_refuses_a_bundle_to_start_from(name):
-    folder = read_folder(SAMPLE).select("calibration")
+    folder, model = read_folder(SAMPLE).select("calibration"), registry.model_named(name)
     with pytest.raises(InputError, match="starts from no bundle"):
-        registry.fit_model(name, folder, registry.default_config(name), init=object())
+        registry.fit_model(model, folder, model.config(), Given(init=object()))

@@ -15,7 +15,7 @@ from readers import CHANNELS, manifest, recording, slide
 from experiments.configuration import configured
 from experiments.sweep.space import read_sweep
 from features.errors import InputError
-from models.registry import default_config
+from models.registry import model_named
 from pipeline.atlas import atlas as atlases
 from pipeline.atlas.atlas import read_atlas, write_atlas
 from pipeline.importers.import_map import read_map
@@ -62,7 +62,7 @@ HANG_S = 120
 
 
 def configuration(path: Path) -> None:
-    configured(default_config("trees"), path, "trees")
+    configured(model_named("trees").config(), path, "trees")
 
 
 def atlas(path: Path) -> None:

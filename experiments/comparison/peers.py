@@ -28,7 +28,7 @@ from models.classical import regression
 from models.cnn.fit import CnnConfig
 from models.cnn.inversion import STARTS, Inversion
 from models.held_out import offset_reach_mm
-from models.registry import default_config
+from models.registry import model_named
 from models.response_map.select import CalibratedMap, calibrated_map
 from pipeline.recordings.at_rest import conditioning_for
 from pipeline.recordings.base_motion import without_base_motion
@@ -172,7 +172,7 @@ def map_settings() -> dict[str, Any]:
 def _trained(study: Study, model: str) -> Path:
     """The model's bundle; a cached one if it was made from the same configuration and data."""
     bundle = study.place / model / "bundle"
-    settings = json.loads(json.dumps(asdict(default_config(model))))
+    settings = json.loads(json.dumps(asdict(model_named(model).config())))
     # A bundle that cannot be read, as one of another release, is made anew.
     with suppress(InputError):
         made = read_card(bundle / "model.json").provenance

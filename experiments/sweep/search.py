@@ -29,6 +29,7 @@ from experiments.sweep.trial import overall, run_trial
 from experiments.tracking.run import tracked
 from experiments.train import design_for
 from features.errors import InputError
+from models.registry import model_named
 from pipeline.atlas.atlas import Atlas, atlas_hash
 from pipeline.progress import progress_bar
 from pipeline.recordings.base_motion import without_base_motion
@@ -59,7 +60,7 @@ def sweep(config: Path, scheduler: str = "", store: str | None = None) -> str:
         folder = folder.at_its_place()
     if not len(folder):
         raise InputError(f"{plan.recordings}: no labelled calibration slides to hold lines out of")
-    design = design_for(plan.model, folder, plan.atlas)
+    design = design_for(model_named(plan.model), folder, plan.atlas)
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     hashes = data_tags(folder)
     hashes |= {} if design is None else {"atlas": atlas_hash(design)}

@@ -26,7 +26,7 @@ from optuna.distributions import (
 )
 
 from features.errors import InputError
-from models.registry import default_config
+from models.registry import model_named
 from pipeline.toml_tables import changed, read_toml
 
 KEYS = {"model": str, "recordings": str, "space": dict, "atlas": str, "budget": dict, "settings": dict}
@@ -89,7 +89,7 @@ class Sweep:
         Raises:
             InputError: these values do not go together.
         """
-        return changed(default_config(self.model), self.table(parameters), self.place)
+        return changed(model_named(self.model).config(), self.table(parameters), self.place)
 
 
 def read_sweep(path: Path) -> Sweep:
@@ -105,7 +105,7 @@ def read_sweep(path: Path) -> Sweep:
         if (key in NEEDED and not table.get(key)) or not isinstance(table.get(key, kind()), kind):
             wish = "a table" if kind is dict else "a text"
             raise InputError(f"{path}: '{key}' is missing or empty, or not {wish}; write one")
-    default = changed(default_config(table["model"]), table.get("settings", {}), f"{path}: settings")
+    default = changed(model_named(table["model"]).config(), table.get("settings", {}), f"{path}: settings")
     sweep = Sweep(
         place=str(path),
         model=table["model"],

@@ -10,7 +10,8 @@ from optuna.trial import FrozenTrial
 
 from experiments.kept_map import kept_map
 from features.errors import InputError
-from models.registry import fit_model
+from models.fitted_model import Given
+from models.registry import fit_model, model_named
 from pipeline.atlas.atlas import Atlas
 from pipeline.recordings.folder import Folder
 
@@ -57,7 +58,8 @@ def run_trial(
             raise _GivenUp
 
     try:
-        summary = fit_model(model, folder, settings, atlas=atlas, calibrate=kept_map, judge=judge).summary
+        given = Given(atlas, calibrate=kept_map, judge=judge)
+        summary = fit_model(model_named(model), folder, settings, given).summary
     except _GivenUp:
         return Outcome({}, so_far)
     try:

@@ -10,21 +10,17 @@ import onnx
 from features.card import Interval, Validity
 from features.errors import InputError
 from features.vector.feature_vector import feature_names
+from models.classical.learned_lines import LearnedLines, SharesConfig, learned_windows
 from models.classical.misfit import Misfit
 from models.classical.regression import EARLIEST, float_features, late_windows
-from models.classical.taught import SharesConfig, Taught, taught_windows
-from models.fitted_model import FittedModel, Model
+from models.fitted_model import FittedModel, Given, Model
 from models.graph.builder import GraphBuilder
 from models.held_out import mean_errors, offset_reach_mm, signed_errors
-from models.intervals import COVERAGE, conformal_interval, step_between
-from models.misfit_limit import misfit_limit
-from models.response_map.select import CalibratedMap, calibrated_map
-from pipeline.atlas.atlas import Atlas
+from models.intervals import COVERAGE, LEAST_WINDOWS, conformal_interval, misfit_limit, step_between
 from pipeline.recordings.folder import Folder
 from pipeline.recordings.windows import LabelledWindows
 
 RECORDED_ALONE = SharesConfig(recorded_share=1.0)
-LEAST_WINDOWS = 20  # to set intervals on: with fewer a 90 % quantile is the largest error
 
 
 class OnFeatures(Protocol):
@@ -75,49 +71,43 @@ def feature_model(config: Callable[[], Any], fit: Fit) -> Model:
     """The registry's entry for a model on features.
 
     config: its configuration's dataclass, with a field `conditioning`, and `training` where drawn windows are to stand
-    beside recorded ones (taught.py). fit: windows and configuration -> the model.
+    next to recorded ones (learned_lines.py). fit: windows and configuration -> the model.
     """
 
-    def fitted(
-        folder: Folder,
-        settings: Any,
-        atlas: Atlas | None = None,
-        calibrate: Callable[..., CalibratedMap] | None = None,
-    ) -> FittedModel:
+    def fitted(folder: Folder, settings: Any, given: Given) -> FittedModel:
         boards = len(folder.sensor.accelerometers)
         if not len(folder):
             raise InputError(f"{folder.root}: no labelled recordings; record some, or train cnn without")
         shares = getattr(settings, "training", RECORDED_ALONE)
-        taught = taught_windows(folder, settings.conditioning, shares, atlas, calibrate or calibrated_map)
-        model = WithMisfit(fit(taught.whole, settings), Misfit.of(taught.whole))
-        intervals, limit, summary = _judge(taught, settings, fit, model.outputs)
+        learned = learned_windows(folder, settings.conditioning, shares, given.atlas, given.calibrate)
+        model = WithMisfit(fit(learned.whole, settings), Misfit.of(learned.whole))
+        intervals, limit, summary = _judge(learned, settings, fit, model.outputs)
         return FittedModel(
-            name="",
             input="features",
             outputs=model.outputs,
             graph=graph_of(model, len(feature_names(boards))),
             original=lambda inputs: model.predict(inputs["features"]),
             intervals=intervals,
-            validity=Validity(offset_mm=offset_reach_mm(taught.recorded), misfit=limit),
-            conditioning=taught.conditioning,
-            summary=taught.summary | summary,
-            untimed=taught.untimed,
-            left_out=taught.left_out,
+            validity=Validity(offset_mm=offset_reach_mm(learned.recorded), misfit=limit),
+            conditioning=learned.conditioning,
+            summary=learned.summary | summary,
+            untimed=learned.untimed,
+            left_out=learned.left_out,
         )
 
-    return Model(config, fitted, from_design=hasattr(config(), "training"))
+    return Model(config, fitted, uses_design=hasattr(config(), "training"))
 
 
 def _judge(
-    taught: Taught, settings: Any, fit: Fit, outputs: tuple[str, ...]
+    learned: LearnedLines, settings: Any, fit: Fit, outputs: tuple[str, ...]
 ) -> tuple[dict[str, Interval], float, dict[str, float]]:
     """Intervals, the largest misfit of a valid estimate, and mean errors, on lines that the fit has not seen.
 
     No intervals, and a limit that nothing meets, where there are too few lines.
     """
-    windows = taught.recorded
+    windows = learned.recorded
     rows = np.full((len(windows), len(outputs)), np.nan)
-    for seen, unseen in taught.folds:
+    for seen, unseen in learned.folds:
         if len(late_windows(seen)) and unseen.any():
             model = WithMisfit(fit(seen, settings), Misfit.of(seen))
             rows[unseen] = model.predict(float_features(windows[unseen]))

@@ -9,8 +9,8 @@ from sklearn.neural_network import MLPRegressor
 
 from features.stream.conditioning import Conditioning
 from models.classical.fit import feature_model
+from models.classical.learned_lines import SharesConfig
 from models.classical.regression import Regressor, regression_table
-from models.classical.taught import SharesConfig
 from models.graph.builder import GraphBuilder
 from models.ranges import SEED, SIZE, check_ranges
 from pipeline.recordings.windows import LabelledWindows

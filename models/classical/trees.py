@@ -12,6 +12,7 @@ from sklearn.ensemble import ExtraTreesRegressor
 from features.stream.conditioning import Conditioning
 from models.classical.augmentation import with_lines_between
 from models.classical.fit import feature_model
+from models.classical.learned_lines import SharesConfig
 from models.classical.regression import (
     OUTPUTS,
     Scale,
@@ -20,14 +21,13 @@ from models.classical.regression import (
     read_columns,
     targets,
 )
-from models.classical.taught import SharesConfig
 from models.graph.builder import OPSET, OPSET_ML, GraphBuilder
 from models.ranges import SEED, check_ranges
 from pipeline.recordings.windows import LabelledWindows
 
 # Each forest's targets, and those of them that are taken from it. Direction and speed fare better alone: what splits
 # the one does not split the other (one forest for all doubles the speed's error, experiments/LOG.md). The offset fares
-# better beside the direction: its sign is tied to it; and without the place along the line (a formula's slides: below
+# better next to the direction: its sign is tied to it; and without the place along the line (a formula's slides: below
 # 0.5 instead of 0.75 mm).
 FORESTS = (((0, 1), (0, 1)), ((2,), (2,)), ((0, 1, 3), (3,)), ((0, 1, 4), (4,)))
 

@@ -1,6 +1,5 @@
 """Fits the default model: a calibrated response map, and the network trained on slides drawn from it."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -15,19 +14,17 @@ from models.cnn.height_input import with_height
 from models.cnn.network import OUTPUTS, NetworkConfig, Proposal, SlideNetwork
 from models.cnn.training import TrainingConfig, train_proposal
 from models.cnn.training_windows import SynthesisConfig, WindowSource
-from models.fitted_model import FittedModel, Model
+from models.fitted_model import NOTHING, FittedModel, Given, Model
 from models.graph.from_torch import export_graph
 from models.graph.packing import unpack
 from models.held_out import WHOLE, offset_reach_mm, signed_errors
-from models.intervals import conformal_interval
-from models.misfit_limit import misfit_limit
+from models.intervals import LEAST_WINDOWS, conformal_interval, misfit_limit
 from models.response_map.card import calibrated_forces, contact_calibration, inflation_v_per_mm
 from models.response_map.from_atlas import SensorSpread
 from models.response_map.map import ResponseMap
-from models.response_map.select import CalibratedMap, calibrated_map
+from models.response_map.select import CalibratedMap
 from models.response_map.slide_fit import CalibrationConfig
 from models.response_map.slides import LEAST_APART_MM, static_scatter
-from pipeline.atlas.atlas import Atlas
 from pipeline.recordings.folder import Folder
 from pipeline.recordings.heights import HEIGHT
 from pipeline.recordings.windows import LabelledWindows, labelled_windows
@@ -56,7 +53,6 @@ EARLY = 0.35  # share of the stroke before which slides that differ look alike
 # Rows (n, K) of the network, and the windows that they are of.
 Held = tuple[np.ndarray, LabelledWindows]
 SHARED_HEIGHT_MM = 0.02  # held-out windows within it share a network; the response changes by 0.2 %
-LEAST_WINDOWS = 20  # to set intervals on: with fewer a 90 % quantile is the largest error
 
 
 @dataclass(frozen=True)
@@ -71,43 +67,33 @@ class CnnConfig:
     training: TrainingConfig = field(default_factory=TrainingConfig)
 
 
-def fit_cnn(
-    folder: Folder,
-    config: CnnConfig,
-    atlas: Atlas | None = None,
-    init: onnx.ModelProto | None = None,
-    progress: Callable[[int, float], None] = lambda step, loss: None,
-    calibrate: Callable[..., CalibratedMap] | None = None,
-    judge: Callable[[int, dict[str, float]], None] | None = None,
-) -> FittedModel:
+def fit_cnn(folder: Folder, config: CnnConfig, given: Given = NOTHING) -> FittedModel:
     """Calibrates the map on the folder's labelled slides and trains the network on it.
 
-    folder: its calibration splits. atlas: of the sensor's design; None: from recordings alone.
-    init: an exported graph to start from (a warm start). progress: called with the step and the loss, every 50 steps.
-    calibrate: in place of `calibrated_map`. judge: called with 1 and 2 after as many thirds of the training and the
-    errors on held-out lines as they stand, `heldout_direction_deg` and so on; what it raises ends the fit.
+    given: progress is called every 50 steps; judge with 1 and 2 after as many thirds of the training and the errors on
+    held-out lines as they stand, `heldout_direction_deg` and so on.
 
     Raises:
         InputError: neither enough slides nor an atlas, or `init` holds another network.
     """
     # At this size threads wait for each other more than they work.
     torch.set_num_threads(1)
-    calibrate = calibrate or calibrated_map
-    found = calibrate(folder, atlas, config.conditioning, config.calibration, config.spread)
+    atlas, judge = given.atlas, given.judge
+    found = given.calibrate(folder, atlas, config.conditioning, config.calibration, config.spread)
     config = replace(config, conditioning=found.conditioning)
     if not found.response.rim:
         config = _with_more_steps(config, UNSOLVED_STEPS)
     elif not found.slides:
         config = _with_more_steps(config, UNCALIBRATED_STEPS)
     source = WindowSource(found.response, config.conditioning.block_s, config.synthesis)
-    start = None if init is None else initial_proposal(init, found.response, config.network)
+    start = None if given.init is None else initial_proposal(given.init, found.response, config.network)
 
     def judged(thirds: int, proposal: Proposal) -> None:
         assert judge is not None
         judge(thirds, _held_out_summary(_held_out(found.folder, found, proposal.eval(), config)))
 
     halting = judged if judge is not None and found.held_out else None
-    proposal = train_proposal(source, config.network, config.training, start, progress, halting)
+    proposal = train_proposal(source, config.network, config.training, start, given.progress, halting)
     network = _network(proposal, found.response, config)
     intervals, validity, summary = UNCALIBRATED, UNCALIBRATED_VALIDITY, found.summary
     if found.held_out:
@@ -317,4 +303,4 @@ def _errors(rows: np.ndarray, windows: LabelledWindows) -> dict[str, float]:
     }
 
 
-MODEL = Model(CnnConfig, fit_cnn, from_design=True, alone=True, several_heights=True)
+MODEL = Model(CnnConfig, fit_cnn, uses_design=True, design_suffices=True, several_heights=True)

@@ -7,10 +7,11 @@ from bump_slides import bump_folder, bump_sensor, lines
 from features.errors import InputError
 from features.stream.conditioning import Conditioning
 from models.classical.gaussian_process import GpConfig, fit_gp
+from models.classical.learned_lines import SharesConfig, learned_windows
 from models.classical.regression import float_features
-from models.classical.taught import SharesConfig, taught_windows
+from models.fitted_model import Given
 from models.held_out import mean_errors, signed_errors
-from models.registry import fit_model
+from models.registry import fit_model, model_named
 from pipeline.recordings.windows import labelled_windows
 
 AXES, OFFSETS, SPEEDS = (0.0, 90.0, 180.0, 270.0), np.arange(-12.0, 13.0, 4.0), (3.0, 5.0)
@@ -21,47 +22,47 @@ SHARES = SharesConfig(recorded_share=0.3)
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     splits = {"calibration": lines(AXES, OFFSETS, SPEEDS), "test-diagonal": DIAGONAL}
-    return bump_folder(tmp_path_factory.mktemp("taught") / "bump", bump_sensor(boards=1), splits)
+    return bump_folder(tmp_path_factory.mktemp("learned") / "bump", bump_sensor(boards=1), splits)
 
 
 @pytest.fixture(scope="module")
-def taught(folder):
-    return taught_windows(folder.select("calibration"), Conditioning(), SHARES, None)
+def learned(folder):
+    return learned_windows(folder.select("calibration"), Conditioning(), SHARES, None)
 
 
-def test_as_many_are_drawn_as_the_shares_say_over_all_directions(taught):
-    late = taught.whole.stroke_fraction >= 0.35
-    drawn = np.char.startswith(taught.whole.recording.astype(str), "synthetic")
+def test_as_many_are_drawn_as_the_shares_say_over_all_directions(learned):
+    late = learned.whole.stroke_fraction >= 0.35
+    drawn = np.char.startswith(learned.whole.recording.astype(str), "synthetic")
     assert drawn[late].mean() == pytest.approx(0.7, abs=0.01)
-    turned = taught.whole.direction_deg[drawn] % 90
+    turned = learned.whole.direction_deg[drawn] % 90
     assert np.histogram(turned, 3, (0.0, 90.0))[0].min() > 0.25 * drawn.sum()
-    assert taught.whole.speed_mm_s[drawn].max() > 2 * max(SPEEDS)
+    assert learned.whole.speed_mm_s[drawn].max() > 2 * max(SPEEDS)
 
 
 def test_a_share_that_leaves_no_room_for_drawn_windows_is_recordings_alone(folder):
-    almost = taught_windows(
+    almost = learned_windows(
         folder.select("calibration"), Conditioning(), SharesConfig(recorded_share=0.9999), None
     )
     np.testing.assert_array_equal(almost.whole.volts, almost.recorded.volts)
 
 
-def test_a_fold_sees_neither_its_lines_nor_a_map_of_them(taught):
-    left_out = np.sum([mask for _, mask in taught.folds], axis=0)
+def test_a_fold_sees_neither_its_lines_nor_a_map_of_them(learned):
+    left_out = np.sum([mask for _, mask in learned.folds], axis=0)
     np.testing.assert_array_equal(left_out, 1)
-    whole = set(map(bytes, taught.whole.volts))
-    for seen, mask in taught.folds:
-        assert not set(taught.recorded.recording[mask]) & set(seen.recording)
+    whole = set(map(bytes, learned.whole.volts))
+    for seen, mask in learned.folds:
+        assert not set(learned.recorded.recording[mask]) & set(seen.recording)
         drawn = np.char.startswith(seen.recording.astype(str), "synthetic")
         assert not whole & set(map(bytes, seen.volts[drawn]))
 
 
-def test_drawn_windows_teach_directions_that_no_recording_has(folder, taught):
+def test_drawn_windows_teach_directions_that_no_recording_has(folder, learned):
     """Direction, speed and distance of lines between the axes; and the place along them."""
     config = GpConfig(search_rows=60)
     errors = []
-    for windows in (taught.recorded, taught.whole):
+    for windows in (learned.recorded, learned.whole):
         model = fit_gp(windows, config)
-        unseen = labelled_windows(folder.select("test"), taught.conditioning, [1.0])
+        unseen = labelled_windows(folder.select("test"), learned.conditioning, [1.0])
         rows = model.predict(float_features(unseen))
         errors.append(mean_errors(signed_errors(rows, model.outputs, unseen), unseen))
         errors[-1]["along_mm"] = np.abs(rows[:, model.outputs.index("along_mm")] - unseen.along_mm).mean()
@@ -71,15 +72,15 @@ def test_drawn_windows_teach_directions_that_no_recording_has(folder, taught):
 
 def test_too_few_recordings_for_a_map_are_learnt_from_alone(folder):
     few = folder.select("test")
-    taught = taught_windows(few, Conditioning(), SHARES, None)
-    assert set(taught.whole.recording) <= set(few.manifest.index)
-    assert len(taught.whole) == len(taught.recorded)
+    learned = learned_windows(few, Conditioning(), SHARES, None)
+    assert set(learned.whole.recording) <= set(few.manifest.index)
+    assert len(learned.whole) == len(learned.recorded)
 
 
 def test_labels_that_do_not_say_where_the_contact_was_give_no_place(folder):
     few = folder.select("test")
     few.manifest["start_x_mm"] = np.nan
-    windows = taught_windows(few, Conditioning(), SharesConfig(recorded_share=1.0), None).whole
+    windows = learned_windows(few, Conditioning(), SharesConfig(recorded_share=1.0), None).whole
     assert fit_gp(windows, GpConfig(search_rows=60)).outputs[-1] == "offset_mm"
 
 
@@ -93,4 +94,4 @@ def test_the_interpolation_takes_no_atlas(folder):
     from models.classical.interpolation import InterpolationConfig
 
     with pytest.raises(InputError, match="recordings alone"):
-        fit_model("interpolation", folder, InterpolationConfig(), atlas=object())
+        fit_model(model_named("interpolation"), folder, InterpolationConfig(), Given(atlas=object()))

@@ -1,4 +1,4 @@
-"""What a model on features is fitted to: recorded windows, and beside them windows drawn from the response map.
+"""What a model on features is fitted to: recorded windows, and windows drawn from the response map.
 
 Recordings run along a few headings and lines; the map that they calibrate knows all of them.
 """
@@ -19,7 +19,7 @@ from pipeline.atlas.atlas import Atlas
 from pipeline.recordings.folder import Folder
 from pipeline.recordings.windows import LabelledWindows, joined, labelled_windows
 
-FOLDS = 5
+RECORDED_FOLDS = 5
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class SharesConfig:
 
 
 @dataclass(frozen=True)
-class Taught:
+class LearnedLines:
     """recorded: n windows of the recordings. whole: what to fit to. folds: what to fit to without some lines, each with
     which of the recorded are those lines' (n,) bool. conditioning: of the signal that all are of. summary: figures of
     the map, where one is drawn from. untimed: how many slides had their onset fitted. left_out: why a recording gives
@@ -50,13 +50,13 @@ class Taught:
     left_out: dict[str, str] = field(default_factory=dict)
 
 
-def taught_windows(
+def learned_windows(
     folder: Folder,
     conditioning: Conditioning,
     shares: SharesConfig,
     atlas: Atlas | None,
     calibrate: Callable[..., CalibratedMap] = calibrated_map,
-) -> Taught:
+) -> LearnedLines:
     """The recorded windows and as many drawn ones as the shares say.
 
     calibrate: in place of `calibrated_map`.
@@ -75,7 +75,7 @@ def taught_windows(
     read = replace(found.folder, manifest=found.folder.manifest[used])
     recorded = labelled_windows(read, found.conditioning)
 
-    def beside(rows: LabelledWindows, response: ResponseMap) -> LabelledWindows:
+    def with_drawn(rows: LabelledWindows, response: ResponseMap) -> LabelledWindows:
         count = round(len(late_windows(rows)) * (1.0 / shares.recorded_share - 1.0))
         if not count:
             return rows
@@ -83,12 +83,12 @@ def taught_windows(
 
     unseen = [np.isin(recorded.recording, names) for _, names in found.held_out]
     folds = [
-        (beside(recorded[~mask], response), mask)
+        (with_drawn(recorded[~mask], response), mask)
         for (response, _), mask in zip(found.held_out, unseen, strict=True)
     ]
-    return Taught(
+    return LearnedLines(
         recorded,
-        beside(recorded, found.response),
+        with_drawn(recorded, found.response),
         folds,
         found.conditioning,
         found.summary,
@@ -97,11 +97,11 @@ def taught_windows(
     )
 
 
-def _recorded_alone(folder: Folder, conditioning: Conditioning) -> Taught:
+def _recorded_alone(folder: Folder, conditioning: Conditioning) -> LearnedLines:
     windows = labelled_windows(folder, conditioning)
-    fold = line_folds(windows.direction_deg, windows.offset_mm, FOLDS)
-    folds = [(windows[fold != k], fold == k) for k in range(FOLDS)]
-    return Taught(windows, windows, folds, conditioning, left_out=_without_window(folder, windows))
+    fold = line_folds(windows.direction_deg, windows.offset_mm, RECORDED_FOLDS)
+    folds = [(windows[fold != k], fold == k) for k in range(RECORDED_FOLDS)]
+    return LearnedLines(windows, windows, folds, conditioning, left_out=_without_window(folder, windows))
 
 
 def _without_window(folder: Folder, windows: LabelledWindows) -> dict[str, str]:
