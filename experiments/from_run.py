@@ -12,6 +12,7 @@ from experiments.provenance import code_revision, data_hashes, machine, packages
 from experiments.tracking import LoggedRun, flattened, logged_run
 from experiments.train import BUNDLE_FILES, to_learn_from, train
 from features.errors import InputError
+from models.registry import model_named
 from pipeline.recordings.base_motion import without_base_motion
 from pipeline.recordings.pooled import read_folders
 from pipeline.toml_tables import changed
@@ -70,7 +71,7 @@ def difference(then: Path, now: Path) -> str:
 def _not_as_it_was(run: LoggedRun, configuration: dict[str, Any], source: Sequence[Path]) -> Iterator[str]:
     """What the run was made from and is different now, a line each."""
     whole = without_base_motion(read_folders(source, configuration["weights"]))
-    folder = to_learn_from(whole, configuration["model"], configuration["design_alone"])
+    folder = to_learn_from(whole, model_named(configuration["model"]), configuration["design_alone"])
     for name, digest in data_hashes(folder).items():
         if run.tags.get(f"data.{name}") != digest:
             yield f"not as it was: the recordings' {name}"

@@ -24,14 +24,8 @@ from experiments.tracking import Run, last_duration_s, tracked
 from features.card import read_card
 from features.errors import InputError
 from models.export.bundle import read_graph, write_bundle
-from models.fitted_model import FittedModel
-from models.registry import (
-    default_config,
-    fit_model,
-    learns_from_design_alone,
-    takes_several_heights,
-    uses_design,
-)
+from models.fitted_model import FittedModel, Given, Model
+from models.registry import fit_model, model_named
 from pipeline.atlas.atlas import Atlas, atlas_hash
 from pipeline.atlas.library import atlas_at_hand, atlas_of
 from pipeline.progress import progress_bar
@@ -96,17 +90,18 @@ def train(
         ParityError: the exported graph and the original disagree; nothing is written.
     """
     out, atlas, init, config = Path(out), _path(atlas), _path(init), _path(config)
+    chosen = model_named(model)
     roots = [Path(recordings)] if isinstance(recordings, str | Path) else [Path(root) for root in recordings]
-    if weights and not uses_design(model):
+    if weights and not chosen.uses_design:
         raise InputError(
             f"not for {model}: it weighs slides in the response map, which {model} has not", "weight"
         )
     whole = without_base_motion(read_folders(roots, weights))
-    folder = to_learn_from(whole, model, design_alone)
-    settings = configured(change(default_config(model)), config, model)
+    folder = to_learn_from(whole, chosen, design_alone)
+    settings = configured(change(chosen.config()), config, model)
     start = None if init is None else _graph_of(init)
     check_replaceable(out, BUNDLE_FILES)
-    design = design_for(model, folder, atlas)
+    design = design_for(chosen, folder, atlas)
     configuration = {
         "model": model,
         "recordings": str(roots[0]) if len(roots) == 1 else [str(root) for root in roots],
@@ -129,10 +124,10 @@ def train(
     last_s = last_duration_s({"command": "train", "model": model}, store) if track else None
     report_plan(model, whole.select(*LEARNT), folder, design is not None, last_s)
     with _logged(out, folder, provenance, store) if track else nullcontext(Run()) as run:
-        fitted, losses = _fit(model, folder, settings, design, start, fresh)
+        fitted, losses = _fit(chosen, folder, settings, design, start, fresh)
         _warn_if_lost(fitted)
         if not design_alone:
-            report_use(whole.select(*LEARNT), folder, fitted, takes_several_heights(model))
+            report_use(whole.select(*LEARNT), folder, fitted, chosen.several_heights)
         windows = fitted.windows or labelled_windows(folder, fitted.conditioning)
         parity = write_bundle(fitted, folder.sensor, windows, provenance, out, folder.base_motion)
         run.files(out, "bundle")
@@ -146,7 +141,7 @@ def train(
     return Training(out, fitted, run)
 
 
-def to_learn_from(whole: Folder, model: str, design_alone: bool) -> Folder:
+def to_learn_from(whole: Folder, model: Model, design_alone: bool) -> Folder:
     """The recordings to learn from: of the splits LEARNT, those whose line is known.
 
     A model that can learn from several heights of the skin takes those too that are not at the pressure of most.
@@ -157,7 +152,7 @@ def to_learn_from(whole: Folder, model: str, design_alone: bool) -> Folder:
     chosen = whole.select(*LEARNT)
     if design_alone:
         return replace(chosen, manifest=chosen.manifest.iloc[:0])
-    folder = recordings_to_learn_from(chosen, takes_several_heights(model))
+    folder = recordings_to_learn_from(chosen, model.several_heights)
     some = chosen.manifest[list(LINE)].notna().any(axis=1)
     if not len(folder) and some.any():
         name, why = next(iter(why_not_labelled(with_derived_labels(chosen)).items()))
@@ -187,7 +182,7 @@ def _path(given: str | Path | None) -> Path | None:
 
 
 def _fit(
-    model: str,
+    model: Model,
     folder: Folder,
     settings: Any,
     design: Atlas | None,
@@ -196,8 +191,8 @@ def _fit(
 ) -> tuple[FittedModel, dict[int, float]]:
     """The fitted model and its loss by step, with a bar for who watches: the map's calibration, then the steps."""
     losses: dict[int, float] = {}
-    steps = settings.training.steps if learns_from_design_alone(model) else None
-    stage = f"fitting {model}" if steps is None else "calibrating the response map"
+    steps = settings.training.steps if model.design_suffices else None
+    stage = f"fitting {model.name}" if steps is None else "calibrating the response map"
     with progress_bar(stage, "step", total=steps) as bar:
 
         def progress(step: int, loss: float) -> None:
@@ -212,9 +207,8 @@ def _fit(
         def taken(place: Path) -> None:
             bar.write(f"took the response map that an earlier training kept ({place})", file=sys.stderr)
 
-        calibrate = partial(kept_map, fresh=fresh, taken=taken)
-        fitted = fit_model(model, folder, settings, design, start, progress, calibrate)
-        return fitted, losses
+        given = Given(design, start, partial(kept_map, fresh=fresh, taken=taken), progress)
+        return fit_model(model, folder, settings, given), losses
 
 
 def _warn_if_lost(fitted: FittedModel) -> None:
@@ -243,15 +237,15 @@ def _graph_of(bundle: Path) -> onnx.ModelProto:
     return read_graph(bundle)
 
 
-def design_for(model: str, folder: Folder, atlas: Path | None) -> Atlas | None:
+def design_for(model: Model, folder: Folder, atlas: Path | None) -> Atlas | None:
     """The atlas that the model is to use: solved now only for one that learns from the design alone.
 
     Raises:
-        InputError: no such model, or the atlas named is none or of another design.
+        InputError: the atlas named is not an atlas, or of another design.
     """
-    if learns_from_design_alone(model):
+    if model.design_suffices:
         return design_of(folder, atlas)
-    return atlas_at_hand(folder.sensor, atlas) if uses_design(model) or atlas is not None else None
+    return atlas_at_hand(folder.sensor, atlas) if model.uses_design or atlas is not None else None
 
 
 def design_of(folder: Folder, atlas: Path | None) -> Atlas | None:
