@@ -86,7 +86,7 @@ def _read(place: Path) -> Arrays | None:
     try:
         with np.load(place, allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
-        # Told apart from those that nobody asks for any more.
+        # Distinguished from those that nobody asks for any more.
         os.utime(place)
     except (OSError, ValueError, EOFError, zipfile.BadZipFile):
         return None
@@ -124,7 +124,7 @@ def _packed(found: CalibratedMap) -> Arrays:
         "untimed": found.untimed,
         "left_out": found.left_out,
         "heights": None if found.heights is None else asdict(found.heights),
-        "told_mm": found.told_mm,
+        "static_heights_mm": found.static_heights_mm,
     }
     return {
         **{name: np.ascontiguousarray(values) for name, values in arrays.items()},
@@ -153,7 +153,7 @@ def _unpacked(arrays: Arrays, folder: Folder) -> CalibratedMap:
         untimed=rest["untimed"],
         left_out=rest["left_out"],
         heights=None if rest["heights"] is None else HeightCalibration(**_tuples(rest["heights"])),
-        told_mm=rest["told_mm"],
+        static_heights_mm=rest["static_heights_mm"],
     )
 
 

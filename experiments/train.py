@@ -215,7 +215,7 @@ def _warn_if_lost(fitted: FittedModel) -> None:
     """Warns where no estimate will be valid, or too many held-out slides have one that is no better than chance."""
     if fitted.validity.misfit == 0.0:
         print(
-            f"too few slides to tell what is no slide: no estimate of this {fitted.name} will be valid; record more "
+            f"too few slides to know what is not a slide: no estimate of this {fitted.name} will be valid; record more "
             "lines, or use cnn",
             file=sys.stderr,
         )
@@ -249,10 +249,10 @@ def design_for(model: Model, folder: Folder, atlas: Path | None) -> Atlas | None
 
 
 def design_of(folder: Folder, atlas: Path | None) -> Atlas | None:
-    """The atlas of the sensor's design; None if there is none and there are recordings to learn from.
+    """The atlas of the sensor's design; None without one, where there are recordings to learn from.
 
     Raises:
-        InputError: the atlas named is none, or of another design; or nothing else is there to learn from.
+        InputError: the atlas named is not an atlas, or of another design; or nothing else is there to learn from.
     """
     try:
         return atlas_of(folder.sensor, atlas)

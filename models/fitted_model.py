@@ -74,7 +74,7 @@ class Model:
 
     config: its default configuration, a frozen dataclass with a field `conditioning`, the signal path's constants.
     uses_design: whether it can use an atlas of the sensor's design. design_suffices: whether it needs no recordings, so
-    that an atlas is solved where none is at hand; such a model can also start from an earlier bundle. several_heights:
+    that an atlas is solved if there is no other; such a model can also start from an earlier bundle. several_heights:
     whether it can learn from recordings at several heights of the skin.
     """
 

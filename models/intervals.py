@@ -81,7 +81,7 @@ def conformal_interval(
 def step_between(answers: np.ndarray, period: float | None = None) -> float:
     """The largest step between the few values that a model answers, in their unit; 0 of one whose answers vary freely.
 
-    What lies between such values it cannot tell, and labels that are these values do not show it: their errors are 0.
+    What lies between such values it cannot show, and labels that are these values do not show it: their errors are 0.
     answers: (n,). period: 360 of directions, whose last value is followed by the first.
     """
     answers = np.asarray(answers, float)

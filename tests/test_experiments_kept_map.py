@@ -69,7 +69,7 @@ def assert_same(a: CalibratedMap, b: CalibratedMap) -> None:
         np.testing.assert_array_equal(x, y)
     assert (a.conditioning, a.slides, a.summary) == (b.conditioning, b.slides, b.summary)
     assert (a.untimed, a.left_out) == (b.untimed, b.left_out)
-    assert (a.heights, a.told_mm) == (b.heights, b.told_mm)
+    assert (a.heights, a.static_heights_mm) == (b.heights, b.static_heights_mm)
     assert a.folder.manifest.equals(b.folder.manifest)
 
 

@@ -347,7 +347,7 @@ def test_recordings_at_two_heights_make_one_map(lab: Folder) -> None:
     assert found.response.height_mm == 7.0
     here, there = (found.response.at(height_mm=h).coefficients[0] for h in (7.0, 8.0))
     assert (here * there).sum() / (here**2).sum() == pytest.approx(1.15, abs=0.04)
-    heights = np.array([found.told_mm[name] for name in found.folder.manifest.index])
+    heights = np.array([found.static_heights_mm[name] for name in found.folder.manifest.index])
     np.testing.assert_allclose(heights, found.folder.manifest[HEIGHT], atol=0.2)
     # Strokes of another day at the other height show no other gains.
     again = replace(lab, manifest=lab.manifest[lab.manifest[LASER].astype(float) == 8.0])
@@ -362,7 +362,7 @@ def test_where_maps_of_each_height_are_better_the_main_one_is_taken(
     shares = {"map_over_heights": 0.02, "map_a_height": 0.01}
     monkeypatch.setattr(select, "_shares_at_other_heights", lambda *given: shares)
     found = mapped(lab)
-    assert (found.slides, found.heights, found.told_mm) == (28, None, {})
+    assert (found.slides, found.heights, found.static_heights_mm) == (28, None, {})
     assert found.summary["slides"] == 28
     assert len(found.left_out) == 7
     assert all("map of each height" in why for why in found.left_out.values())

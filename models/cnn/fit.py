@@ -98,8 +98,8 @@ def fit_cnn(folder: Folder, config: CnnConfig, given: Given = NOTHING) -> Fitted
     intervals, validity, summary = UNCALIBRATED, UNCALIBRATED_VALIDITY, found.summary
     if found.held_out:
         held = _held_out(found.folder, found, proposal, config)
-        beside = None if found.response.depth_sd_mm else _other_depths(found.response, network, config, held)
-        intervals, validity = _judge(*held, network.outputs, beside)
+        further = None if found.response.depth_sd_mm else _other_depths(found.response, network, config, held)
+        intervals, validity = _judge(*held, network.outputs, further)
         if not found.response.rim:
             validity = replace(validity, misfit=OTHER_DAY * validity.misfit)
         summary = summary | _held_out_summary(held)
@@ -189,12 +189,12 @@ def _run(network: SlideNetwork, volts: np.ndarray, elapsed_s: np.ndarray, weight
 def _held_out(folder: Folder, found: CalibratedMap, proposal: Proposal, config: CnnConfig) -> Held:
     """Rows (n, K) for windows of lines that the map behind them was not fitted to, and those windows.
 
-    Of a map over heights each is read at the height that its own static output tells, as on a device.
+    Of a map over heights each is read at the height that follows from its own static output, as on a device.
     """
     windows = labelled_windows(folder, config.conditioning)
     main_mm = found.response.height_mm if found.heights is not None else 0.0
-    told_mm = [found.told_mm.get(name, main_mm) for name in windows.recording]
-    heights_mm = SHARED_HEIGHT_MM * np.round(np.where(np.isnan(told_mm), main_mm, told_mm) / SHARED_HEIGHT_MM)
+    own_mm = [found.static_heights_mm.get(name, main_mm) for name in windows.recording]
+    heights_mm = SHARED_HEIGHT_MM * np.round(np.where(np.isnan(own_mm), main_mm, own_mm) / SHARED_HEIGHT_MM)
     columns = _network(proposal, found.response, config).outputs
     rows = np.full((len(windows), len(columns)), np.nan, dtype=np.float32)
     for response, unseen in found.held_out:
@@ -220,7 +220,7 @@ def _other_depths(response: ResponseMap, network: SlideNetwork, config: CnnConfi
 
 
 def _judge(
-    rows: np.ndarray, windows: LabelledWindows, outputs: tuple[str, ...], beside: Held | None = None
+    rows: np.ndarray, windows: LabelledWindows, outputs: tuple[str, ...], further: Held | None = None
 ) -> tuple[dict[str, Interval], Validity]:
     """Intervals and validity from held-out windows; intervals hold over those and further ones together.
 
@@ -240,8 +240,8 @@ def _judge(
     groups = [_believed(rows, windows, outputs, validity)]
     if len(groups[0].slide) < LEAST_WINDOWS:
         return UNCALIBRATED, validity
-    if beside is not None:
-        groups.append(_believed(*beside, outputs, validity))
+    if further is not None:
+        groups.append(_believed(*further, outputs, validity))
     slide = np.concatenate([group.slide for group in groups])
     return {
         name: conformal_interval(

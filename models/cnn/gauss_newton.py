@@ -45,7 +45,7 @@ class RefinementConfig:
     trust: the proposal's standard deviations times this are the prior, but never less than least_prior (rad, log, mm,
         mm): so that a wrong proposal can be left.
     same_depth: prior probability that a slide has the calibration's contact depth; depth_sd_mm: standard deviation
-        about it of those that do not. Where calibration slides have several depths, the map tells what is expected.
+        about it of those that do not. Where calibration slides have several depths, the map holds what is expected.
     askew: standard deviation of V_z's coupling into V_x and V_y after a change of the mounting's tilt.
     lean_v: standard deviation, in V, of what a slow tilt of the sensor adds to every V_x, and to every V_y, by a
         slide's end; 0 for a sensor that does not tilt. An accelerometer off the skin measures it separately.
@@ -71,7 +71,7 @@ class Refinement(nn.Module):
     floor for the map's own residual, the drift of each channel's zero, and V_z's coupling into V_x and V_y of a tilted
     board (the ripple of the pressure). The last two are rank-one parts of a channel's covariance. Where the map's
     residuals are correlated between channels (`ResponseMap.whitening`), these are mixed first, as long as no
-    accelerometer is dead. Maps without a rim have no drift, since a touch tells the static output just before it, but
+    accelerometer is dead. Maps without a rim have no drift, since the static output is known just before a touch, but
     in each bin errors of place and gain, three rank-one parts of the covariance of the bin's channels.
 
     settled: whether variances become huge where the steps have not converged (maps without a rim); a bound takes them
@@ -137,7 +137,7 @@ class Refinement(nn.Module):
         self.steps = config.steps
         # Of elements that measure gravity; the others' maps have no rim.
         self.leans = config.lean_v > 0 and response.rim
-        # Held-out cells tell what the map leaves in full (models/response_map/select.py).
+        # Held-out cells show what the map leaves in full (models/response_map/select.py).
         self.floor_share = FLOOR_SHARE if response.rim else LEVEL_SHARE
         self.rim = response.rim
         # Splines of a small spacing and a gain that is hardly known: some early windows converge slowly.

@@ -1,7 +1,7 @@
 """The skin's height as a number that a graph is given, and need not be.
 
-The table of the response map in the graph is that of one height. What it changes by with height stands beside it, times
-an initializer that is an input too: a run that does not name it takes the map's own height (ONNX, overridable
+The table of the response map in the graph is that of one height. Next to it stands what it changes by with height,
+times an initializer that is an input too: a run that does not name it takes the map's own height (ONNX, overridable
 initializers). It costs one small product a run.
 """
 

@@ -56,7 +56,7 @@ def write_bundle(
     session = session_of(graph)
     exported = session.run(None, inputs)[0]
     original = fitted.original(inputs)
-    # Where the model abstains (too little of the stroke to tell one line from another), its iteration may end in
+    # Where the model abstains (too little of the stroke to distinguish lines), its iteration may end in
     # either of two minima, and rounding decides: such rows are no estimates and nothing to compare.
     stands, also_stands = believed(original, fitted), believed(exported, fitted)
     if fitted.validity.misfit == 0.0:

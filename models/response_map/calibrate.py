@@ -2,8 +2,8 @@
 
 P-splines (Eilers and Marx 1996): penalised least squares for the splines' coefficients. It alternates with each
 slide's own gain and its shift along its line (the moment of start and the place of a stage are known to about 0.1 mm),
-and with a lag common to all. The penalty on second differences keeps the friction parts, which few directions tell
-apart, from following the noise.
+and with a lag common to all. The penalty on second differences keeps the friction parts, which few directions
+separate, from following the noise.
 
 Slides of several contact depths, or of several heights of the skin, also show how the response changes with depth or
 height. The lines of each are too few for a change that is free in place: held-out lines are predicted worse by it

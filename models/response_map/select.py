@@ -65,7 +65,7 @@ class CalibratedMap:
     were. summary: figures of the fit; `from_atlas` is 1 where the candidate chosen starts from an atlas.
     folder: the recordings with the motion of every slide used, fitted where the labels leave it out (untimed of
     them). left_out: why a recording is not among the slides, by name. heights: where they have several heights of the
-    skin, what a device needs to know of them; told_mm: the height that follows from each one's static output, by name.
+    skin, what a device needs to know of them; static_heights_mm: the one that follows from each static output, by name.
     """
 
     response: ResponseMap
@@ -77,7 +77,7 @@ class CalibratedMap:
     untimed: int
     left_out: dict[str, str]
     heights: HeightCalibration | None = None
-    told_mm: dict[str, float] = field(default_factory=dict)
+    static_heights_mm: dict[str, float] = field(default_factory=dict)
 
 
 def calibrated_map(

@@ -25,7 +25,7 @@ TAUS_S = (0.05, 0.07, 0.1, 0.15, 0.2, 0.3, 0.4, 0.6)
 TAU_S, TAU_SPREAD = 0.15, 0.6
 LEAST_LAG_S = 0.004  # a fifth of a block; below this there is nothing to undo
 MOST_DELAYED = 0.4  # share of the answer that may creep; the synthesis draws less
-LAG_STEP_MM = 0.1  # of the difference that tells a slide's shift from its lag
+LAG_STEP_MM = 0.1  # of the difference that separates a slide's shift from its lag
 
 
 @dataclass(frozen=True)
@@ -116,7 +116,7 @@ def with_lag(
     response: ResponseMap,
     held_out: list[tuple[ResponseMap, np.ndarray]],
 ) -> Conditioning:
-    """The conditioning that undoes, besides its own, the lag that a map of its signal still shows.
+    """The conditioning that undoes, with its own, the lag that a map of its signal still shows.
 
     held_out: as in `retardation_s`. The same conditioning where nothing is left to undo.
     """

@@ -66,7 +66,7 @@ class CalibrationSlide:
 
     @property
     def line_offset_mm(self) -> float:
-        """Signed distance of the line from the chamber's centre; tells lines of one direction apart."""
+        """Signed distance of the line from the chamber's centre; differs between lines of one direction."""
         return self.start_mm[1] * np.cos(self.direction_rad) - self.start_mm[0] * np.sin(self.direction_rad)
 
     def place(self, shift_mm: float, lag_s: float) -> tuple[np.ndarray, np.ndarray]:

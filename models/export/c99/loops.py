@@ -106,7 +106,7 @@ def _merged(loops: Sequence[_Loop]) -> list[_Loop]:
 
 
 def _looped(loops: list[_Loop], names: Sequence[str], body: list[str]) -> list[str]:
-    """Loops around a body, indented; a block of its own where there is none but a total to declare."""
+    """Loops around a body, indented; a block of its own where there is a total to declare and no loop."""
     heads = [
         f"for (int {name} = 0; {name} < {times}; {name}++)"
         for (times, _), name in zip(loops, names, strict=False)

@@ -41,13 +41,13 @@ def layout(statements: Sequence[Statement]) -> tuple[dict[Buffer, int], dict[np.
     offsets: dict[Buffer, int] = {}
     sizes: dict[np.dtype, int] = defaultdict(int)
     for buffer in sorted(begins, key=lambda b: -b.size):
-        beside = [
+        alive = [
             other
             for other in offsets
             if other.kind == buffer.kind and begins[other] <= ends[buffer] and begins[buffer] <= ends[other]
         ]
         offset = 0
-        for other in sorted(beside, key=offsets.__getitem__):
+        for other in sorted(alive, key=offsets.__getitem__):
             if offset + buffer.size <= offsets[other]:
                 break
             offset = max(offset, offsets[other] + other.size)
