@@ -15,12 +15,13 @@ def article(parser: Parser) -> Run:
     """the article's figures and claims on a folder of recordings
 
     Makes the figures of Trinh et al. (Sensors 2019, 19, 2036) again, 6, 9 to 11
-    and 14 to 26, from the slides along x and y and from the atlas, each beside
+    and 14 to 26, from the slides along x and y and from the atlas, each next to
     what the article says; holds its claims against them; and fits its method
     as published and at its best. Errors are in deg, % and mm, of slides that
     were not fitted. Writes article.html, and the numbers as CSV: claims.csv,
-    variants.csv, figure-NN.csv. Prints the claims. What the folder does not
-    tell is said.
+    variants.csv, figure-NN.csv. Prints the claims. Pressures and a laser's
+    readings of the skin's height (skin_height_mm) are shown where the folder
+    has them; the page names what is missing.
 
         softslide article --recordings my-recordings --out article
         softslide synthesize --protocol article --out protocol
@@ -41,19 +42,16 @@ def article(parser: Parser) -> Run:
 
 
 def compare(parser: Parser) -> Run:
-    """every model in one table, fitted and read out alike
+    """models side by side, fitted and scored on the same slides
 
     Fits the article's interpolation, trees, a small network and a Gaussian
-    process on features, MiniRocket, the inverted response map and the default
-    model to the same calibration slides and scores all on the same test
-    slides: errors in degrees (deg), percent (%) and mm, time of a window in
-    ms, errors over the Cramer-Rao bound, and each model's differences from the
-    default (or the first named) on the same slides, with 95 % confidence
-    intervals over lines. Writes comparison.html, comparison.md,
-    comparison.csv, paired.csv, times.csv, efficiency.csv and figures. Bundles
-    and readouts are kept below DIR; a later run of the same settings and data
-    reuses them. Logged in MLflow, as all studies are: a run of the whole, one
-    below it for each model.
+    process on features, the default model and the inverted response map to
+    the same calibration slides and scores all on the same test slides:
+    errors in degrees (deg), percent (%) and mm, time of a window in ms, and
+    each model's differences from the default (or the first named) on the
+    same slides, with 95 % confidence intervals over lines. Writes
+    comparison.html, comparison.csv and paired.csv; the bundles are kept in
+    DIR, below a folder for each folder of recordings.
 
         softslide compare --recordings bench-a bench-d --out comparison
         softslide compare --recordings lab --models my-model other-model --out which
@@ -64,17 +62,15 @@ def compare(parser: Parser) -> Run:
         "--models",
         nargs="+",
         metavar="NAME",
-        help="some of interpolation, trees, mlp, gp, minirocket, inversion, cnn, or folders of bundles, which are read "
+        help="some of interpolation, trees, mlp, gp, cnn, inversion, or folders of bundles, which are read "
         "out as they are (default: all that have a name)",
     )
     arguments.jobs(parser, 1, "recordings that a bundle reads at a time")
 
     def run(given: argparse.Namespace) -> None:
-        from experiments.comparison.compare import compare
-        from experiments.comparison.peers import MODELS
+        from experiments.comparison.compare import MODELS, compare
 
         compare(given.recordings, given.out, given.models or MODELS, given.jobs)
-        print(given.out / "comparison.md")
         print(given.out / "comparison.html")
 
     return run

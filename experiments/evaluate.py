@@ -7,7 +7,7 @@ import json
 import math
 import sys
 from collections.abc import Iterator, Sequence
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -63,11 +63,9 @@ class Evaluation:
 
     def lines(self) -> list[str]:
         """Each bound's verdict, then each split's tracks, in a line."""
-        told = [line(split, row) for split, row in self.metrics.get("tracks", {}).items()]
-        whole = [
-            line(f"{split}, {WHOLE}", row) for split, row in self.metrics.get("whole_contacts", {}).items()
-        ]
-        return [verdict.line() for verdict in self.verdicts] + told + whole
+        rows = [(split, row) for split, row in self.metrics.get("tracks", {}).items()]
+        rows += [(f"{split}, {WHOLE}", row) for split, row in self.metrics.get("whole_contacts", {}).items()]
+        return [verdict.line() for verdict in self.verdicts] + [line(*row) for row in rows]
 
 
 def evaluate(
@@ -95,12 +93,17 @@ def evaluate(
     whole = with_derived_labels(read_folder(recordings))
     folder = derived(to_score(whole, splits))
     check_fits(open_localizer(bundle), folder)
-    configuration = {
-        "bundle": str(bundle),
-        "recordings": str(recordings),
-        "splits": sorted(set(folder.manifest["split"])),
+    names = sorted(set(folder.manifest["split"]))
+    configuration = {"bundle": str(bundle), "recordings": str(recordings), "splits": names}
+    digest = bundle_hash(bundle)
+    of_run: dict[str, Any] = {
+        "tags": {"bundle": digest} | data_tags(folder),
+        "parent": {"bundle": digest, "command": "train"},
+        "store": store,
     }
-    with _logged(bundle, folder, configuration, store) if track else nullcontext(Run()) as run:
+    run_name = f"{bundle.name} on {folder.sensor.name}"
+    logged = tracked("evaluate", run_name, configuration, **of_run) if track else nullcontext(Run())
+    with logged as run:
         with alone(work_of(out), out):
             archive = Archive(jobs, scheduler, work_of(out))
             result = _evaluated(bundle, whole, folder, out, archive, report)
@@ -111,35 +114,18 @@ def evaluate(
     return result
 
 
-def _logged(
-    bundle: Path, folder: Folder, configuration: dict[str, Any], store: str | None
-) -> AbstractContextManager[Run]:
-    """The run, tagged with what bundle and data hash to."""
-    digest = bundle_hash(bundle)
-    tags = {"bundle": digest} | data_tags(folder)
-    parent = {"bundle": digest, "command": "train"}
-    name = f"{bundle.name} on {folder.sensor.name}"
-    return tracked("evaluate", name, configuration, tags=tags, parent=parent, store=store)
-
-
 def _figures(metrics: dict[str, Any]) -> dict[str, float]:
     """Errors at the end of the stroke and shares, by split: the run's metrics."""
-    figures: dict[str, Any] = {}
-    for split, by_fraction in metrics["splits"].items():
-        if "1.0" in by_fraction:
-            figures |= {f"{split}.{name}": value for name, value in flattened(by_fraction["1.0"]).items()}
-    for split, row in metrics.get("tracks", {}).items():
-        figures |= {f"{split}.tracked.{name}": value for name, value in flattened(row).items()}
-    for split, row in metrics.get("whole_contacts", {}).items():
-        figures |= {f"{split}.whole_contacts.{name}": value for name, value in flattened(row).items()}
-    return {name: value for name, value in figures.items() if isinstance(value, int | float)}
+    found = {split: strokes["1.0"] for split, strokes in metrics["splits"].items() if "1.0" in strokes}
+    for key, name in (("tracks", "tracked"), ("whole_contacts", "whole_contacts")):
+        found |= {f"{split}.{name}": row for split, row in metrics.get(key, {}).items()}
+    return {name: value for name, value in flattened(found).items() if isinstance(value, int | float)}
 
 
 def _evaluated(
     bundle: Path, whole: Folder, folder: Folder, out: Path, archive: Archive, report: bool
 ) -> Evaluation:
-    """Localizes, scores and writes. whole: the folder with all splits, which tells the taught lines."""
-    bounds = read_bounds()
+    """Localizes, scores and writes. whole: the folder with all splits, of which calibration's lines are known."""
     with staged(out) as scratch:
         rows = predictions(bundle, folder, archive)
         table = pd.concat(_watched(f"localizing with {bundle.name}", rows, len(folder)), ignore_index=True)
@@ -147,16 +133,21 @@ def _evaluated(
         followed, whole_paths = _followed(bundle, folder, archive)
         least = list(bounds_of(bundle, folder, archive))
         scored = score(table, folder.manifest, folder.sensor)
-        taught = scored["recording"].map(taught_lines(whole.manifest)) != ""
-        unseen, depths_mm = scored[~taught], taught_depths_mm(whole.manifest)
-        verdicts = tuple(check(bound, unseen, depths_mm) for bound in bounds)
-        metrics = measure(unseen, verdicts) | {"taught_lines": _apart(scored[taught])}
-        metrics |= {"bundle": _bundle(bundle), "sensor": folder.sensor.name}
-        metrics["over_bound"] = over_bound(unseen, pd.concat(least)) if least else None
-        if followed:
-            metrics["tracks"] = by_split(followed)
-        if whole_paths:
-            metrics["whole_contacts"] = by_split(whole_paths)
+        along = scored["recording"].map(taught_lines(whole.manifest)) != ""
+        apart, unseen = scored[along], scored[~along]
+        verdicts = tuple(check(bound, unseen, taught_depths_mm(whole.manifest)) for bound in read_bounds())
+        card = json.loads((bundle / "model.json").read_text(encoding="utf-8"))
+        metrics = measure(unseen, verdicts) | {
+            "taught_lines": {
+                "names": [str(name) for name in apart["recording"].unique()],
+                "end_of_stroke": summary(apart[apart["stroke_fraction"] == 1.0]),
+            },
+            "bundle": {"name": bundle.name, "card": card},
+            "sensor": folder.sensor.name,
+            "over_bound": over_bound(unseen, pd.concat(least)) if least else None,
+        }
+        metrics |= {"tracks": by_split(followed)} if followed else {}
+        metrics |= {"whole_contacts": by_split(whole_paths)} if whole_paths else {}
         text = json.dumps(_finite(metrics), indent=1, allow_nan=False)
         (scratch / "metrics.json").write_text(text + "\n", encoding="utf-8")
         if report:
@@ -179,31 +170,25 @@ def _watched(what: str, tables: Iterator[pd.DataFrame], recordings: int) -> Iter
 
 
 def _followed(bundle: Path, folder: Folder, archive: Archive) -> tuple[list[Track], list[Track]]:
-    """Every recording that has its truth beside it, followed live, and from whole contacts where the bundle knows
+    """Every recording that has its truth next to it, followed live, and from whole contacts where the bundle knows
     these; says which of the chosen have no truth, if some have."""
     names = with_truth(folder)
     if names and len(names) < len(folder):
-        left_out = f"{len(folder) - len(names)} of {len(folder)} recordings have no truth beside them"
+        left_out = f"{len(folder) - len(names)} of {len(folder)} recordings have no truth next to them"
         print(f"softslide evaluate: {left_out}; these are not followed over time", file=sys.stderr)
-    live = tracks(bundle, folder, archive)
-    followed = list(progress_bar(f"following with {bundle.name}", "recording", live, len(names)))
-    if not has_whole_contacts(open_localizer(bundle).card):
-        return followed, []
-    whole = tracks(bundle, folder, archive, whole=True)
-    return followed, list(progress_bar(WHOLE, "recording", whole, len(names)))
 
+    def all_tracks(what: str, whole: bool) -> list[Track]:
+        return list(progress_bar(what, "recording", tracks(bundle, folder, archive, whole), len(names)))
 
-def _apart(scored: pd.DataFrame) -> dict[str, Any]:
-    """Test slides along calibration lines: their names, and a summary at the end of the stroke."""
-    names = [str(name) for name in scored["recording"].unique()]
-    return {"names": names, "end_of_stroke": summary(scored[scored["stroke_fraction"] == 1.0])}
+    live = all_tracks(f"following with {bundle.name}", whole=False)
+    return live, all_tracks(WHOLE, whole=True) if has_whole_contacts(open_localizer(bundle).card) else []
 
 
 def measure(scored: pd.DataFrame, verdicts: Sequence[Verdict]) -> dict[str, Any]:
     """`metrics.json`: bounds, then errors overall, for each split, direction, distance and speed.
 
-    scored: without slides along taught lines. `overall` and each of `splits` hold a summary for each stroke fraction;
-    `coverage` is over all fractions, the others are at the end of the stroke.
+    scored: without slides along calibration lines. `overall` and each of `splits` hold a summary for each stroke
+    fraction; `coverage` is over all fractions, the others are at the end of the stroke.
     """
     end = scored[scored["stroke_fraction"] == 1.0]
     return {
@@ -243,11 +228,6 @@ def to_score(folder: Folder, splits: Sequence[str] | None) -> Folder:
     if unknown := [split for split in splits if split not in present]:
         raise InputError(f"{place}, not '{unknown[0]}'; name one of these")
     return replace(folder, manifest=folder.manifest[folder.manifest["split"].isin(splits)])
-
-
-def _bundle(bundle: Path) -> dict[str, Any]:
-    """The bundle's name and card, for the report's head."""
-    return {"name": bundle.name, "card": json.loads((bundle / "model.json").read_text(encoding="utf-8"))}
 
 
 def _finite(value: Any) -> Any:

@@ -10,13 +10,16 @@ import pandas as pd
 import pytest
 
 import softslide
+from experiments.article.answer_figures import PUBLISHED_CHI, published_minimum
 from experiments.article.article import Article, article
-from experiments.article.axis_slides import AxisSlides, edges_mm, seen_from_board
-from experiments.article.interpolation_figures import PUBLISHED_CHI, published_minimum
+from experiments.article.axis_slides import AxisSlides, edges_mm, read_axis_slides, seen_from_board
 from experiments.article.method import BEST, PUBLISHED, Variant, fit_method
+from experiments.article.skin_figures import pressure, static_output
+from experiments.article.slide_figures import whole_slides
 from features.stream.conditioning import Conditioning
 from features.vector.feature_vector import feature_names
 from models.classical.interpolation import DIRECTIONS_DEG
+from pipeline.atlas.atlas import DEFAULT_ATLAS, read_atlas
 from pipeline.recordings.folder import SAMPLE, read_folder
 
 NAMES = {name: n for n, name in enumerate(feature_names(1))}
@@ -67,29 +70,29 @@ def test_a_way_over_a_time_is_recovered_from_the_trigger_alone() -> None:
     variant = Variant("reciprocal", "reciprocal", edge=True, bounded=True)
     method = fit_method(drawn(60, 0, (0.5, 4.0)), variant)
     slides = drawn(30, 1, (0.6, 3.8))
-    said = method.predict(slides)
-    assert said["valid"].mean() > 0.8  # the rest is beyond the fitted range
-    rows = said["valid"].to_numpy()
-    assert said["speed_mm_s"][rows].to_numpy() == pytest.approx(slides.table["speed_mm_s"][rows], rel=1e-4)
-    assert said["offset_mm"][rows].to_numpy() == pytest.approx(slides.table["distance_mm"][rows], abs=1e-6)
+    answers = method.predict(slides)
+    assert answers["valid"].mean() > 0.8  # the rest is beyond the fitted range
+    rows = answers["valid"].to_numpy()
+    assert answers["speed_mm_s"][rows].to_numpy() == pytest.approx(slides.table["speed_mm_s"][rows], rel=1e-4)
+    assert answers["offset_mm"][rows].to_numpy() == pytest.approx(slides.table["distance_mm"][rows], abs=1e-6)
     along = EDGE_MM + slides.table["trigger_mm"] + slides.table["speed_mm_s"] * slides.table["elapsed_s"]
     x_board = slides.folder.sensor.reference_mm[0]
-    assert said["x_mm"][rows].to_numpy() == pytest.approx(along[rows] + x_board, abs=0.01)
+    assert answers["x_mm"][rows].to_numpy() == pytest.approx(along[rows] + x_board, abs=0.01)
 
 
 def test_counted_from_the_trigger_the_distance_spoils_the_speed() -> None:
     slides = drawn(80, 2, (1.5, 4.0))
     errors = {}
     for edge in (False, True):
-        said = fit_method(slides, Variant("", "reciprocal", edge=edge)).predict(slides)
-        errors[edge] = (said["speed_mm_s"] / slides.table["speed_mm_s"] - 1).abs().max()
+        answers = fit_method(slides, Variant("", "reciprocal", edge=edge)).predict(slides)
+        errors[edge] = (answers["speed_mm_s"] / slides.table["speed_mm_s"] - 1).abs().max()
     assert errors[True] < 0.1 * errors[False]
 
 
 def test_at_its_best_it_is_silent_where_it_was_not_fitted() -> None:
-    taught = drawn(80, 3, (0.5, 4.0))
+    fitted = drawn(80, 3, (0.5, 4.0))
     slow, fast = drawn(20, 4, (0.4, 1.1)), drawn(20, 5, (5.0, 9.0))
-    best, published = (fit_method(taught, variant) for variant in (BEST, PUBLISHED))
+    best, published = (fit_method(fitted, variant) for variant in (BEST, PUBLISHED))
     for slides in (slow, fast):
         assert not best.predict(slides)["valid"].any()
         assert published.predict(slides)["valid"].any()
@@ -154,6 +157,32 @@ def test_what_is_known_not_to_hold_does_not(made: Article) -> None:
     solved = height[height["source"] == "atlas"]
     ends = solved["formula_error_percent"].iloc[[0, -1]].to_numpy()
     assert ends == pytest.approx([38.0, 6.0], abs=1.5)
+
+
+def test_pressures_and_lasers_of_the_folder_are_read(tmp_path: Path) -> None:
+    """Half of the slides at another pressure, a laser's reading 10 % below what the formula gives for each."""
+    for place in ("sensor.toml", "slides"):
+        (tmp_path / place).symlink_to(SAMPLE / place)
+    manifest = pd.read_csv(SAMPLE / "manifest.csv")
+    manifest.loc[::2, "pressure_mpa"] = 0.028
+    manifest.to_csv(tmp_path / "manifest.csv", index=False)
+    atlas = read_atlas(DEFAULT_ATLAS)
+    without = static_output(atlas, read_folder(tmp_path))
+    assert "o recording holds a laser's reading" in without.missing
+    assert without.table is not None
+    height = without.table["formula_mm"].iloc[-1] / 1.1
+    manifest.assign(skin_height_mm=height).to_csv(tmp_path / "manifest.csv", index=False)
+    section = static_output(atlas, read_folder(tmp_path))
+    assert section.missing == ""
+    assert section.table is not None
+    recorded = section.table[section.table["source"] == "recordings"]
+    assert set(recorded["pressure_mpa"]) == {0.028, 0.035}
+    assert recorded["formula_error_percent"].mean() == pytest.approx(10.0, abs=2.0)
+    slides, _ = read_axis_slides(read_folder(tmp_path))
+    assert slides is not None
+    role = pressure(atlas, read_folder(tmp_path), whole_slides(slides))
+    assert role.missing == ""
+    assert "at 0.028 MPa" in role.here
 
 
 def test_the_best_variant_answers_less_and_errs_less(made: Article) -> None:

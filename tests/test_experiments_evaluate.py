@@ -15,10 +15,9 @@ from small_bundle import write_small_bundle
 from trial_folder import SENSOR, a_folder
 
 import softslide
-from experiments.evaluation import efficiency_figures
+from experiments.evaluation import figures
 from experiments.evaluation.archive import Archive
 from experiments.evaluation.efficiency import bounds_of, over_bound
-from experiments.evaluation.figures import wilson
 from experiments.evaluation.readout import COLUMNS
 from experiments.evaluation.scoring import score
 from experiments.pages.figures import COLOURS, INK, inline, log_with_zero, panel
@@ -133,9 +132,9 @@ def test_metrics_say_what_was_found(bundle: Path, tmp_path: Path, capsys: pytest
     assert status == 1  # nothing is tested, and so nothing is met
     metrics = json.loads((tmp_path / "out/metrics.json").read_text())
     # 14.5 mm/s is faster than the article promises anything for.
-    told = capsys.readouterr()
-    assert told.out.count("not tested, no such recording") == len(metrics["bounds"])
-    assert "6 of 6 bounds are not tested" in told.err
+    printed = capsys.readouterr()
+    assert printed.out.count("not tested, no such recording") == len(metrics["bounds"])
+    assert "6 of 6 bounds are not tested" in printed.err
     assert list(metrics["splits"]) == ["test", "test-other"]
     end = metrics["overall"]["1.0"]
     assert end["recordings"] == 2
@@ -156,6 +155,19 @@ def test_the_exit_status_is_the_bounds(tmp_path: Path, speed_mm_s: float, status
     assert evaluated(tmp_path / "b", lab, out)[0] == 1  # the other bounds are not tested
 
 
+def test_a_bound_that_nothing_tests_names_the_missing_labels(
+    bundle: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    without = {"offset_mm": np.nan, "start_x_mm": np.nan}
+    a_folder(tmp_path / "lab", one=without, two=without, three={"speed_mm_s": 14.5})
+    evaluated(bundle, tmp_path / "lab", tmp_path / "out")
+    metrics = json.loads((tmp_path / "out/metrics.json").read_text())
+    reasons = {b["name"]: b["untested"] for b in metrics["bounds"]}
+    assert reasons["speed"] == "no such recording: of 3, offset_mm is missing in 2"
+    assert reasons["position"].endswith("of 3, offset_mm is missing in 2, start_x_mm is missing in 2")
+    assert reasons["speed"] in capsys.readouterr().out
+
+
 def test_bounds_hold_at_the_folders_own_depth(tmp_path: Path) -> None:
     write_small_bundle(tmp_path / "b", SENSOR, direction_deg=0.0, speed_mm_s=2.2, offset_mm=3.0)
     slide = {"speed_mm_s": 2.0, "offset_mm": 3.0}
@@ -174,13 +186,13 @@ def test_slides_along_taught_lines_are_scored_apart(tmp_path: Path) -> None:
     write_small_bundle(tmp_path / "b", SENSOR, direction_deg=0.0, speed_mm_s=2.0, offset_mm=3.0)
     a_folder(
         tmp_path / "lab",
-        taught={"speed_mm_s": 2.5, "offset_mm": 3.02},
+        along={"speed_mm_s": 2.5, "offset_mm": 3.02},
         unseen={"speed_mm_s": 2.0, "offset_mm": 3.3},
         calibration={"split": "calibration", "offset_mm": 3.0},
     )
     evaluated(tmp_path / "b", tmp_path / "lab", tmp_path / "out", report=True)
     metrics = json.loads((tmp_path / "out/metrics.json").read_text())
-    assert metrics["taught_lines"]["names"] == ["taught"]
+    assert metrics["taught_lines"]["names"] == ["along"]
     assert metrics["taught_lines"]["end_of_stroke"]["speed_percent"]["mean"] == pytest.approx(20.0)
     assert metrics["end_of_stroke"]["recordings"] == 1
     assert metrics["end_of_stroke"]["speed_percent"]["max"] == pytest.approx(0.0, abs=1e-4)
@@ -330,10 +342,10 @@ def test_errors_are_held_against_the_bound_of_the_bundles_own_map(bundle: Path, 
     end = least.set_index("stroke_fraction").loc[1.0]
     assert found["test"]["1.0"]["recordings"] == 1
     assert found["test"]["1.0"]["direction_deg"] == pytest.approx(30.0 / end["direction_deg_bound"], rel=1e-3)
-    told = " ".join(panel.caption for panel in efficiency_figures.over_bound(found))
+    captions = " ".join(panel.caption for panel in figures.over_bound(found))
     for word in ("direction", "speed", "distance"):
-        assert f"Rms error of the {word} over its Cramer-Rao bound" in told
-    assert told.count("Recordings behind each point: test 1.") == 3
+        assert f"Rms error of the {word} over its Cramer-Rao bound" in captions
+    assert captions.count("Recordings behind each point: test 1.") == 3
 
 
 def test_a_folder_without_any_bound_is_evaluated_all_the_same(bundle: Path, tmp_path: Path) -> None:
@@ -356,7 +368,7 @@ def test_every_figure_has_a_text_that_tells_it_and_its_unit(bundle: Path, tmp_pa
     assert len(page.alts) > 12
     assert all(len(alt) > 40 for alt in page.alts)
     assert len(set(page.alts)) == len(page.alts)
-    told = " ".join(page.alts)
+    captions = " ".join(page.alts)
     for word in (
         "direction of motion",
         "where the contact is",
@@ -365,7 +377,7 @@ def test_every_figure_has_a_text_that_tells_it_and_its_unit(bundle: Path, tmp_pa
         "(deg)",
         "(mm)",
     ):
-        assert word in told
+        assert word in captions
 
 
 @pytest.mark.parametrize(
@@ -399,7 +411,7 @@ def test_errors_of_zero_are_drawn_inside_the_axes() -> None:
 def test_the_interval_of_a_share_is_wilsons() -> None:
     """The roots of |p - share| = z sqrt(p (1 - p) / n), z of a two-sided 90 % interval."""
     for share, count in ((0.9, 8), (1.0, 5), (0.4, 30)):
-        for bound in wilson(share, count):
+        for bound in figures.wilson(share, count):
             assert abs(bound - share) == pytest.approx(1.645 * np.sqrt(bound * (1 - bound) / count), abs=1e-9)
 
 

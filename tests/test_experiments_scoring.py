@@ -9,6 +9,7 @@ import pandas as pd
 import pytest
 
 from experiments.evaluation.bounds import Bound, check, read_bounds
+from experiments.evaluation.efficiency import over_bound
 from experiments.evaluation.readout import COLUMNS
 from experiments.evaluation.scoring import (
     along_the_stroke,
@@ -54,7 +55,7 @@ def a_manifest(**rows: dict) -> pd.DataFrame:
 def predicted(
     recording: str = "s", fraction: float = 1.0, valid: bool = True, **values: float
 ) -> pd.DataFrame:
-    """One row of predictions: exactly right for SLIDE unless told otherwise."""
+    """One row of predictions: exactly right for SLIDE unless given otherwise."""
     right = {
         "direction_deg": 0.0,
         "direction_lo_deg": -1.0,
@@ -109,7 +110,7 @@ def test_a_position_error_is_split_into_along_and_across_the_motion(
     direction_deg: float, fraction: float
 ) -> None:
     """In every direction: the right place has no error, a place 3 mm ahead on the line is off along it alone, a place
-    3 mm beside it across alone."""
+    3 mm off it across alone."""
     angle = math.radians(direction_deg)
     along, across = (math.cos(angle), math.sin(angle)), (-math.sin(angle), math.cos(angle))
     offset_mm, travel_mm, moved_mm = 6.0, 58.0, 3.0
@@ -164,8 +165,8 @@ def test_a_slide_that_starts_inside_or_runs_diagonally_enters_the_chamber_where_
     assert inside["travelled_mm"].iloc[0] == 29.0 - 5.0 + 10.0  # the edge lies 5 mm behind the start
     slant = {"direction_deg": 45.0, "start_x_mm": -30.0, "start_y_mm": -30.0, "travel_mm": 60.0}
     assert scored(predicted(), s=slant)["travelled_mm"].iloc[0] == pytest.approx(60.0 - 5.0 * math.sqrt(2.0))
-    beside = scored(predicted(), s={"start_y_mm": 26.0})
-    assert math.isnan(beside["travelled_mm"].iloc[0])
+    outside = scored(predicted(), s={"start_y_mm": 26.0})
+    assert math.isnan(outside["travelled_mm"].iloc[0])
 
 
 @pytest.mark.parametrize(
@@ -310,3 +311,29 @@ def test_a_broken_bound_is_refused(tmp_path: Path, line: str) -> None:
 def test_a_bound_for_no_slide_is_refused() -> None:
     with pytest.raises(ValueError, match="no slide"):
         replace(bound("speed"), x_offset_mm=None, y_offset_mm=None)
+
+
+def test_errors_over_their_bound_by_hand() -> None:
+    """Ratios of root mean squares over what is valid, at a fraction that is not quite 0.3."""
+    names = ["a", "b", "c", "d"]
+    table = pd.DataFrame(
+        {
+            "recording": names,
+            "split": "test",
+            "stroke_fraction": 0.1 + 0.2,
+            "valid": [True, True, True, False],
+            "direction_deg": [359.0, 3.0, 92.0, 0.0],
+            "true_direction_deg": [0.0, 0.0, 90.0, 90.0],
+            "speed_mm_s": [math.exp(0.01), math.exp(0.01), math.exp(-0.01), 9.0],
+            "true_speed_mm_s": 1.0,
+            "offset_mm": [0.2, -1.2, -6.2, 0.0],
+            "true_offset_mm": [0.0, -1.0, -6.0, 0.0],
+        }
+    )
+    least = pd.DataFrame(
+        {"recording": names, "stroke_fraction": 0.3, "direction_deg_bound": [1.0, 1.0, 4.0, 1.0]}
+    )
+    found = over_bound(table, least.assign(log_speed_bound=0.01, offset_mm_bound=0.1))
+    direction = float(f"{math.sqrt((1 + 9 + 4) / (1 + 1 + 16)):.4g}")
+    ratios = {"direction_deg": direction, "log_speed": 1.0, "offset_mm": 2.0}
+    assert found == {"test": {"0.3": {"recordings": 3, **ratios}}}

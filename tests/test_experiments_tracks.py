@@ -53,12 +53,12 @@ def perfect(moment: float, **changes) -> dict:
         "offset": (4.0, "mm"),
     }
     half = {"x": 0.5, "y": 0.5, "direction": 2.0, "speed": 0.1, "offset": 0.5}
-    told: dict = {"time_s": moment, "state": "slide", "valid": True}
+    row: dict = {"time_s": moment, "state": "slide", "valid": True}
     for stem, (value, unit) in true.items():
         value = changes.pop(stem, value)
-        told |= {f"{stem}_{unit}": value}
-        told |= {f"{stem}_lo_{unit}": value - half[stem], f"{stem}_hi_{unit}": value + half[stem]}
-    return told | changes
+        row |= {f"{stem}_{unit}": value}
+        row |= {f"{stem}_lo_{unit}": value - half[stem], f"{stem}_hi_{unit}": value + half[stem]}
+    return row | changes
 
 
 def stream(said) -> list[dict]:
@@ -130,7 +130,7 @@ def test_velocities_alone_say_direction_and_speed() -> None:
     assert row["position"]["median"] is None
 
 
-@pytest.mark.skipif(not SCORER.is_file(), reason="the outside's scorer is not beside this checkout")
+@pytest.mark.skipif(not SCORER.is_file(), reason="the outside's scorer is not next to this checkout")
 def test_figures_agree_with_the_outsides_scorer() -> None:
     """Three noisy streams with gaps, gross errors, seams and missing intervals."""
     spec = importlib.util.spec_from_file_location("score_track", SCORER)
@@ -154,8 +154,8 @@ def test_figures_agree_with_the_outsides_scorer() -> None:
 
     for share in (0.7, 0.5, 0.3):
         records = [noisy(float(moment), share) for moment in np.arange(1, 500) / 50]
-        for told in records[::7]:
-            told |= {"offset_lo_mm": None, "offset_hi_mm": None}
+        for row in records[::7]:
+            row |= {"offset_lo_mm": None, "offset_hi_mm": None}
         streams.append(records)
     mine = summarize([judge(estimate_table(records), truth, REFERENCE) for records in streams])
     theirs = scorer.summary([scorer.judged(records, truth, REFERENCE) for records in streams])

@@ -5,15 +5,9 @@ from pathlib import Path
 
 import pandas as pd
 
-from experiments.article import (
-    estimate_figures,
-    interpolation_figures,
-    place_figures,
-    skin_figures,
-    slide_figures,
-)
+from experiments.article import answer_figures, skin_figures, slide_figures
 from experiments.article.axis_slides import AxisSlides, read_axis_slides
-from experiments.article.claims import claims_table, height_paragraph, polynomial_paragraph
+from experiments.article.claims import claims_table
 from experiments.article.method import BEST, PUBLISHED, VARIANTS
 from experiments.article.scoring import Scored, score_variant
 from experiments.article.section import Section
@@ -22,22 +16,23 @@ from experiments.derived_labels import derived
 from experiments.evaluation.bounds import INFLATED_MM, read_bounds
 from experiments.pages.page import render
 from pipeline.atlas.library import atlas_of
-from pipeline.recordings.folder import Folder, read_folder
+from pipeline.recordings.folder import read_folder
 from pipeline.recordings.taught import CALIBRATION
+from pipeline.sensor import Sensor
 from pipeline.staging import staged
 
 TEMPLATE = Path(__file__).parent / "article.html.j2"
-# Errors in the table of variants: column of the scores, word, unit.
-COMPARED = (
-    ("speed_percent_error", "speed", "%"),
-    ("offset_mm_error", "distance", "mm"),
-    ("position_mm_error", "position", "mm"),
-)
+# Errors in the table of variants: column of the scores, and name.
+COMPARED = {
+    "speed_percent_error": "speed_percent",
+    "offset_mm_error": "distance_mm",
+    "position_mm_error": "position_mm",
+}
 
 
 @dataclass(frozen=True)
 class Article:
-    """What `article` found. claims: as `claims.claims_table`. out: the page."""
+    """What `article` found. claims: as `claims.claims_table`. page: the file."""
 
     claims: pd.DataFrame
     page: Path
@@ -52,64 +47,53 @@ def article(recordings: Path, atlas_path: Path | None, out: Path) -> Article:
     """Writes `article.html`, `claims.csv`, `variants.csv` and `figure-NN.csv` to `out`, whole or not at all.
 
     Raises:
-        InputError: the folder, a recording or the atlas is not what it should be, or the sensing elements are no
+        InputError: the folder, a recording or the atlas is not what it should be, or the sensing elements are not
             accelerometers.
     """
     folder = derived(read_folder(recordings))
     slides, left_out = read_axis_slides(folder)
-    sensor = folder.sensor
-    atlas = atlas_of(sensor, atlas_path)
+    sensor, atlas = folder.sensor, atlas_of(folder.sensor, atlas_path)
     whole = None if slides is None else whole_slides(slides)
-    results = {} if slides is None else _scores(slides)
+    results = _scores(slides)
     published, best = results.get(PUBLISHED.name), results.get(BEST.name)
-    sections = [
+    skin, pressure = skin_figures.static_output(atlas, folder), skin_figures.pressure(atlas, folder, whole)
+    sections = (
         skin_figures.simulation(atlas, sensor),
-        skin_figures.static_output(atlas, folder),
-        *_slide_sections(whole, results, sensor.chamber_mm, folder),
-        skin_figures.pressure(atlas, folder),
-    ]
-    tables = {section.figures: section.table for section in sections}
-    skin, pressure = tables["9 to 11"], tables["26"]
-    assert skin is not None
-    assert pressure is not None
-    claims = claims_table(whole, published, best, read_bounds(), skin, pressure)
+        skin,
+        *_slide_sections(whole, results, sensor),
+        pressure,
+    )
+    assert skin.table is not None
+    assert pressure.table is not None
+    claims = claims_table(whole, published, best, read_bounds(), skin.table, pressure.table)
     variants = _variants(results)
+    tables = {section.file: section.table for section in sections if section.table is not None}
     with staged(out) as scratch:
-        for section in sections:
-            if section.table is not None:
-                section.table.to_csv(
-                    scratch / section.file, index=False, float_format="%.6g", lineterminator="\n"
-                )
-        claims.to_csv(scratch / "claims.csv", index=False, lineterminator="\n")
-        variants.to_csv(scratch / "variants.csv", index=False, float_format="%.6g", lineterminator="\n")
+        for name, table in (tables | {"claims.csv": claims, "variants.csv": variants}).items():
+            table.to_csv(scratch / name, index=False, float_format="%.6g", lineterminator="\n")
         text = render(
             TEMPLATE,
             sensor=sensor,
             recordings=len(folder),
             used=0 if whole is None else len(whole.table),
-            left_out=left_out.lines(),
+            left_out=left_out,
             sections=sections,
             claims=claims.to_dict("records"),
             variants=variants.to_dict("records"),
             on=published.on if published else "",
-            polynomial=polynomial_paragraph(published, best),
-            height=height_paragraph(skin),
         )
         (scratch / "article.html").write_text(text, encoding="utf-8")
-    return Article(claims, out / "article.html", tuple(sections))
+    return Article(claims, out / "article.html", sections)
 
 
-def _scores(slides: AxisSlides) -> dict[str, Scored]:
-    """Every variant fitted and scored; none where the folder has no calibration slide of any kind."""
-    taught = slides.table["split"].str.startswith(CALIBRATION)
-    if not taught.any():
+def _scores(slides: AxisSlides | None) -> dict[str, Scored]:
+    """Every variant fitted and scored; empty where the folder has no calibration slide along an axis."""
+    if slides is None or not slides.table["split"].str.startswith(CALIBRATION).any():
         return {}
     return {variant.name: score_variant(slides, variant) for variant in VARIANTS}
 
 
-def _slide_sections(
-    whole: Whole | None, results: dict[str, Scored], chamber_mm: tuple[float, float], folder: Folder
-) -> list[Section]:
+def _slide_sections(whole: Whole | None, results: dict[str, Scored], sensor: Sensor) -> list[Section]:
     """Figures 14 to 25, or why they cannot be made."""
     if whole is None or not results:
         why = (
@@ -118,16 +102,15 @@ def _slide_sections(
             else "No calibration slide along x or y is in this folder: there is nothing to fit the method to."
         )
         return [Section("14 to 25", "Slides, interpolation, areas, trajectories", "", missing=why)]
-    published, best = results[PUBLISHED.name], results[BEST.name]
-    shown = {PUBLISHED.name: published, BEST.name: best}
-    board = folder.sensor.accelerometers[0]
+    best = results[BEST.name]
+    shown = {name: results[name] for name in (PUBLISHED.name, BEST.name)}
     return [
         slide_figures.zones(whole),
         *(slide_figures.extremes(whole, axis) for axis in (0, 1)),
-        *(interpolation_figures.interpolation(whole, published, best, kind) for kind in (0, 2, 1, 3)),
-        *(estimate_figures.estimates(shown, axis) for axis in (0, 1)),
-        place_figures.areas(best, chamber_mm, (board.x_mm, board.y_mm)),
-        *(place_figures.trajectories(whole, best, axis) for axis in (0, 1)),
+        *(answer_figures.interpolation(whole, best.method, kind) for kind in (0, 2, 1, 3)),
+        *(answer_figures.estimates(shown, axis) for axis in (0, 1)),
+        answer_figures.areas(best, sensor),
+        *(answer_figures.trajectories(whole, best, sensor, axis) for axis in (0, 1)),
     ]
 
 
@@ -136,18 +119,17 @@ def _variants(results: dict[str, Scored]) -> pd.DataFrame:
     rows = []
     for name, scored in results.items():
         for low in (0.0, 1.5):
-            end = scored.new[scored.new["true_speed_mm_s"].between(low - 1e-9, 4.0 + 1e-9)]
-            late = end[end["travelled_mm"].between(21.5, INFLATED_MM)]
-            end = end[end["stroke_fraction"] == 1.0]
+            every = scored.new[scored.new["true_speed_mm_s"].between(low - 1e-9, 4.0 + 1e-9)]
+            late = every[every["travelled_mm"].between(21.5, INFLATED_MM)]
+            end = every[every["stroke_fraction"] == 1.0]
             row = {
                 "variant": name,
                 "least_speed_mm_s": low,
                 "slides": len(end),
                 "answered": int(end["valid"].sum()),
             }
-            for column, word, unit in COMPARED:
-                errors = (late if word == "position" else end)[column].dropna()
-                name_of = f"{word}_{'percent' if unit == '%' else unit}"
-                row |= {f"{name_of}_mean": errors.mean(), f"{name_of}_max": errors.max()}
+            for column, error in COMPARED.items():
+                errors = (late if error == "position_mm" else end)[column].dropna()
+                row |= {f"{error}_mean": errors.mean(), f"{error}_max": errors.max()}
             rows.append(row)
     return pd.DataFrame(rows)

@@ -54,37 +54,18 @@ class AxisSlides:
         return self[(self.table["fraction"] == 1.0).to_numpy()]
 
 
-@dataclass(frozen=True)
-class LeftOut:
-    """How many recordings of a folder the article's figures do not use, and why."""
-
-    other_directions: int
-    other_depths: int
-    unlabelled: int
-    not_triggered: int
-
-    def lines(self) -> list[str]:
-        """A line each, for those that are any."""
-        told = (
-            (self.unlabelled, "without direction, speed, offset, start and moments of motion"),
-            (self.other_directions, "along neither x nor y, which the article does not treat"),
-            (self.other_depths, "of another contact depth than the calibration's"),
-            (self.not_triggered, "too weak to be noticed"),
-        )
-        return [f"{count} recordings {why}" for count, why in told if count]
-
-
 _NEEDED = (
     *("direction_deg", "speed_mm_s", "offset_mm", "start_x_mm", "start_y_mm", "travel_mm"),
     *("motion_start_s", "motion_end_s"),
 )
 
 
-def read_axis_slides(folder: Folder) -> tuple[AxisSlides | None, LeftOut]:
-    """The folder's slides along x and y at the calibration's contact depth; None if there is none.
+def read_axis_slides(folder: Folder) -> tuple[AxisSlides | None, list[str]]:
+    """The folder's slides along x and y at the calibration's contact depth, None without any; and, a line each,
+    how many recordings are left out and why.
 
     Raises:
-        InputError: the sensing elements are no accelerometers, or a slide cannot be read.
+        InputError: the sensing elements are not accelerometers, or a slide cannot be read.
     """
     if not folder.sensor.measures_gravity:
         raise InputError(
@@ -98,17 +79,19 @@ def read_axis_slides(folder: Folder) -> tuple[AxisSlides | None, LeftOut]:
     depths = taught_depths_mm(manifest)
     off = np.abs(manifest["depth_mm"].to_numpy(float)[:, None] - np.array(depths or (np.nan,))).min(axis=1)
     same = axis & ~(off > SAME_DEPTH_MM)
-    chosen = replace(folder, manifest=manifest[same])
-    conditioning = conditioning_for(folder, Conditioning())
-    slides = _windows(chosen, conditioning) if same.any() else None
-    seen = 0 if slides is None else slides.table["recording"].nunique()
-    left_out = LeftOut(
-        other_directions=int((known & ~axis).sum()),
-        other_depths=int((axis & ~same).sum()),
-        unlabelled=int((~known).sum()),
-        not_triggered=int(same.sum()) - seen,
+    slides = (
+        _windows(replace(folder, manifest=manifest[same]), conditioning_for(folder, Conditioning()))
+        if same.any()
+        else None
     )
-    return slides, left_out
+    seen = 0 if slides is None else slides.table["recording"].nunique()
+    left_out = {
+        "without direction, speed, offset, start and moments of motion": (~known).sum(),
+        "along neither x nor y, which the article does not treat": (known & ~axis).sum(),
+        "of another contact depth than the calibration's": (axis & ~same).sum(),
+        "too weak to be noticed": same.sum() - seen,
+    }
+    return slides, [f"{count} recordings {why}" for why, count in left_out.items() if count]
 
 
 def seen_from_board(folder: Folder) -> Folder:
@@ -130,7 +113,7 @@ def edges_mm(
 
 
 def _turned(direction_deg: np.ndarray) -> np.ndarray:
-    """(n, 4) deg: how far directions (n,) are from DIRECTIONS_DEG; 180 where there is none."""
+    """(n, 4) deg: how far directions (n,) are from DIRECTIONS_DEG; 180 without one."""
     return np.nan_to_num(np.abs(wrapped_deg(direction_deg[:, None] - DIRECTIONS_DEG)), nan=180.0)
 
 

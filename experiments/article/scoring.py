@@ -38,19 +38,18 @@ def score_variant(slides: AxisSlides, variant: Variant) -> Scored:
 
     Where the folder has test slides, these are the new ones; else each line in turn is left out of the fit.
     """
-    taught = slides.table["split"].str.startswith(CALIBRATION).to_numpy()
+    fitted_to = slides.table["split"].str.startswith(CALIBRATION).to_numpy()
     tested = slides.table["split"].str.startswith("test").to_numpy()
     depths = taught_depths_mm(slides.folder.manifest)
-    method = fit_method(slides[taught].whole, variant)
-    fitted = scored(method, slides[taught])
+    method = fit_method(slides[fitted_to].whole, variant)
+    fitted = scored(method, slides[fitted_to])
     if tested.any():
         return Scored(method, fitted, scored(method, slides[tested]), "test slides", depths)
-    line = _lines(slides.table)
-    parts = []
+    line, parts = _lines(slides.table), []
     for fold in range(FOLDS):
-        out = taught & (line % FOLDS == fold)
-        if out.any() and (taught & ~out).any():
-            parts.append(scored(fit_method(slides[taught & ~out].whole, variant), slides[out]))
+        out = fitted_to & (line % FOLDS == fold)
+        if out.any() and (fitted_to & ~out).any():
+            parts.append(scored(fit_method(slides[fitted_to & ~out].whole, variant), slides[out]))
     return Scored(method, fitted, pd.concat(parts, ignore_index=True), "lines left out of the fit", depths)
 
 
@@ -71,14 +70,7 @@ def at_end(scored: pd.DataFrame, axis: int) -> pd.DataFrame:
 
 
 def _lines(table: pd.DataFrame) -> np.ndarray:
-    """(n,) number of each window's line among those of its kind, by its place."""
+    """(n,) number of each window's line among those of its axis, by its place."""
     place = np.where(table["kind"].isin((0, 3)), 1, -1) * table["offset_mm"]
-    axis = table["kind"] % 2
-    key = (place / _LINE_MM).round().astype(int)
-    return (
-        pd.DataFrame({"axis": axis, "key": key})
-        .groupby("axis")["key"]
-        .rank(method="dense")
-        .astype(int)
-        .to_numpy()
-    )
+    line = (place / _LINE_MM).round().astype(int)
+    return line.groupby(table["kind"] % 2).rank(method="dense").astype(int).to_numpy()

@@ -1,4 +1,4 @@
-"""What the page holds of one of the article's figures: panels, what is said, and the numbers."""
+"""What the page holds of one of the article's figures: panels, a text, and the numbers."""
 
 from dataclasses import dataclass
 

@@ -1,9 +1,8 @@
 """Figures 14 to 16: outputs of each kind of slide, and how their extremes go with distance and speed."""
 
-from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Any
 
-import matplotlib as mpl
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
@@ -11,7 +10,7 @@ from matplotlib.axes import Axes
 from experiments.article.axis_slides import KINDS, AxisSlides
 from experiments.article.section import Section
 from experiments.evaluation.traces import trace
-from experiments.pages.figures import COLOURS, EDGE, LABEL, Panel, inline, panel
+from experiments.pages.figures import EDGE, LABEL, Panel, chart
 from models.classical.interpolation import abscissas, slide_direction
 
 # The article's six kinds: name, index into KINDS, sign of the offset seen along x or y (0: any), zones passed.
@@ -26,6 +25,9 @@ CASES = (
 SHOWN_MM, SHOWN_MM_S = 10.0, 2.0  # distance and speed that a shown slide is to be near
 DISTANCES_MM = (5.0, 10.0, 15.0, 22.5)  # that figures 15a and 16a show
 SPEEDS_MM_S = (0.5, 1.0, 2.0, 4.0)  # and 15b and 16b
+DELAY_MM = (18.0, 17.5, 20.5, 21.5)  # the article's, by kind
+PAST_EDGE, SINCE_EDGE = "way past the chamber's edge, mm", "time since the chamber's edge, s"
+FROM_BOARD = "distance from the accelerometer, mm"
 POINTS = 250  # of a trace: more are not seen
 
 
@@ -59,88 +61,147 @@ def whole_slides(slides: AxisSlides) -> Whole:
 
 def zones(whole: Whole) -> Section:
     """Figure 14: V_x and V_y of each kind of slide, with the contact zones."""
-    panels, tables = [], []
-    for title, kind, place, (first, second) in CASES:
-        rows = whole.table[(whole.table["kind"] == kind) & (np.sign(whole.table["place_mm"]) == place)]
-        if rows.empty:
+    rows, panels, tables, lacking = whole.table, [], [], []
+    for case in CASES:
+        title, kind, side, _ = case
+        some = rows[(rows["kind"] == kind) & (np.sign(rows["place_mm"]) == side)]
+        if some.empty:
+            lacking.append(title)
             continue
-        row = nearest(rows, SHOWN_MM, SHOWN_MM_S)
-        shown = _shown(whole, row)
-        foot = -row["edge_mm"]
-        with panel() as (figure, ax):
-            for n, axis in enumerate("xy"):
-                ax.plot(shown["past_edge_mm"], 1000 * shown[f"v{axis}"], color=COLOURS[n], label=f"V_{axis}")
-            ax.axvspan(shown["past_edge_mm"].min(), foot, color=EDGE, alpha=0.12, linewidth=0)
-            ax.axhline(0, color=EDGE, linewidth=1)
-            for zone, side, align in ((first, -6, "right"), (second, 6, "left")):
-                ax.annotate(
-                    f"zone {zone}",
-                    (foot, 1.0),
-                    (side, -2),
-                    xycoords=("data", "axes fraction"),
-                    textcoords="offset points",
-                    ha=align,
-                    va="top",
-                    color=LABEL,
-                )
-            ax.margins(y=0.15)
-            ax.set(xlabel="way past the chamber's edge, mm", ylabel="subtracted output, mV", title=title)
-            ax.legend(loc="lower right")
-            text = (
-                f"{row['recording']}: {title}, {row['distance_mm']:.1f} mm from the accelerometer, "
-                f"{row['speed_mm_s']:.2g} "
-                "mm/s; the shading ends where the contact passes the accelerometer."
-            )
-            panels.append(Panel(inline(figure, text), text))
-        tables.append(shown.assign(case=title, recording=row["recording"]))
+        row = nearest(some, SHOWN_MM, SHOWN_MM_S)
+        shown = _shown(whole, row).assign(case=title, recording=row["recording"])
+        panels.append(_zone_panel(case, row, shown))
+        tables.append(shown)
     share = sign_share(whole)
     return Section(
         "14",
         "Outputs of each kind of slide, with the contact zones",
-        "X-slides change the sign of V_x and keep V_y's, Y-slides the other way round; the order tells forward from "
-        "backward.",
-        f"So it is in {share.sum()} of {len(share)} slides ({100 * share.mean():.0f} %) in the article's "
-        "detectable area.",
+        "X-slides change the sign of V_x and keep V_y's, Y-slides the other way round; the order separates forward "
+        "from backward.",
+        f"So in {share.sum()} of {len(share)} slides ({100 * share.mean():.0f} %) in the article's detectable area.",
         tuple(panels),
         pd.concat(tables, ignore_index=True) if tables else None,
-        _lacking([case[0] for case in CASES if not any(case[0] in p.caption for p in panels)]),
+        f"No recording of: {'; '.join(lacking)}." if lacking else "",
     )
+
+
+def _zone_panel(case: tuple, row: pd.Series, shown: pd.DataFrame) -> Panel:
+    title, *_, (first, second) = case
+    foot = -row["edge_mm"]
+    look: dict[str, Any] = {"xycoords": ("data", "axes fraction"), "textcoords": "offset points"}
+
+    def draw(ax: Axes) -> None:
+        ax.axvspan(shown["past_edge_mm"].min(), foot, color=EDGE, alpha=0.12, linewidth=0)
+        for zone, side, align in ((first, -6, "right"), (second, 6, "left")):
+            ax.annotate(f"zone {zone}", (foot, 1.0), (side, -2), ha=align, va="top", color=LABEL, **look)
+        ax.axhline(0, color=EDGE, linewidth=1)
+        ax.margins(y=0.15)
+
+    text = (
+        f"{row['recording']}: {title}, {row['distance_mm']:.1f} mm from the accelerometer, {row['speed_mm_s']:.2g} "
+        "mm/s; the shading ends where the contact passes the accelerometer."
+    )
+    mv = 1000 * shown.rename(columns={"vx": "V_x", "vy": "V_y"}).set_index("past_edge_mm")[["V_x", "V_y"]]
+    long = mv.melt(var_name="output", value_name="mv", ignore_index=False).reset_index()
+    labels = (title, PAST_EDGE, "subtracted output, mV")
+    return chart(long, "past_edge_mm", "mv", "output", labels, text, mark="-", draw=draw)
 
 
 def extremes(whole: Whole, axis: int) -> Section:
     """Figures 15 (axis 0, X-slides) and 16 (axis 1, Y-slides): extremes against distance and speed."""
-    letter = "XY"[axis]
+    letter, number = "XY"[axis], ("15", "16")[axis]
     rows = whole.table[whole.table["kind"] % 2 == axis]
     forward = rows[rows["kind"] == axis]
-    figures = ("15", "16")[axis]
     title = f"{letter}-slides: extremes of V_{letter.lower()} against distance and speed"
-    article = "The values of the extremes depend on the distance alone, their moments on the speed alone."
+    says = "The values of the extremes depend on the distance alone, their moments on the speed alone."
     if forward.empty:
-        return Section(figures, title, article, missing=f"No {KINDS[axis]} slide in this folder.")
-    panels = [
-        _by_distance(whole, forward, letter),
-        _by_speed(whole, forward, letter),
-        _values(rows, letter),
-        _moments(rows, letter),
-    ]
-    place, drift = extreme_place(forward), speed_effect(forward)
+        return Section(number, title, says, missing=f"No {KINDS[axis]} slide in this folder.")
+    (low, high), drift = extreme_place(forward).values(), speed_effect(forward)
     here = (
-        f"In {KINDS[axis]} slides the minimum comes {place['low'][0]:.1f} to {place['low'][1]:.1f} mm past "
-        "the chamber's edge and "
-        f"the maximum {place['high'][0]:.1f} to {place['high'][1]:.1f} mm, by the distance of the line, so "
-        "that a moment is not "
-        f"the speed's alone."
+        f"In {KINDS[axis]} slides the minimum comes {low[0]:.1f} to {low[1]:.1f} mm past the chamber's edge and the "
+        f"maximum {high[0]:.1f} to {high[1]:.1f} mm, by the distance of the line: a moment is not the speed's alone."
     )
     if drift is not None:
         here += f" On one line, extremes of different speeds differ by {drift:.1f} % (median range)."
     columns = ["recording", "split", "kind", "speed_mm_s", "distance_mm", "place_mm", "trigger_mm"]
     columns += [f"{name}_{unit}" for name in ("low", "high") for unit in ("v", "s", "mm")]
     table = rows[columns].assign(kind=rows["kind"].map(dict(enumerate(KINDS))))
-    return Section(figures, title, article, here, tuple(panels), table)
+    panels = (*_traces(whole, forward, letter), *_extremes(rows, letter))
+    return Section(number, title, says, here, panels, table)
+
+
+def _traces(whole: Whole, rows: pd.DataFrame, letter: str) -> list[Panel]:
+    """Outputs at several distances against the way, and at several speeds against the time."""
+    output, panels = f"v{letter.lower()}", []
+    for of, x, label, words, wanted in (
+        (
+            "distance",
+            "past_edge_mm",
+            PAST_EDGE,
+            "farther lines give smaller",
+            [(d, SHOWN_MM_S) for d in DISTANCES_MM],
+        ),
+        ("speed", "time_s", SINCE_EDGE, "faster slides have earlier", [(SHOWN_MM, v) for v in SPEEDS_MM_S]),
+    ):
+        chosen = pd.DataFrame([nearest(rows, *each) for each in wanted]).drop_duplicates("recording")
+        shown = pd.concat(
+            _shown(whole, row).assign(slide=f"{row['distance_mm']:.1f} mm, {row['speed_mm_s']:.2g} mm/s")
+            for _, row in chosen.iterrows()
+        )
+        shown["mv"] = 1000 * shown[output]
+        text = f"V_{output[1]} in {letter} forward slides at several {of}s: {words} extremes."
+        labels = (f"by {of}", label, f"V_{output[1]}, mV")
+        panels.append(chart(shown, x, "mv", "slide", labels, text, mark="-"))
+    return panels
+
+
+def _extremes(rows: pd.DataFrame, letter: str) -> list[Panel]:
+    """Values of the extremes against the distance, and their moments against the speed."""
+    names = {"low": "minimum", "high": "maximum"}
+    parts = [
+        rows.assign(extreme=word, mv=1000 * rows[f"{name}_v"], late_s=rows[f"{name}_mm"] / rows["speed_mm_s"])
+        for name, word in names.items()
+    ]
+    table, output = pd.concat(parts), f"V_{letter.lower()}"
+    every = f"of {output} in all {len(rows)} {letter}-slides against the"
+    values = ("values of the extremes", FROM_BOARD, f"{output}, mV")
+    late = ("moments of the extremes", "speed, mm/s", SINCE_EDGE)
+    return [
+        chart(table, "distance_mm", "mv", "extreme", values, f"Extreme values {every} distance."),
+        chart(
+            table,
+            "speed_mm_s",
+            "late_s",
+            "extreme",
+            late,
+            f"Moments of the extremes {every} speed.",
+            log=True,
+        ),
+    ]
+
+
+def _shown(whole: Whole, row: pd.Series) -> pd.DataFrame:
+    """One slide's trace over the skin: past_edge_mm, time_s since the edge, vx, vy; thinned."""
+    folder, name = whole.slides.folder, str(row["recording"])
+    label, (x, y) = folder.manifest.loc[name], folder.sensor.reference_mm
+    table = trace(folder, name, whole.slides.conditioning)
+    angle = np.deg2rad(label["direction_deg"])
+    start = np.cos(angle) * (label["start_x_mm"] - x) + np.sin(angle) * (label["start_y_mm"] - y)
+    past = table["travelled_mm"] + start - row["edge_mm"]
+    moving = (table["travelled_mm"] > 0) & (table["travelled_mm"] < label["travel_mm"])
+    shown = pd.DataFrame(
+        {
+            "past_edge_mm": past,
+            "time_s": past / row["speed_mm_s"],
+            "vx": table.iloc[:, 0],
+            "vy": table.iloc[:, 1],
+        }
+    )
+    return shown[moving].iloc[:: max(1, moving.sum() // POINTS)].reset_index(drop=True)
 
 
 def sign_share(whole: Whole) -> pd.Series:
-    """For each slide in the article's detectable area whether its signs tell its direction."""
+    """For each slide in the article's detectable area whether its signs show its direction."""
     found = slide_direction(whole.slides.features)
     right = found[np.arange(len(found)), whole.table["kind"]]
     limit = np.where(whole.table["kind"] % 2 == 0, 17.5, 25.0)
@@ -176,116 +237,9 @@ def nearest(rows: pd.DataFrame, distance_mm: float, speed_mm_s: float) -> pd.Ser
     return rows.loc[off.idxmin()]
 
 
-def _lacking(cases: list[str]) -> str:
-    return f"No recording of: {'; '.join(cases)}." if cases else ""
-
-
-def _shown(whole: Whole, row: pd.Series) -> pd.DataFrame:
-    """One slide's trace over the skin: past_edge_mm, time_s since the edge, vx, vy; thinned."""
-    return _trace(whole, str(row["recording"]), float(row["edge_mm"]), float(row["speed_mm_s"]))
-
-
-def _trace(whole: Whole, name: str, edge_mm: float, speed: float) -> pd.DataFrame:
-    folder = whole.slides.folder
-    table = trace(folder, name, whole.slides.conditioning)
-    label = folder.manifest.loc[name]
-    angle = np.deg2rad(label["direction_deg"])
-    x, y = folder.sensor.reference_mm
-    start = np.cos(angle) * (label["start_x_mm"] - x) + np.sin(angle) * (label["start_y_mm"] - y)
-    past = table["travelled_mm"] + start - edge_mm
-    moving = (table["travelled_mm"] > 0) & (table["travelled_mm"] < label["travel_mm"])
-    columns = {"past_edge_mm": past, "time_s": past / speed}
-    columns |= {axis: table.iloc[:, n] for n, axis in enumerate(("vx", "vy"))}
-    shown = pd.DataFrame(columns)[moving]
-    return shown.iloc[:: max(1, len(shown) // POINTS)].reset_index(drop=True)
-
-
-def _draw(
-    ax: Axes,
-    whole: Whole,
-    rows: pd.DataFrame,
-    names: Iterable[str],
-    letter: str,
-    across: str,
-    label: str,
-) -> None:
-    """The output of these slides against a column of what is shown of them. label: with their rows' numbers."""
-    for n, name in enumerate(names):
-        row = rows[rows["recording"] == name].iloc[0]
-        shown = _shown(whole, row)
-        volts = 1000 * shown[f"v{letter.lower()}"]
-        ax.plot(shown[across], volts, color=COLOURS[n], label=label.format(**row))
-
-
-def _by_distance(whole: Whole, rows: pd.DataFrame, letter: str) -> Panel:
-    chosen = {nearest(rows, d, SHOWN_MM_S)["recording"]: d for d in DISTANCES_MM}
-    with panel() as (figure, ax):
-        _draw(ax, whole, rows, chosen, letter, "past_edge_mm", "{distance_mm:.1f} mm")
-        ax.set(
-            xlabel="way past the chamber's edge, mm", ylabel=f"V_{letter.lower()}, mV", title="by distance"
-        )
-        ax.legend()
-        text = (
-            f"V_{letter.lower()} in {letter} forward slides at several distances: farther lines give smaller "
-            "extremes."
-        )
-        return Panel(inline(figure, text), text)
-
-
-def _by_speed(whole: Whole, rows: pd.DataFrame, letter: str) -> Panel:
-    chosen = {nearest(rows, SHOWN_MM, v)["recording"]: v for v in SPEEDS_MM_S}
-    with panel() as (figure, ax):
-        _draw(ax, whole, rows, chosen, letter, "time_s", "{speed_mm_s:.2g} mm/s, {distance_mm:.1f} mm")
-        ax.set(xlabel="time since the chamber's edge, s", ylabel=f"V_{letter.lower()}, mV", title="by speed")
-        ax.legend(fontsize=8)
-        text = f"V_{letter.lower()} in {letter} forward slides at several speeds: faster slides have earlier extremes."
-        return Panel(inline(figure, text), text)
-
-
-def _values(rows: pd.DataFrame, letter: str) -> Panel:
-    with panel() as (figure, ax):
-        for n, (name, word) in enumerate((("low", "minimum"), ("high", "maximum"))):
-            ax.plot(
-                rows["distance_mm"],
-                1000 * rows[f"{name}_v"],
-                "o",
-                markersize=3,
-                alpha=0.7,
-                color=COLOURS[n],
-                label=word,
-            )
-        ax.set(
-            xlabel="distance from the accelerometer, mm",
-            ylabel=f"V_{letter.lower()}, mV",
-            title="values of the extremes",
-        )
-        ax.legend()
-        text = (
-            f"Extreme values of V_{letter.lower()} in all {len(rows)} {letter}-slides against the distance of "
-            "the line."
-        )
-        return Panel(inline(figure, text), text)
-
-
-def _moments(rows: pd.DataFrame, letter: str) -> Panel:
-    with panel() as (figure, ax):
-        for n, (name, word) in enumerate((("low", "minimum"), ("high", "maximum"))):
-            ax.plot(
-                rows["speed_mm_s"],
-                rows[f"{name}_mm"] / rows["speed_mm_s"],
-                "o",
-                markersize=3,
-                alpha=0.7,
-                color=COLOURS[n],
-                label=word,
-            )
-        ax.set(
-            xlabel="speed, mm/s", ylabel="time since the chamber's edge, s", title="moments of the extremes"
-        )
-        ax.set_yscale("log")
-        ax.yaxis.set_major_locator(mpl.ticker.LogLocator(subs=(1.0, 2.0, 5.0)))
-        ax.yaxis.set_major_formatter("{x:g}")
-        ax.yaxis.set_minor_locator(mpl.ticker.NullLocator())
-        ax.legend()
-        text = f"Moments of the extremes of V_{letter.lower()} in all {len(rows)} {letter}-slides against the speed."
-        return Panel(inline(figure, text), text)
+def delays_mm(whole: Whole) -> pd.DataFrame:
+    """Median way past the edge at which the first extreme comes, by kind: `kind`, `first_mm`, `article_mm`."""
+    first = whole.table[["low_mm", "high_mm"]].min(axis=1)
+    median = first[whole.table["distance_mm"] <= 17.5].groupby(whole.table["kind"]).median()
+    rows = [(KINDS[k], median[k], DELAY_MM[k]) for k in range(4) if k in median.index]
+    return pd.DataFrame(rows, columns=["kind", "first_mm", "article_mm"])

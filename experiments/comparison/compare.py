@@ -1,184 +1,196 @@
-"""Every baseline in one table: fitted to the same calibration slides, scored on the same test slides.
+"""`softslide compare`: models fitted to the same calibration slides, or bundles as they are, on the same test slides.
 
-Writes comparison.html, comparison.md, comparison.csv, paired.csv, times.csv, efficiency.csv and figures. Below OUT each
-folder of recordings has its bundles and readouts; what an earlier run has left there, of the same configuration and
-data, is taken up again.
+Writes comparison.html, comparison.csv and paired.csv; bundles lie in OUT, below a folder for each folder of recordings.
 """
 
 import sys
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 import torch
 
-from experiments.comparison import figures as comparison_figures
-from experiments.comparison.page import TEMPLATE, section
-from experiments.comparison.paired import COLUMNS as PAIRED
+from experiments.comparison.inversion import invert
+from experiments.comparison.page import section
 from experiments.comparison.paired import paired
-from experiments.comparison.peers import MODELS, Study, kept, label, map_settings, read_out
-from experiments.comparison.table import error_rows, markdown
-from experiments.evaluation import efficiency
-from experiments.evaluation.scoring import score
+from experiments.derived_labels import derived
+from experiments.evaluation.archive import Archive
+from experiments.evaluation.readout import predictions
+from experiments.evaluation.scoring import INTERVALS, score, summary
 from experiments.pages.page import render
-from experiments.tracking.study import tracked_study
+from experiments.train import train
+from features.card import read_card
 from features.errors import InputError
-from pipeline.recordings.derived_labels import with_derived_labels
-from pipeline.recordings.folder import read_folder
-from pipeline.recordings.taught import taught_lines
+from features.window import Window
+from models.registry import MODELS as REGISTERED
+from pipeline.recordings.base_motion import without_base_motion
+from pipeline.recordings.folder import Folder, read_folder
+from pipeline.recordings.taught import CALIBRATION, taught_lines
+from pipeline.recordings.windows import LabelledWindows, labelled_windows
 from pipeline.staging import writing
+from serve.localizer import Localizer
 
+MODELS = (*REGISTERED, "inversion")
 # The model that the others are held against, where it is among them; else the first.
 REFERENCE = "cnn"
+TEMPLATE = Path(__file__).parent / "comparison.html.j2"
+# Errors in comparison.csv: quantity of `scoring.summary`, name and unit.
+ERRORS = (
+    ("direction_deg", "direction", "deg"),
+    ("speed_percent", "speed", "percent"),
+    ("offset_mm", "offset", "mm"),
+)
+TIMED = 20  # windows
 
 
 @dataclass
 class Findings:
-    """One folder's rows of comparison.csv, times.csv, efficiency.csv and paired.csv, and the models left out, with the
-    reason.
-
-    origin: of its sensor.toml. taught: number of scored recordings along calibration lines, which are not paired.
-    """
+    """Of one folder. scored: by model, of `scoring.score`. window_ms: median time of a window by model. left_out:
+    models, and why. along: scored recordings along calibration lines, which are not paired."""
 
     origin: str
-    taught: int = 0
-    paired: pd.DataFrame = field(default_factory=lambda: pd.DataFrame(columns=list(PAIRED)))
-    errors: list[dict[str, Any]] = field(default_factory=list)
-    times: list[dict[str, Any]] = field(default_factory=list)
-    ratios: list[pd.DataFrame] = field(default_factory=list)
+    along: pd.Index
+    scored: dict[str, pd.DataFrame] = field(default_factory=dict)
+    window_ms: dict[str, float] = field(default_factory=dict)
     left_out: dict[str, str] = field(default_factory=dict)
+
+    def pairs(self) -> pd.DataFrame:
+        """Of `paired.paired`, of slides along new lines."""
+        new = {model: table[~table["recording"].isin(self.along)] for model, table in self.scored.items()}
+        return paired(new, REFERENCE if REFERENCE in new else next(iter(new)))
 
 
 def compare(recordings: Sequence[Path], out: Path, models: Sequence[str] = MODELS, jobs: int = 1) -> None:
-    """Fits, reads out and scores every model on every folder, and writes tables and figures into `out`.
+    """Fits, reads out and scores every model on every folder, and writes tables and a page into `out`.
 
-    models: some of MODELS, or folders of bundles. A run is logged, with one below it for each model on each folder; the
-    trainings' own are in `out`.
+    models: some of MODELS, or folders of bundles. jobs: recordings that a bundle reads at a time.
 
     Raises:
-        InputError: an unknown model, a folder that is none, two of the same name, or no model that suits a folder.
+        InputError: an unknown model, a folder without the slides that are needed, two of the same name, or no model
+        that suits a folder.
     """
-    fitted = [name for name in models if name in MODELS]
-    given = [name for name in models if name not in MODELS]
-    if unknown := [name for name in given if not (Path(name) / "model.json").is_file()]:
+    if unknown := [
+        name for name in models if name not in MODELS and not (Path(name) / "model.json").is_file()
+    ]:
         raise InputError(
             f"no model '{unknown[0]}', nor a bundle there; name some of {', '.join(MODELS)}, or folders of bundles"
         )
-    called = [label(name) for name in models]
-    if twice := [name for name in called if called.count(name) > 1]:
-        raise InputError(f"{twice[0]}: two models of this name, which results go by; rename one", "models")
-    names = [folder.resolve().name for folder in recordings]
-    if twice := [name for name in names if names.count(name) > 1]:
-        raise InputError(f"{twice[0]}: two folders of this name, which results go by; rename one")
+    _distinct([label(name) for name in models], "models")
+    places = {folder.resolve().name: folder for folder in recordings}
+    _distinct([folder.resolve().name for folder in recordings], "folders")
     with writing(out):
         out.mkdir(parents=True, exist_ok=True)
-    # At these sizes more threads are slower.
+    # Read before any work, so that bad input is found at once. At these sizes more threads are slower.
+    folders = {name: _folders(place, models) for name, place in places.items()}
     torch.set_num_threads(1)
-    store = f"sqlite:///{out / 'mlflow.db'}"
-    studies = [Study(folder, out / name, store, jobs) for folder, name in zip(recordings, names, strict=True)]
-    for study in studies:
-        # Both are read before any work, so that bad input is found at once.
-        _ = study.scored, study.taught if fitted else None
-    configuration = {"recordings": [str(folder) for folder in recordings], "models": list(models)}
-    with tracked_study("compare", f"compare on {', '.join(names)}", configuration, out) as (run, part):
-        found = {study.place.name: compare_on(study, models) for study in studies}
-        _write(found, out)
-        for name, findings in found.items():
-            for row in findings.times:
-                figures = _at_the_end(findings, row["model"]) | {"window_ms": row["window_ms"]}
-                part(f"{row['model']} on {name}", {"folder": name, "model": row["model"]}, figures)
-        for path in sorted(out.iterdir()):
-            if path.suffix in (".md", ".csv", ".svg", ".html"):
-                run.text(path.read_text(encoding="utf-8"), f"comparison/{path.name}")
+    found = {name: compare_on(*folders[name], models, out / name, jobs) for name in places}
+    rows = [{"folder": name} | row for name, findings in found.items() for row in error_rows(findings)]
+    pairs = {name: findings.pairs() for name, findings in found.items()}
+    tables = {"comparison": pd.DataFrame(rows), "paired": pd.concat(pairs, names=["folder"]).reset_index(0)}
+    for name, table in tables.items():
+        table.to_csv(out / f"{name}.csv", index=False, float_format="%.6g", lineterminator="\n")
+    sections = [
+        section(name, findings.scored, pairs[name])
+        | {"origin": findings.origin, "along": len(findings.along)}
+        | {"left_out": findings.left_out, "window_ms": findings.window_ms}
+        for name, findings in found.items()
+    ]
+    (out / "comparison.html").write_text(render(TEMPLATE, sections=sections), encoding="utf-8")
 
 
-def _at_the_end(findings: Findings, model: str) -> dict[str, float]:
-    """A model's figures at the end of the stroke, by split."""
-    return {
-        f"{row['split']}.{key}": value
-        for row in findings.errors
-        if row["model"] == model and row["stroke_fraction"] == 1.0
-        for key, value in row.items()
-        if isinstance(value, float) and key != "stroke_fraction"
-    }
+def label(model: str) -> str:
+    """What one of MODELS, or a bundle by its folder, is called in tables."""
+    return model if model in MODELS else Path(model).resolve().name
 
 
-def compare_on(study: Study, models: Sequence[str]) -> Findings:
-    """One folder's figures. A model that does not support the sensor is left out.
+def _distinct(found: Sequence[str], what: str) -> None:
+    if twice := [name for name in found if found.count(name) > 1]:
+        raise InputError(f"{twice[0]}: two {what} of this name, which results go by; rename one")
+
+
+def _folders(place: Path, models: Sequence[str]) -> tuple[Folder, Folder]:
+    """The folder with all its recordings, and with those that are scored."""
+    folder = without_base_motion(derived(read_folder(place)))
+    for splits in (("test",), *((CALIBRATION,) if set(models) & set(MODELS) else ())):
+        if not len(folder.select(*splits).labelled()):
+            raise InputError(
+                f"{place / 'manifest.csv'}: no labelled slide of a split {' or '.join(splits)}*; add some"
+            )
+    return folder, folder.select("test").labelled()
+
+
+def compare_on(folder: Folder, test: Folder, models: Sequence[str], out: Path, jobs: int = 1) -> Findings:
+    """One folder's findings. A model that does not suit the sensor is left out.
 
     Raises:
         InputError: no model suits it.
     """
-    name, found, scored = study.place.name, Findings(study.scored.sensor.origin), {}
+    lines = taught_lines(folder.manifest)
+    found = Findings(folder.sensor.origin, lines.index[lines != ""].intersection(test.manifest.index))
     for model in models:
         called = label(model)
-        print(f"{name}: {called}", file=sys.stderr)
+        print(f"{out.name}: {called}", file=sys.stderr)
         try:
-            readout = read_out(study, model)
+            table, window_ms = _read_out(model, folder, test, out, jobs)
         except InputError as error:
-            print(f"{name}: {called} is left out: {error}", file=sys.stderr)
+            print(f"{out.name}: {called} is left out: {error}", file=sys.stderr)
             found.left_out[called] = str(error)
             continue
-        scored[called] = score(readout.table, study.scored.manifest, study.scored.sensor)
-        head = {"folder": name, "model": called}
-        found.errors += [head | row for row in error_rows(scored[called])]
-        window_ms, one_node_ms = readout.window_ms, readout.one_node_ms
-        times = {"window_ms": window_ms, "one_node_ms": one_node_ms, "ratio": window_ms / one_node_ms}
-        found.times.append(head | times)
-    if not scored:
-        raise InputError(f"{study.recordings}: {next(iter(found.left_out.values()))}")
-    lines = taught_lines(with_derived_labels(read_folder(study.recordings)).manifest)
-    taught = lines.index[lines != ""].intersection(study.scored.manifest.index)
-    found.taught = len(taught)
-    unseen = {model: table[~table["recording"].isin(taught)] for model, table in scored.items()}
-    found.paired = paired(unseen, REFERENCE if REFERENCE in scored else next(iter(scored)))
-    found.paired.insert(0, "folder", name)
-    # The bound is of the map that these calibration slides give, and of the models fitted to them.
-    if against := [model for model in efficiency.COMPARED if model in scored and model in models]:
-        bounds = _bounds(study)
-        for model in against:
-            ratios = efficiency.ratios(scored[model], bounds)
-            ratios.insert(0, "folder", name)
-            ratios.insert(1, "model", model)
-            found.ratios.append(ratios)
+        found.scored[called] = score(table, test.manifest, test.sensor)
+        found.window_ms[called] = window_ms
+    if not found.scored:
+        raise InputError(f"{folder.root}: {next(iter(found.left_out.values()))}")
     return found
 
 
-def _bounds(study: Study) -> pd.DataFrame:
-    def made() -> tuple[pd.DataFrame, dict[str, float]]:
-        print(f"{study.place.name}: the Cramer-Rao bound", file=sys.stderr)
-        return efficiency.bound(
-            study.calibrated.response, study.calibrated.conditioning.block_s, study.windows
-        ), {}
+def _read_out(model: str, folder: Folder, test: Folder, out: Path, jobs: int) -> tuple[pd.DataFrame, float]:
+    """A model's rows of `predictions.csv`, fitted first if it is one of MODELS, and the median ms of a window."""
+    if model == "inversion":
+        table, predict, conditioning = invert(folder.select(*CALIBRATION).labelled(), test)
+        return table, _median_ms(predict, labelled_windows(test, conditioning))
+    bundle = Path(model)
+    if model in MODELS:
+        bundle = train(folder.root, out / model / "bundle", model, track=False).bundle
+    card, recorded = read_card(bundle / "model.json"), replace(test, base_motion=None)
+    table = pd.concat(predictions(bundle, recorded, Archive(jobs)), ignore_index=True)
+    windows = labelled_windows(replace(test, base_motion=card.base), card.conditioning)
+    return table, _median_ms(_one_window(bundle), windows)
 
-    return kept(study.place / "bound", {"map": map_settings(), **study.hashes}, made)[0]
+
+def _one_window(bundle: Path) -> Callable[[np.ndarray, np.ndarray], object]:
+    localizer = Localizer.load(bundle)
+    return lambda volts, elapsed_s: localizer.infer(localizer.inputs(Window(volts[0], float(elapsed_s[0]))))
 
 
-def _write(found: dict[str, Findings], out: Path) -> None:
-    errors = pd.DataFrame([row for findings in found.values() for row in findings.errors])
-    # Model by model within each split, in the order in which they were named.
-    errors["model"] = pd.Categorical(errors["model"], errors["model"].unique())
-    errors = errors.sort_values(["folder", "split", "model", "stroke_fraction"])
-    times = pd.DataFrame([row for findings in found.values() for row in findings.times])
-    parts = [part for findings in found.values() for part in findings.ratios]
-    ratios = pd.concat(parts, ignore_index=True) if parts else pd.DataFrame(columns=["folder"])
-    pairs = pd.concat([findings.paired for findings in found.values()], ignore_index=True)
-    tables = {"comparison": errors, "times": times, "efficiency": ratios, "paired": pairs}
-    for name, table in tables.items():
-        table.to_csv(out / f"{name}.csv", index=False, float_format="%.6g", lineterminator="\n")
-    text = []
-    for folder, findings in found.items():
-        e, t, r = (table[table["folder"] == folder] for table in (errors, times, ratios))
-        text.append(markdown(findings.origin, e, t, r, findings.left_out))
-        (out / f"errors-{folder}.svg").write_text(comparison_figures.errors(e), encoding="utf-8")
-        if len(r):
-            (out / f"efficiency-{folder}.svg").write_text(comparison_figures.efficiency(r), encoding="utf-8")
-    (out / "comparison.md").write_text("\n".join(text), encoding="utf-8")
-    sections = [
-        section(folder, findings.origin, errors[errors["folder"] == folder], findings.paired, findings.taught)
-        | {"left_out": findings.left_out}
-        for folder, findings in found.items()
-    ]
-    (out / "comparison.html").write_text(render(TEMPLATE, sections=sections), encoding="utf-8")
+def _median_ms(one: Callable[[np.ndarray, np.ndarray], object], windows: LabelledWindows) -> float:
+    """Of single windows, volts (1, C, 64) V and elapsed_s (1,) s."""
+    times_s = []
+    for n in np.linspace(0, len(windows) - 1, TIMED).astype(int):
+        begun = time.perf_counter()
+        one(windows.volts[n : n + 1], windows.elapsed_s[n : n + 1])
+        times_s.append(time.perf_counter() - begun)
+    return 1e3 * float(np.median(times_s))
+
+
+def error_rows(found: Findings) -> list[dict[str, Any]]:
+    """The rows of comparison.csv: for each split, model and stroke fraction how many there are, the share that is
+    valid, errors of valid estimates and the share of their intervals that hold; NaN where there is no estimate."""
+    rows = []
+    for model, scored in found.scored.items():
+        for (split, fraction), part in scored.groupby(["split", "stroke_fraction"]):
+            of = summary(part)
+            row = {"split": split, "model": model, "stroke_fraction": fraction, "n": len(part)}
+            row["valid_share"] = of["valid_share"]
+            for quantity, name, unit in ERRORS:
+                row |= {f"{name}_{kind}_{unit}": of[quantity].get(kind, np.nan) for kind in ("mean", "max")}
+            row["depth_mean_mm"] = (
+                (part["depth_mm"] - part["true_depth_mm"]).abs()[part["valid"].astype(bool)].mean()
+            )
+            for column, (_, name, _) in zip(INTERVALS, ERRORS, strict=True):
+                row[f"{name}_coverage"] = of[f"{column}_coverage"].get("share", np.nan)
+            rows.append(row | {"window_ms": found.window_ms[model]})
+    return rows

@@ -1,6 +1,6 @@
 """Models side by side: differences of their errors on the same slides, with confidence intervals over lines.
 
-A slide that is hard for one model is hard for all, so that differences slide by slide tell more than two means. Slides
+A slide that is hard for one model is hard for all, so that differences slide by slide show more than two means. Slides
 along one line are alike: a line's mean counts once.
 """
 
@@ -15,7 +15,7 @@ from models.held_out import line_folds
 
 QUANTITIES = {"direction_deg": "deg", "speed_percent": "%", "offset_mm": "mm"}
 CONFIDENCE = 0.95
-LEAST_LINES = 3  # fewer tell nothing of the spread between lines
+LEAST_LINES = 3  # fewer show nothing of the spread between lines
 COLUMNS = (
     "split",
     "model",
@@ -78,7 +78,7 @@ def _difference(mine: pd.Series, other: pd.Series, labels: pd.DataFrame) -> dict
 
 
 def interval(values: np.ndarray) -> tuple[float, float, float]:
-    """The mean of independent values and its two-sided 95 % confidence interval; NaN where they do not tell it."""
+    """The mean of independent values and its two-sided 95 % confidence interval; NaN where they are too few for it."""
     if not len(values):
         return np.nan, np.nan, np.nan
     mean = float(values.mean())

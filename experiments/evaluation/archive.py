@@ -20,7 +20,7 @@ from pipeline.recordings.truth import truth_path
 from pipeline.staging import whole, writing
 from pipeline.workers import results
 
-# Recordings of a task: of some 0.2 s each, they take long beside the 11 ms that Dask asks for a task.
+# Recordings of a task: of some 0.2 s each, they take long next to the 11 ms that Dask asks for a task.
 CHUNK = 4
 
 
@@ -44,7 +44,9 @@ class Archive:
         if self.scheduler:
             # Workers were started in folders of their own.
             bundle, folder = bundle.resolve(), folder.at_its_place()
-        chunks = [_only(folder, list(names[n : n + CHUNK])) for n in range(0, len(names), CHUNK)]
+        parts = [list(names[n : n + CHUNK]) for n in range(0, len(names), CHUNK)]
+        # What a task needs of the manifest.
+        chunks = [Folder(folder.root, folder.sensor, folder.manifest.loc[part]) for part in parts]
         of_all = [what, bundle_hash(bundle), code_hash([make.__module__])]
         places = [self._place(of_all, chunk) for chunk in chunks]
         done = {place for place in places if place and place.exists()}
@@ -57,7 +59,10 @@ class Archive:
                 continue
             table = next(made)
             if place:
-                _write(table, place)
+                with writing(place, "name another place"):
+                    place.parent.mkdir(parents=True, exist_ok=True)
+                    with whole(place) as scratch:
+                        table.to_parquet(scratch)
             yield table
 
     def close(self) -> None:
@@ -71,19 +76,6 @@ class Archive:
             return None
         key = [*of_all, chunk.manifest.to_csv(), _files(chunk)]
         return self.work / f"{hashlib.sha256(json.dumps(key).encode()).hexdigest()[:24]}.parquet"
-
-
-def _write(table: pd.DataFrame, place: Path) -> None:
-    """Writes a chunk's table, whole or not at all."""
-    with writing(place, "name another place"):
-        place.parent.mkdir(parents=True, exist_ok=True)
-        with whole(place) as scratch:
-            table.to_parquet(scratch)
-
-
-def _only(folder: Folder, names: list[str]) -> Folder:
-    """The folder with these recordings alone: what a task needs of the manifest."""
-    return Folder(folder.root, folder.sensor, folder.manifest.loc[names])
 
 
 def _files(folder: Folder) -> list[Any]:

@@ -15,6 +15,9 @@ from pipeline.toml_tables import from_table, read_toml
 BOUNDS = Path(__file__).parent / "bounds.toml"
 PATHS = "track"  # splits of contacts along any path begin with this
 ANY = (0.0, float("inf"))
+# Labels that a bound's conditions are judged by; the second, of one that holds on the way.
+NEEDED = ("direction_deg", "offset_mm")
+NEEDED_ON_THE_WAY = (*NEEDED, "start_x_mm", "start_y_mm", "travel_mm", "motion_start_s", "motion_end_s")
 # The article's stroke over the inflated area, section 5.3.
 INFLATED_MM = 50.0
 
@@ -47,9 +50,8 @@ class Bound:
 class Verdict:
     """A bound held against recordings. Errors in the quantity's unit; `worst` names the worst recording.
 
-    met: None where the bound is not tested: no recording meets its conditions, or the model estimates other
-    quantities and never this one (`estimated` is false). missing: rows within the conditions that hold no valid
-    estimate; one is enough to miss the bound, since the article promises an estimate there.
+    met: None where the bound is not tested, and `untested` says why. missing: rows within the conditions that hold no
+    valid estimate; one is enough to miss the bound, since the article promises an estimate there.
     """
 
     bound: Bound
@@ -59,40 +61,24 @@ class Verdict:
     mean: float | None
     max: float | None
     worst: str | None
-    estimated: bool = True
+    untested: str | None = None
 
     def line(self) -> str:
         """The verdict in one line, with the largest error and the worst recording."""
         head = f"{self.bound.name}, below {self.bound.limit:g} {QUANTITIES[self.bound.quantity]}:"
         if self.met is None:
-            return f"{head} not tested, {self.why_untested}"
+            return f"{head} not tested, {self.untested}"
         verdict = "met" if self.met else "MISSED"
         gaps = f", {self.missing} without a valid estimate" if self.missing else ""
         largest = "" if self.max is None else f", {number(self.max)} at most"
         return f"{head} {verdict}{largest} in {self.recordings} recordings{gaps}; worst {self.worst}"
 
-    @property
-    def why_untested(self) -> str:
-        """What keeps a bound from being tested."""
-        return "no such recording" if self.estimated else "this model does not estimate it"
-
     def as_json(self) -> dict[str, Any]:
         """The verdict for `metrics.json`."""
-        return {
-            "name": self.bound.name,
-            "says": self.bound.says,
-            "source": self.bound.source,
-            "quantity": self.bound.quantity,
-            "unit": QUANTITIES[self.bound.quantity],
-            "limit": self.bound.limit,
-            "measured": self.max,
-            "mean": self.mean,
-            "worst": self.worst,
-            "recordings": self.recordings,
-            "missing": self.missing,
-            "pass": self.met,
-            "untested": self.why_untested if self.met is None else None,
-        }
+        bound = {name: getattr(self.bound, name) for name in ("name", "says", "source", "quantity", "limit")}
+        found = {name: getattr(self, name) for name in ("mean", "worst", "recordings", "missing", "untested")}
+        unit = QUANTITIES[self.bound.quantity]
+        return bound | {"unit": unit, "measured": self.max, "pass": self.met} | found
 
 
 @dataclass(frozen=True)
@@ -106,7 +92,7 @@ def read_bounds(path: Path = BOUNDS) -> tuple[Bound, ...]:
     """Reads the bounds.
 
     Raises:
-        InputError: an unknown or missing key, or a value that is none.
+        InputError: an unknown or missing key, or a value out of range.
     """
     return from_table(_Bounds, read_toml(path), str(path)).bound
 
@@ -118,24 +104,38 @@ def check(bound: Bound, scored: pd.DataFrame, depths_mm: Sequence[float] = ()) -
     """
     rows = scored[_within(bound, scored, depths_mm)]
     errors = rows[f"{bound.quantity}_error"]
-    answered = scored[scored["direction_deg"].notna()]
-    estimated = answered.empty or bool(answered[ESTIMATES[bound.quantity]].notna().any())
-    missing = int(errors.isna().sum())
-    tested = estimated and not rows.empty
-    met = missing == 0 and bool((errors < bound.limit).all()) if tested else None
-    worst = None if errors.isna().all() else str(rows["recording"].iloc[int(errors.argmax())])
+    missing, none = int(errors.isna().sum()), bool(errors.isna().all())
+    untested = _untested(bound, scored, rows)
+    worst = None if none else str(rows["recording"].iloc[int(errors.argmax())])
     if missing:
         worst = str(rows.loc[errors.isna(), "recording"].iloc[0])
     return Verdict(
         bound,
-        met,
+        met=None if untested else missing == 0 and bool((errors < bound.limit).all()),
         recordings=rows["recording"].nunique(),
         missing=missing,
-        mean=None if errors.isna().all() else float(errors.mean()),
-        max=None if errors.isna().all() else float(errors.max()),
+        mean=None if none else float(errors.mean()),
+        max=None if none else float(errors.max()),
         worst=worst,
-        estimated=estimated,
+        untested=untested,
     )
+
+
+def _untested(bound: Bound, scored: pd.DataFrame, rows: pd.DataFrame) -> str | None:
+    """Why nothing tests the bound: the model never estimates its quantity, or no recording meets its conditions, of
+    which some may lack the labels; None where it is tested. rows: of `scored`, those that meet the conditions."""
+    answered = scored[scored["direction_deg"].notna()]
+    if len(answered) and answered[ESTIMATES[bound.quantity]].isna().all():
+        return "this model does not estimate it"
+    if len(rows):
+        return None
+    each = scored.drop_duplicates("recording")
+    lacking = {
+        name: int(each[f"true_{name}"].isna().sum())
+        for name in (NEEDED, NEEDED_ON_THE_WAY)[bool(bound.after_travel_mm)]
+    }
+    gaps = [f"{name} is missing in {count}" for name, count in lacking.items() if count]
+    return "no such recording" + (f": of {len(each)}, {', '.join(gaps)}" if gaps else "")
 
 
 def _within(bound: Bound, scored: pd.DataFrame, depths_mm: Sequence[float]) -> pd.Series:

@@ -13,24 +13,19 @@ import numpy as np
 import pandas as pd
 
 from experiments.evaluation.archive import Archive
+from experiments.evaluation.scoring import INTERVALS
 from features.errors import InputError
 from features.estimate import Estimate
 from pipeline.recordings.folder import Folder, Recording
 from serve.localizer import Localizer
 
 ESTIMATED = (
-    "direction_deg",
-    "direction_lo_deg",
-    "direction_hi_deg",
-    "speed_mm_s",
-    "speed_lo_mm_s",
-    "speed_hi_mm_s",
-    "offset_mm",
-    "offset_lo_mm",
-    "offset_hi_mm",
-    "depth_mm",
-    "x_mm",
-    "y_mm",
+    *(
+        f"{stem}{end}_{unit}"
+        for stem, unit in (n.split("_", 1) for n in INTERVALS)
+        for end in ("", "_lo", "_hi")
+    ),
+    *("depth_mm", "x_mm", "y_mm"),
 )
 COLUMNS = ("recording", "stroke_fraction", *ESTIMATED, "valid")
 STROKE = tuple(n / 10 for n in range(1, 11))
@@ -64,13 +59,21 @@ def read_at(
 
 def predict_recording(bundle: Path, folder: Folder, name: str) -> list[dict[str, Any]]:
     """One recording's rows of `predictions.csv`, as dictionaries of COLUMNS; NaN where not estimated."""
-    recording = folder.read(name)
-    fractions, moments_s = zip(*moments(folder.manifest.loc[name].to_dict(), recording.time_s), strict=True)
-    localizer = open_localizer(bundle)
-    estimates = read_at(localizer, samples_for(localizer, recording), recording.time_s, moments_s)
+    localizer, recording = open_localizer(bundle), folder.read(name)
+    return rows_of(
+        localizer, recording, samples_for(localizer, recording), folder.manifest.loc[name].to_dict()
+    )
+
+
+def rows_of(
+    localizer: Localizer, recording: Recording, samples: np.ndarray, label: Mapping[Any, Any]
+) -> list[dict[str, Any]]:
+    """The rows of a recording that a localizer reads as `samples`. label: its row of the manifest."""
+    fractions, moments_s = zip(*moments(label, recording.time_s), strict=True)
+    estimates = read_at(localizer, samples, recording.time_s, moments_s)
     return [
-        {"recording": name, "stroke_fraction": fraction}
-        | {column: getattr(estimate, column) for column in (*ESTIMATED, "valid")}
+        {"recording": recording.name, "stroke_fraction": fraction}
+        | {column: getattr(estimate, column) for column in COLUMNS[2:]}
         for fraction, estimate in zip(fractions, estimates, strict=True)
     ]
 

@@ -7,13 +7,14 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from experiments.evaluation import efficiency_figures, figures, track_figures, tracks
+from experiments.evaluation import figures, track_figures, tracks
 from experiments.evaluation.bounds import Verdict
-from experiments.evaluation.scoring import INTERVALS, QUANTITIES
+from experiments.evaluation.scoring import QUANTITIES
 from experiments.evaluation.traces import trace
 from experiments.evaluation.tracks import Track
 from experiments.pages.figures import Panel
 from experiments.pages.page import number, render
+from experiments.tracking.run import flattened
 from features.stream.conditioning import Conditioning
 from pipeline.recordings.folder import Folder
 from pipeline.recordings.taught import CALIBRATION
@@ -25,8 +26,15 @@ QUANTITY_NAMES = {
     "offset_mm": "distance, mm",
     "position_mm": "position, mm",
 }
+# Stroke fractions of the table of errors over the bound; the figures have them all.
+SHARES = {"0.4": "after 2/5 of the stroke", "1.0": "at its end"}
+# Labels whose range is shown, with their names and units.
+RANGES = {
+    "true_speed_mm_s": ("Speeds", "mm/s"),
+    "true_depth_mm": ("Contact depths", "mm"),
+    "true_pressure_mpa": ("Pressures", "MPa"),
+}
 WORST = 10
-SECTOR_DEG = 30.0  # of directions that count as tested together
 
 
 def write_report(
@@ -39,7 +47,7 @@ def write_report(
 ) -> None:
     """Writes the report on `evaluate.measure`'s metrics, the scored predictions and the tracks behind them.
 
-    scored: without slides along taught lines. folder: with all splits, of which calibration's lines are drawn.
+    scored: without slides along calibration lines. folder: with all splits, of which calibration's lines are drawn.
     """
     sensor = folder.sensor
     end = scored[scored["stroke_fraction"] == 1.0]
@@ -61,7 +69,6 @@ def write_report(
             ("By share of the stroke seen", metrics["overall"]),
         ],
         quantities=QUANTITY_NAMES,
-        intervals=INTERVALS,
         units=QUANTITIES,
         origin=sensor.origin,
         covered_map=figures.coverage(scored, calibration, sensor),
@@ -73,17 +80,17 @@ def write_report(
             ("Recording by recording", figures.recording_by_recording(end, verdicts)),
         ],
         over_bound=metrics["over_bound"],
-        bound_shares=efficiency_figures.SHARES,
-        bound_panels=efficiency_figures.over_bound(metrics["over_bound"] or {}),
+        bound_shares=SHARES,
+        bound_panels=figures.over_bound(metrics["over_bound"] or {}),
         worst=worst(scored, folder),
-        silent=_silent(end),
+        silent=[str(name) for name in end.loc[~end["valid"].astype(bool), "recording"]],
         tracks=metrics.get("tracks", {}),
         whole_contacts=metrics.get("whole_contacts", {}),
         tracked=tracks.QUANTITIES,
         covered=tracks.COVERED,
-        track_panels=track_figures.along_the_contact(followed) if followed else [],
+        track_panels=track_figures.along_the_contact(followed),
         track_pictures=_pictures(followed, folder),
-        card=_flat(metrics["bundle"]["card"]),
+        card=_lines(metrics["bundle"]["card"]),
     )
     path.write_text(text, encoding="utf-8")
 
@@ -108,34 +115,27 @@ def answer(verdicts: Sequence[Verdict]) -> tuple[str, str]:
 
 
 def not_tested(end: pd.DataFrame, verdicts: Sequence[Verdict], chamber_mm: tuple[float, float]) -> list[str]:
-    """What the scored recordings leave open, a sentence each. end: rows at the end of the stroke, untaught lines."""
-    told = [
-        f"The bound “{v.bound.name}” ({v.bound.says}): {v.why_untested}." for v in verdicts if v.met is None
-    ]
+    """What the scored recordings leave open, a sentence each. end: rows at the end of the stroke, new lines alone."""
+    lines = [f"The bound “{v.bound.name}” ({v.bound.says}): {v.untested}." for v in verdicts if v.met is None]
     if end.empty:
-        return [*told, "No recording is along a line that calibration has not taught."]
-    direction = end["true_direction_deg"].dropna()
-    sectors = ((direction + SECTOR_DEG / 2) % 360 // SECTOR_DEG).astype(int)
-    missing = [f"{SECTOR_DEG * k:g}" for k in range(int(360 / SECTOR_DEG)) if k not in set(sectors)]
-    if missing:
-        told.append(f"Directions near {', '.join(missing)} deg: no recording.")
-    for column, what, unit in (
-        ("true_speed_mm_s", "Speeds", "mm/s"),
-        ("true_depth_mm", "Contact depths", "mm"),
-        ("true_pressure_mpa", "Pressures", "MPa"),
-    ):
+        return [*lines, "No recording is along a line that calibration has not seen."]
+    if missing := figures.missing_sectors(end["true_direction_deg"].dropna()):
+        lines.append(f"Directions near {', '.join(missing)} deg: no recording.")
+    for column, (what, unit) in RANGES.items():
         values = end[column].dropna()
         if values.empty:
-            told.append(f"{what}: no recording says.")
+            lines.append(f"{what}: no recording says.")
         elif np.isclose(values.min(), values.max()):
-            told.append(f"{what} other than {values.min():g} {unit}.")
+            lines.append(f"{what} other than {values.min():g} {unit}.")
         else:
-            told.append(f"{what} below {values.min():.3g} and above {values.max():.3g} {unit}.")
+            lines.append(f"{what} below {values.min():.3g} and above {values.max():.3g} {unit}.")
     reach = end["true_offset_mm"].abs().max()
     if np.isfinite(reach) and reach < min(chamber_mm) / 2 - 1.0:
-        told.append(f"Lines farther than {reach:.3g} mm from the accelerometer.")
-    told.append("Another sensor of this design, another indenter, other days than those of the recordings.")
-    return told
+        lines.append(f"Lines farther than {reach:.3g} mm from the accelerometer.")
+    return [
+        *lines,
+        "Another sensor of this design, another indenter, other days than those of the recordings.",
+    ]
 
 
 def worst(scored: pd.DataFrame, folder: Folder) -> list[tuple[str, str, list[Panel]]]:
@@ -143,37 +143,28 @@ def worst(scored: pd.DataFrame, folder: Folder) -> list[tuple[str, str, list[Pan
     is labelled): name, what was off, and two panels, path and outputs."""
     end = scored[scored["stroke_fraction"] == 1.0]
     column = "position_mm_error" if end["position_mm_error"].notna().any() else "direction_deg_error"
-    found = []
-    channels = [c for c in folder.sensor.channels if c[-1] in folder.sensor.touch_axes][:6]
-    for _, row in end.nlargest(WORST, column).iterrows():
-        name = str(row["recording"])
-        if not np.isfinite(row[column]):
-            continue
-        rows = scored[scored["recording"] == name]
-        label = folder.manifest.loc[name]
-        motion = label[["motion_start_s", "motion_end_s"]].to_numpy(float)
-        panels = [figures.path(rows, folder.sensor)]
-        if np.isfinite(motion).all():
-            shown = trace(folder, name, Conditioning(), len(folder.sensor.accelerometers))
-            panels.append(
-                figures.outputs(shown, name, channels, motion, folder.sensor.accelerometers[0].unit)
-            )
-        off = ", ".join(
-            f"{text.split(', ')[0]} {number(row[f'{quantity}_error'])} {text.split(', ')[1]}"
-            for quantity, text in QUANTITY_NAMES.items()
-            if np.isfinite(row[f"{quantity}_error"])
-        )
-        what = (
-            f"{row['split']}, {label['direction_deg']:.4g} deg, {label['speed_mm_s']:.3g} mm/s, offset "
-            f"{label['offset_mm']:.3g} mm; off by: {off}"
-        )
-        found.append((name, what, panels))
-    return found
+    largest = end.dropna(subset=[column]).nlargest(WORST, column)
+    return [
+        _shown(row, scored[scored["recording"] == row["recording"]], folder) for _, row in largest.iterrows()
+    ]
 
 
-def _silent(end: pd.DataFrame) -> list[str]:
-    """Names of the recordings without a valid estimate at the end of the stroke."""
-    return [str(name) for name in end.loc[~end["valid"].astype(bool), "recording"]]
+def _shown(row: pd.Series, rows: pd.DataFrame, folder: Folder) -> tuple[str, str, list[Panel]]:
+    name, sensor = str(row["recording"]), folder.sensor
+    label = folder.manifest.loc[name]
+    motion = label[["motion_start_s", "motion_end_s"]].to_numpy(float)
+    panels = [figures.path(rows, sensor)]
+    if np.isfinite(motion).all():
+        channels = [c for c in sensor.channels if c[-1] in sensor.touch_axes][:6]
+        over_time = trace(folder, name, Conditioning(), len(sensor.accelerometers))
+        panels.append(figures.outputs(over_time, name, channels, motion, sensor.accelerometers[0].unit))
+    off = [(*text.split(", "), row[f"{quantity}_error"]) for quantity, text in QUANTITY_NAMES.items()]
+    what = (
+        f"{row['split']}, {label['direction_deg']:.4g} deg, {label['speed_mm_s']:.3g} mm/s, offset "
+        f"{label['offset_mm']:.3g} mm; off by: "
+        + ", ".join(f"{word} {number(error)} {unit}" for word, unit, error in off if np.isfinite(error))
+    )
+    return name, what, panels
 
 
 def _pictures(followed: Sequence[Track], folder: Folder) -> list[tuple[str, list[Panel]]]:
@@ -185,13 +176,10 @@ def _pictures(followed: Sequence[Track], folder: Folder) -> list[tuple[str, list
     ]
 
 
-def _flat(card: dict[str, Any], prefix: str = "") -> list[tuple[str, str]]:
+def _lines(card: dict[str, Any]) -> list[tuple[str, str]]:
     """The card as lines of a table: nested keys joined by a dot, long lists cut."""
-    lines: list[tuple[str, str]] = []
-    for key, value in card.items():
-        if isinstance(value, dict):
-            lines += _flat(value, f"{prefix}{key}.")
-        else:
-            text = ", ".join(map(str, value)) if isinstance(value, list) else str(value)
-            lines.append((prefix + key, text if len(text) <= 160 else text[:157] + "..."))
-    return lines
+    texts = {
+        key: ", ".join(map(str, value)) if isinstance(value, list) else str(value)
+        for key, value in flattened(card).items()
+    }
+    return [(key, text if len(text) <= 160 else text[:157] + "...") for key, text in texts.items()]

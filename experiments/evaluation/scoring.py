@@ -1,9 +1,9 @@
 """Errors of predictions against a manifest's labels, and their summaries.
 
-An estimate that its model marks as not valid is no estimate: it enters no error, and is counted as missing.
+An estimate that its model marks as not valid does not count: it enters no error, and is counted as missing.
 """
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any
 
@@ -34,8 +34,11 @@ ESTIMATES = {
 }
 # Quantities with an interval, by the contract's column.
 INTERVALS = ("direction_deg", "speed_mm_s", "offset_mm")
+AXES = ("X forward", "Y forward", "X backward", "Y backward")
+BETWEEN = ("0 to 90 deg", "90 to 180 deg", "180 to 270 deg", "270 to 360 deg")
 # A slide this close to an axis counts as one of the article's X- or Y-slides.
 AXIS_TOLERANCE_DEG = 1.0
+ROUNDING = 1e-9  # of mm and mm/s in labels computed from angles
 
 
 def signed_errors(table: pd.DataFrame) -> pd.DataFrame:
@@ -62,7 +65,7 @@ def score(predictions: pd.DataFrame, manifest: pd.DataFrame, sensor: Sensor) -> 
     `true_`. `offset_percent` is relative to the line's distance. The place is the contact's: where an object has left
     the skin, the one at which it left. `position_percent` is the article's: the
     larger of the error along the motion over the travel since the chamber's edge, and of the distance's.
-    `travelled_mm` is that travel. `*_covered` tells whether an interval holds the label, 0 or 1. NaN where
+    `travelled_mm` is that travel. `*_covered`: whether an interval holds the label, 0 or 1. NaN where
     there is no label or no valid estimate.
     """
     labels = manifest.drop(columns="file").add_prefix("true_").rename(columns={"true_split": "split"})
@@ -147,29 +150,14 @@ def along_the_stroke(scored: pd.DataFrame) -> dict[str, dict[str, Any]]:
     return {f"{fraction:.1f}": summary(rows) for fraction, rows in scored.groupby("stroke_fraction")}
 
 
-def grouped(
-    scored: pd.DataFrame, key: Callable[[pd.DataFrame], pd.Series], names: tuple[str, ...]
-) -> dict[str, dict[str, Any]]:
-    """A summary for each of the groups `names`, in this order, that `key` assigns to some row."""
-    groups = key(scored)
-    return {name: summary(scored[groups == name]) for name in names if (groups == name).any()}
-
-
 def by_direction(scored: pd.DataFrame) -> dict[str, dict[str, Any]]:
     """The article's four directions, and what lies between them."""
-    between = ("0 to 90 deg", "90 to 180 deg", "180 to 270 deg", "270 to 360 deg")
-    axes = ("X forward", "Y forward", "X backward", "Y backward")
-
-    def key(rows: pd.DataFrame) -> pd.Series:
-        direction = rows["true_direction_deg"]
-        names = pd.Series("", index=rows.index)
-        for quarter, (name, sector) in enumerate(zip(axes, between, strict=True)):
-            near = near_deg(direction, 90 * quarter)
-            names[(direction // 90 == quarter) & (names == "")] = sector
-            names[near] = name
-        return names
-
-    return grouped(scored, key, (*axes, *between))
+    direction = scored["true_direction_deg"]
+    names = pd.Series("", index=scored.index)
+    for quarter, sector in enumerate(BETWEEN):
+        names[(direction // 90 == quarter) & (names == "")] = sector
+        names[near_deg(direction, 90 * quarter)] = AXES[quarter]
+    return _grouped(scored, names, (*AXES, *BETWEEN))
 
 
 def by_distance(scored: pd.DataFrame) -> dict[str, dict[str, Any]]:
@@ -183,18 +171,18 @@ def by_speed(scored: pd.DataFrame) -> dict[str, dict[str, Any]]:
 
 
 def _binned(scored: pd.DataFrame, values: pd.Series, edges: tuple[float, ...], unit: str) -> dict[str, Any]:
-    inner = [f"{low:g} to {high:g} {unit}" for low, high in pairwise(edges)]
-    names = (*inner, f"over {edges[-1]:g} {unit}")
-    bins = pd.cut(values, [*edges, np.inf], labels=list(names), include_lowest=True).astype(object)
-    return grouped(scored, lambda rows: bins.loc[rows.index], names)
+    names = [f"{low:g} to {high:g} {unit}" for low, high in pairwise(edges)] + [f"over {edges[-1]:g} {unit}"]
+    return _grouped(scored, pd.cut(values, [*edges, np.inf], labels=names, include_lowest=True), names)
+
+
+def _grouped(scored: pd.DataFrame, group: pd.Series, names: Sequence[str]) -> dict[str, dict[str, Any]]:
+    """A summary for each of the groups `names`, in this order, that some row is in."""
+    return {name: summary(scored[group == name]) for name in names if (group == name).any()}
 
 
 def _percent(error: pd.Series, size: pd.Series) -> pd.Series:
     """error / size in percent; NaN where size is nothing but rounding."""
     return 100 * error / size.where(size > ROUNDING)
-
-
-ROUNDING = 1e-9  # of mm and mm/s in labels computed from angles
 
 
 def _over(
@@ -214,8 +202,8 @@ def _over(
         across = np.abs(heading) > 1e-9
         step = np.where(across, heading, 1.0)
         ends = np.sort([(-half - start) / step, (half - start) / step], axis=0)
-        beside = np.where(np.abs(start) <= half, -np.inf, np.inf)
-        enter = np.maximum(enter, np.where(across, ends[0], beside))
+        outside = np.where(np.abs(start) <= half, -np.inf, np.inf)
+        enter = np.maximum(enter, np.where(across, ends[0], outside))
         leave = np.minimum(leave, np.where(across, ends[1], np.inf))
     known = (enter <= leave) & np.isfinite(enter)
     enter, leave = (np.where(known, end, np.nan) for end in (enter, leave))

@@ -7,6 +7,7 @@ import pandas as pd
 
 from features.stream.conditioning import Conditioning, block_means
 from pipeline.recordings.folder import Folder
+from pipeline.recordings.heights import laser_readings_mm
 from pipeline.recordings.stroke import stage_motion
 
 # Of each pressure, recordings whose static output is read; more say the same.
@@ -33,18 +34,16 @@ def trace(folder: Folder, name: str, conditioning: Conditioning, boards: int = 1
 
 
 def static_outputs(folder: Folder) -> pd.DataFrame:
-    """The first board's static output (V, less the zero-g output) of some recordings of each pressure."""
-    board, manifest = folder.sensor.accelerometers[0], folder.manifest
-    known = manifest[manifest["motion_start_s"].notna()]
-    pressures = known["pressure_mpa"].round(4)
+    """The first board's static output (V, less the zero-g output) of some recordings of each pressure, with a laser's
+    reading of the skin's height (mm), NaN without one."""
+    zero, known = folder.sensor.accelerometers[0].zero_g_v, folder.manifest["motion_start_s"].notna()
+    labels = folder.manifest.assign(laser_mm=laser_readings_mm(folder))[known]
     rows = []
-    for pressure in sorted(set(pressures.fillna(-1.0))):
-        names = known.index[pressures.fillna(-1.0) == pressure]
-        for name in names[:: -(-len(names) // MOST_AT_REST)]:
+    for _, part in labels.groupby(labels["pressure_mpa"].round(4), dropna=False):
+        for name, label in part.iloc[:: -(-len(part) // MOST_AT_REST)].iterrows():
             recording = folder.load(str(name))
-            rest = recording.time_s < known.at[name, "motion_start_s"]
-            if rest.sum() < LEAST_REST_S * folder.sensor.sample_rate_hz:
-                continue
-            x, y = recording.volts[rest, :2].mean(axis=0) - board.zero_g_v
-            rows.append((name, known.at[name, "pressure_mpa"], x, y))
-    return pd.DataFrame(rows, columns=["recording", "pressure_mpa", "static_x_v", "static_y_v"])
+            rest = recording.time_s < label["motion_start_s"]
+            if rest.sum() >= LEAST_REST_S * folder.sensor.sample_rate_hz:
+                volts = recording.volts[rest, :2].mean(axis=0) - zero
+                rows.append((name, label["pressure_mpa"], label["laser_mm"], *volts))
+    return pd.DataFrame(rows, columns=["recording", "pressure_mpa", "laser_mm", "static_x_v", "static_y_v"])

@@ -1,6 +1,6 @@
 """Scores of a followed contact: a bundle's estimates, block by block, against the truth of a recording.
 
-An estimate counts where it is *live*: valid, in state `slide`. What it says of direction, speed and offset is judged
+An estimate counts where it is *live*: valid, in state `slide`. Direction, speed and offset are judged
 where the contact moves at `MOVING_MM_S` or more; the rest wherever something touches. The offset is the tangent's.
 """
 
@@ -55,7 +55,7 @@ class Track:
 
 
 def with_truth(folder: Folder) -> list[str]:
-    """The recordings whose truth lies beside them."""
+    """The recordings whose truth lies next to them."""
     return [str(n) for n, file in folder.manifest["file"].items() if truth_path(folder.root / file).is_file()]
 
 
@@ -96,9 +96,9 @@ def _judged(
     localizer, recording = open_localizer(bundle), folder.load(name)
     assert recording.truth is not None
     samples = samples_for(localizer, recording)
-    said = estimate_table([record(estimate) for estimate in estimates(localizer, samples)])
-    said["time_s"] += recording.time_s[0]
-    return judge(said, recording.truth, folder.sensor.reference_mm).assign(recording=name)
+    stream = estimate_table([record(estimate) for estimate in estimates(localizer, samples)])
+    stream["time_s"] += recording.time_s[0]
+    return judge(stream, recording.truth, folder.sensor.reference_mm).assign(recording=name)
 
 
 def estimate_table(records: Sequence[dict[str, Any]]) -> pd.DataFrame:
@@ -106,43 +106,43 @@ def estimate_table(records: Sequence[dict[str, Any]]) -> pd.DataFrame:
 
     NaN where nothing is estimated. A stream of velocities alone gets its direction and speed from these.
     """
-    said = pd.DataFrame.from_records(records)
-    table = said.reindex(columns=["time_s", *_COLUMNS]).apply(pd.to_numeric, errors="coerce").astype(float)
+    stream = pd.DataFrame.from_records(records)
+    table = stream.reindex(columns=["time_s", *_COLUMNS]).apply(pd.to_numeric, errors="coerce").astype(float)
     if table["direction_deg"].isna().all():
         table["direction_deg"] = np.rad2deg(np.arctan2(table["vy_mm_s"], table["vx_mm_s"])) % 360
         table["speed_mm_s"] = np.hypot(table["vx_mm_s"], table["vy_mm_s"])
-    table["state"] = said["state"].astype(str) if "state" in said else "slide"
-    table["valid"] = said["valid"].astype(bool)
+    table["state"] = stream["state"].astype(str) if "state" in stream else "slide"
+    table["valid"] = stream["valid"].astype(bool)
     return table
 
 
-def judge(said: pd.DataFrame, truth: pd.DataFrame, reference_mm: tuple[float, float]) -> pd.DataFrame:
+def judge(stream: pd.DataFrame, truth: pd.DataFrame, reference_mm: tuple[float, float]) -> pd.DataFrame:
     """One row for each estimate: the estimate, `true_*` at its moment, errors, and whether it is wrong.
 
-    said: as `estimate_table` returns it. Errors are signed but the position's, in the units of `QUANTITIES`. `*_held`
-    is the share of the quantity's intervals, of one or two of them, that hold the truth: NaN where there is none.
+    stream: as `estimate_table` returns it. Errors are signed but the position's, in the units of `QUANTITIES`. `*_held`
+    is the share of the quantity's intervals, of one or two of them, that hold the truth: NaN without one.
     """
-    true = _true_at(said["time_s"].to_numpy(), truth, reference_mm)
-    table = said.join(true.add_prefix("true_"))
-    table["touching"] = _touching(said["time_s"].to_numpy(), truth)
+    true = _true_at(stream["time_s"].to_numpy(), truth, reference_mm)
+    table = stream.join(true.add_prefix("true_"))
+    table["touching"] = _touching(stream["time_s"].to_numpy(), truth)
     table["moving"] = table["touching"] & (true["speed_mm_s"] >= MOVING_MM_S)
-    table["live"] = said["valid"] & (said["state"] == "slide")
-    table["ended"] = said["valid"] & (said["state"] == "ended")
+    table["live"] = stream["valid"] & (stream["state"] == "slide")
+    table["ended"] = stream["valid"] & (stream["state"] == "ended")
 
-    table["position_error"] = np.hypot(said["x_mm"] - true["x_mm"], said["y_mm"] - true["y_mm"])
-    table["direction_error"] = wrapped_deg((said["direction_deg"] - true["direction_deg"]).to_numpy())
-    table["speed_error"] = 100 * (said["speed_mm_s"] / true["speed_mm_s"].clip(lower=1e-9) - 1)
-    table["offset_error"] = said["offset_mm"] - true["offset_mm"]
-    table["depth_error"] = said["depth_mm"] - true["depth_mm"]
+    table["position_error"] = np.hypot(stream["x_mm"] - true["x_mm"], stream["y_mm"] - true["y_mm"])
+    table["direction_error"] = wrapped_deg((stream["direction_deg"] - true["direction_deg"]).to_numpy())
+    table["speed_error"] = 100 * (stream["speed_mm_s"] / true["speed_mm_s"].clip(lower=1e-9) - 1)
+    table["offset_error"] = stream["offset_mm"] - true["offset_mm"]
+    table["depth_error"] = stream["depth_mm"] - true["depth_mm"]
 
-    off, half = _from_middles(said, true)
+    off, half = _from_middles(stream, true)
     held = (off.abs() <= half).astype(float).where(half.notna() & true[half.columns].notna())
     for stem in ("direction", "speed", "offset", "depth"):
         table[f"{stem}_held"] = held[_column(stem)]
     table["position_held"] = (held["x_mm"] + held["y_mm"]) / 2
     table["velocity_held"] = (held["vx_mm_s"] + held["vy_mm_s"]) / 2
 
-    errors = said[half.columns] - true[half.columns]
+    errors = stream[half.columns] - true[half.columns]
     errors["direction_deg"] = table["direction_error"]
     wide = errors.abs() > WRONG_HALF_WIDTHS * half
     beyond = wide[["x_mm", "y_mm", "speed_mm_s"]].any(axis=1)
@@ -195,16 +195,17 @@ def by_split(followed: Sequence[Track]) -> dict[str, dict[str, Any]]:
 
 def line(split: str, row: dict[str, Any]) -> str:
     """A summary in one line."""
-    share: Callable[[str], str] = lambda name: "-" if row[name] is None else f"{100 * row[name]:.0f} %"  # noqa: E731
+
+    def share(name: str) -> str:
+        return "-" if row[name] is None else f"{100 * row[name]:.0f} %"
+
     errors = ", ".join(
         f"{quantity} {row[quantity]['median']:.2g} {unit}"
         for quantity, unit in QUANTITIES.items()
         if row[quantity]["median"] is not None
     )
-    told = f"median errors: {errors}" if errors else "no estimate"
-    return (
-        f"{split}: valid {share('valid_share')} of the contact, of these wrong {share('wrong_share')}; {told}"
-    )
+    summed = f"median errors: {errors}" if errors else "no estimate"
+    return f"{split}: valid {share('valid_share')} of the contact, of these wrong {share('wrong_share')}; {summed}"
 
 
 def _true_at(time_s: np.ndarray, truth: pd.DataFrame, reference_mm: tuple[float, float]) -> pd.DataFrame:
@@ -226,10 +227,10 @@ def _touching(time_s: np.ndarray, truth: pd.DataFrame) -> np.ndarray:
     return truth["contact"].to_numpy()[at] > 0
 
 
-def _from_middles(said: pd.DataFrame, true: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Distance of the truth from the middle of each interval, and the half width; NaN where there is none."""
+def _from_middles(stream: pd.DataFrame, true: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Distance of the truth from the middle of each interval, and the half width; NaN without one."""
     columns = {
-        _column(stem): (said[f"{stem}_lo_{unit}"], said[f"{stem}_hi_{unit}"]) for stem, unit in BOUNDED
+        _column(stem): (stream[f"{stem}_lo_{unit}"], stream[f"{stem}_hi_{unit}"]) for stem, unit in BOUNDED
     }
     half = pd.DataFrame({name: (high - low) / 2 for name, (low, high) in columns.items()})
     off = pd.DataFrame({name: true[name] - (low + high) / 2 for name, (low, high) in columns.items()})
@@ -242,7 +243,7 @@ def _column(stem: str) -> str:
 
 
 def _first(judged: pd.DataFrame) -> float:
-    """Seconds from the touch to the first live estimate; NaN if there is none."""
+    """Seconds from the touch to the first live estimate; NaN without one."""
     touching = judged.loc[judged["touching"], "time_s"]
     return judged.loc[judged["touching"] & judged["live"], "time_s"].min() - touching.min()
 

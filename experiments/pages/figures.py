@@ -7,19 +7,20 @@ side by side. It takes its colours from the page, which has a set for light and 
 import html
 import io
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
 import matplotlib as mpl
 import numpy as np
+import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from pipeline.sensor import Sensor
 
-# Okabe and Ito's palette: told apart with any colour vision.
+# Okabe and Ito's palette: distinct with any colour vision.
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
 INK, LABEL, EDGE, GRID = "#1c2328", "#3b444b", "#8a939b", "#e4e7ea"
 STYLE: dict[Any, Any] = {
@@ -98,6 +99,92 @@ def panel(
         yield figure, figure.add_subplot(**options)
 
 
+def chart(
+    table: pd.DataFrame,
+    x: str,
+    y: str,
+    by: str,
+    labels: tuple[str, str, str],
+    caption: str,
+    *,
+    mark: str = "o",
+    colours: Sequence[str] = COLOURS,
+    limit: float | None = None,
+    log: bool = False,
+    draw: Callable[[Axes], None] | None = None,
+    below: int = 0,
+    height: float = PANEL_INCHES[1],
+    left: float = MARGINS[0],
+    **axes: Any,
+) -> Panel:
+    """A panel of column `y` against column `x`, a series for each value of column `by` in the order of the rows.
+
+    labels: title, and what x and y are. mark: Matplotlib's format. limit: drawn dashed. log: y logarithmic, with zero.
+    draw: draws the rest. below: entries of a legend below the axes; 0: it stands in them. axes: of `Axes.set`.
+    """
+    room = LEGEND_ROW_INCHES * ((below + 1) // 2)
+    with panel(height + room, room, left) as (figure, ax):
+        if draw:
+            draw(ax)
+        for n, (name, rows) in enumerate(table.groupby(by, sort=False)):
+            look: dict[str, Any] = {"alpha": 0.8} if mark == "o" else {}
+            colour, line = colours[n % len(colours)], ("-", "--")[n // len(colours) % 2]
+            ax.plot(
+                rows[x],
+                rows[y],
+                mark.replace("-", line),
+                markersize=3,
+                color=colour,
+                label=str(name),
+                **look,
+            )
+        if limit is not None:
+            ax.axhline(limit, color=INK, linestyle="--", linewidth=1)
+        if log:
+            log_with_zero(ax, np.array([*table[y].astype(float), *([] if limit is None else [limit])]))
+        ax.set(title=labels[0], xlabel=labels[1], ylabel=labels[2], **axes)
+        if below:
+            legend_below(figure, ax)
+        elif ax.get_legend_handles_labels()[0]:
+            ax.legend(fontsize=8)
+        return Panel(inline(figure, caption), caption)
+
+
+def on_skin(
+    sensor: Sensor,
+    caption: str,
+    draw: Callable[[Axes], None],
+    title: str = "",
+    entries: int = 2,
+    columns: int = 2,
+) -> Panel:
+    """A panel of the skin from above, x and y in mm, with the chamber and the accelerometers.
+
+    entries: of the legend below, in so many columns; 0: none.
+    """
+    below = LEGEND_ROW_INCHES * -(-entries // columns)
+    x, y = np.array(sensor.chamber_mm) / 2
+    with panel(4.1 + below, below) as (figure, ax):
+        draw(ax)
+        draw_sensor(ax, sensor, width=1.2, label="sensor")
+        ax.set(
+            xlim=(-x - 6, x + 6),
+            ylim=(-y - 6, y + 6),
+            aspect="equal",
+            xlabel="x, mm",
+            ylabel="y, mm",
+            title=title,
+        )
+        if entries:
+            legend_below(figure, ax, columns)
+        return Panel(inline(figure, caption), caption)
+
+
+def rectangle(ax: Axes, low: np.ndarray, high: np.ndarray, **look: Any) -> None:
+    """Between two corners (2,)."""
+    ax.add_patch(mpl.patches.Rectangle((float(low[0]), float(low[1])), *(high - low), **look))
+
+
 def legend_below(figure: Figure, ax: Axes, columns: int = 2) -> None:
     """The legend of the axes at the figure's lower end, where `panel` has left room `below`."""
     handles, names = ax.get_legend_handles_labels()
@@ -121,6 +208,13 @@ def inline(figure: Figure, alt: str) -> str:
     for colour, variable in IN_PAGE.items():
         body = body.replace(colour, variable)
     return f'<svg {head.group()} role="img" aria-label="{html.escape(alt)}">{body}'
+
+
+def log_marks(ax: Axes, marks: Sequence[float]) -> None:
+    """A logarithmic x axis with these marks."""
+    ax.set_xscale("log")
+    locator, nowhere = mpl.ticker.FixedLocator(marks), mpl.ticker.NullLocator()
+    ax.xaxis.set(major_locator=locator, major_formatter="{x:g}", minor_locator=nowhere)
 
 
 def log_with_zero(ax: Axes, values: np.ndarray) -> None:

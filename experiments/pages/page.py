@@ -9,7 +9,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from experiments.pages.figures import Panel
 
 HERE = Path(__file__).parent
-# What is said of recordings by `origin` in their sensor.toml.
+# What `origin` of a sensor.toml means.
 ORIGINS = {
     "measured": ("Measured recordings", "of a real skin."),
     "emulated": (
@@ -52,7 +52,7 @@ def panels_page(title: str, lines: Sequence[str], groups: Sequence[tuple[str, Se
 
 
 def number(value: float | None, digits: int = 3) -> str:
-    """A number to so many significant digits; a dash where there is none."""
+    """A number to so many significant digits; a dash without one."""
     if value is None or value != value:
         return "–"
     return f"{value:#.{digits}g}".rstrip(".") if abs(value) < 10**digits else f"{value:,.0f}"

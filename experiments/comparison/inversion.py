@@ -1,7 +1,7 @@
-"""Reads out an estimator that has no graph at the same moments, and through the same runtime, as a bundle.
+"""The inverted response map, read out at the same moments and through the same runtime as a bundle, without a graph.
 
 The runtime runs twice over the recordings: first to note every window that it asks about, then with the estimator's
-answers for them. So what tells a slide from a touch, and a dead accelerometer from a live one, is the device's own.
+answers for them. So what separates a slide from a touch, and a dead accelerometer from a live one, is the device's own.
 """
 
 from collections.abc import Callable, Iterator
@@ -12,28 +12,51 @@ import numpy as np
 import onnxruntime as ort
 import pandas as pd
 
-from experiments.evaluation.readout import COLUMNS, moments, read_at
-from features.card import Card, Interval, Validity
+from experiments.evaluation.readout import COLUMNS, rows_of
+from experiments.train import design_of
+from features.card import HALF_WIDTH_SD, Card, Interval, Validity
 from features.stream.conditioning import Conditioning
+from models.cnn.fit import CnnConfig
+from models.cnn.inversion import Inversion
+from models.response_map.select import calibrated_map
+from pipeline.recordings.at_rest import conditioning_for
 from pipeline.recordings.folder import Folder
-from pipeline.sensor import Sensor
 from serve.localizer import Localizer
 
 # Windows volts (n, 3 A, 64) V and elapsed_s (n,) s -> rows (n, K) of a card's outputs.
 Predict = Callable[[np.ndarray, np.ndarray], np.ndarray]
+VALIDITY = Validity(misfit=20.0, direction_sd_deg=6.0, log_speed_sd=0.1)
+# Its own standard deviations, for 90 % of a normal distribution.
+INTERVALS = {name: Interval(HALF_WIDTH_SD, 0.0) for name in ("direction_deg", "log_speed", "offset_mm")}
+
+
+def invert(calibration: Folder, test: Folder) -> tuple[pd.DataFrame, Predict, Conditioning]:
+    """Calibrates the map on some slides and inverts it on others: their rows of `predictions.csv`, the estimator and
+    the signal path that it reads.
+
+    Raises:
+        InputError: the map cannot be calibrated on these.
+    """
+    config, conditioning = CnnConfig(), conditioning_for(calibration, Conditioning())
+    made = calibrated_map(
+        calibration, design_of(calibration, None), conditioning, config.calibration, config.spread
+    )
+    inversion = Inversion(made.response, made.conditioning.block_s)
+    card = window_card(inversion.outputs, test, made.conditioning, VALIDITY, INTERVALS)
+    return window_predictions(inversion.predict, card, test), inversion.predict, conditioning
 
 
 def window_card(
-    name: str,
     outputs: tuple[str, ...],
-    sensor: Sensor,
+    folder: Folder,
     conditioning: Conditioning,
     validity: Validity,
-    intervals: dict[str, Interval] | None = None,
+    intervals: dict[str, Interval],
 ) -> Card:
     """The card of an estimator on windows that has no graph and ships nowhere."""
+    sensor = folder.sensor
     return Card(
-        model=name,
+        model="inversion",
         input="window",
         outputs=outputs,
         sensor=asdict(sensor),
@@ -41,7 +64,7 @@ def window_card(
         sample_rate_hz=sensor.sample_rate_hz,
         reference_mm=sensor.reference_mm,
         conditioning=conditioning,
-        intervals=intervals or {},
+        intervals=intervals,
         validity=validity,
         provenance={},
         golden={},
@@ -72,8 +95,7 @@ class _Noted:
         """One window's row (1, K), NaN where it is not known yet."""
         volts, elapsed_s = inputs["volts"][0], float(inputs["elapsed_s"][0])
         key = volts.tobytes() + np.float64(elapsed_s).tobytes()
-        if key not in self.windows:
-            self.windows[key] = volts.copy(), elapsed_s
+        self.windows.setdefault(key, (volts.copy(), elapsed_s))
         return [self.rows.get(key, self._unknown)[None]]
 
 
@@ -81,9 +103,4 @@ def _rows(card: Card, session: _Noted, folder: Folder) -> Iterator[dict[str, Any
     localizer = Localizer(card, cast(ort.InferenceSession, session))
     for name in folder.manifest.index:
         recording = folder.load(name)
-        label = folder.manifest.loc[name].to_dict()
-        fractions, moments_s = zip(*moments(label, recording.time_s), strict=True)
-        estimates = read_at(localizer, recording.volts, recording.time_s, moments_s)
-        for fraction, estimate in zip(fractions, estimates, strict=True):
-            told = {column: getattr(estimate, column) for column in COLUMNS[2:]}
-            yield {"recording": name, "stroke_fraction": fraction, **told}
+        yield from rows_of(localizer, recording, recording.volts, folder.manifest.loc[name].to_dict())
