@@ -115,6 +115,29 @@ def atlas(parser: Parser, help: str) -> None:
     existing(parser, "--atlas", "ATLAS", help)
 
 
+def number(parser: Parser, name: str, metavar: str, help: str, default: Any = None, **options: Any) -> None:
+    """A number, or several; of the default's type, else a float. Its help ends with the default."""
+    shown = f"{help} (default: %(default)s)" if isinstance(default, int | float) else help
+    options = {"type": float if default is None else type(default), "default": default} | options
+    parser.add_argument(name, metavar=metavar, help=shown, **options)
+
+
+class _Picture(argparse.Action):
+    """Keeps the path of a picture to write, of a kind that can be written."""
+
+    def __call__(
+        self, parser: Parser, namespace: argparse.Namespace, values: Any, option_string: str | None = None
+    ) -> None:
+        if values.suffix not in (".svg", ".png", ".pdf"):
+            raise InputError(f"{values}: name a .svg, .png or .pdf", "picture")
+        setattr(namespace, self.dest, values)
+
+
+def picture(parser: Parser, metavar: str, help: str) -> None:
+    """--picture FILE"""
+    parser.add_argument("--picture", type=Path, action=_Picture, metavar=metavar, help=help)
+
+
 def out(parser: Parser, help: str, metavar: str = "DIR", required: bool = True) -> None:
     """--out DIR"""
     parser.add_argument("--out", type=Path, required=required, metavar=metavar, help=help)

@@ -3,7 +3,6 @@
 import argparse
 import json
 import sys
-from pathlib import Path
 
 from commands import arguments
 from commands.arguments import Parser, Run
@@ -29,11 +28,8 @@ def check(parser: Parser) -> Run:
     arguments.existing(parser, "folder", "DIR", "holds sensor.toml, manifest.csv, slides/*.parquet")
     arguments.atlas(parser, "of the sensor's design (default: the one that ships, or was solved earlier)")
     parser.add_argument("--json", action="store_true", help="the report as one JSON object")
-    parser.add_argument(
-        "--picture",
-        type=Path,
-        metavar="coverage.svg",
-        help="draw what the slides cover: .svg, .png or .pdf (needs the train extra)",
+    arguments.picture(
+        parser, "coverage.svg", "draw what the slides cover: .svg, .png or .pdf (needs the train extra)"
     )
 
     def run(given: argparse.Namespace) -> None:
@@ -41,8 +37,6 @@ def check(parser: Parser) -> Run:
         from pipeline.checks.report import checked, refused
         from pipeline.recordings.folder import read_folder
 
-        if given.picture and given.picture.suffix not in (".svg", ".png", ".pdf"):
-            raise InputError(f"{given.picture}: name a .svg, .png or .pdf", "picture")
         try:
             recordings = read_folder(given.folder, files=False)
         except InputError as error:
@@ -50,7 +44,7 @@ def check(parser: Parser) -> Run:
                 print(json.dumps(refused(given.folder, error).as_json(), indent=1))
             raise
         if given.picture:
-            from experiments.acquisition.coverage_picture import draw_coverage
+            from experiments.acquisition.pictures import draw_coverage
 
             draw_coverage(derived(recordings), given.picture)
         report = checked(recordings, given.atlas, derived)
@@ -150,9 +144,7 @@ def simulate(parser: Parser) -> Run:
     arguments.sensor(parser, "the design (default: the article's sensor)")
     arguments.out(parser, "the .npz file to write", metavar="ATLAS")
     parser.add_argument("--coarse", action="store_true", help="minutes instead of an hour, for a first look")
-    parser.add_argument(
-        "--depth", type=float, nargs="+", metavar="MM", help="contact depths in mm (default: 0.2 0.6 1.2)"
-    )
+    arguments.number(parser, "--depth", "MM", "contact depths in mm (default: 0.2 0.6 1.2)", nargs="+")
     arguments.jobs(parser, 2, "processes", "--workers")
     parser.add_argument(
         "--backend", choices=("loky", "dask"), default="loky", help="what runs them (default: %(default)s)"
@@ -198,20 +190,14 @@ def synthesize(parser: Parser) -> Run:
         parser,
         "names, places and electronics of the atlas's design (default: the article's electronics)",
     )
-    parser.add_argument(
-        "--slides",
-        type=int,
-        default=0,
-        metavar="N",
-        help="how many slides along straight lines (default: none)",
-    )
-    parser.add_argument(
+    arguments.number(parser, "--slides", "N", "how many slides along straight lines", 0)
+    arguments.number(
+        parser,
         "--paths",
-        type=int,
-        default=0,
-        metavar="N",
-        help="how many contacts along any path, with their truth: lines, curves, changing speed, stops, turns back, "
-        "touch-downs, lifts, changing depth, presses; splits track-KIND (default: none)",
+        "N",
+        "how many contacts along any path, with their truth: lines, curves, changing speed, stops, turns back, "
+        "touch-downs, lifts, changing depth, presses; splits track-KIND",
+        0,
     )
     parser.add_argument(
         "--solved",
@@ -224,9 +210,7 @@ def synthesize(parser: Parser) -> Run:
         choices=("article",),
         help="the article's 512 slides along x and y, split calibration (default: none)",
     )
-    parser.add_argument(
-        "--seed", type=int, default=0, metavar="S", help="of all that is random (default: %(default)s)"
-    )
+    arguments.number(parser, "--seed", "S", "of all that is random", 0)
     arguments.existing(
         parser,
         "--config",

@@ -2,11 +2,9 @@
 
 import argparse
 import math
-from pathlib import Path
 
 from commands import arguments
 from commands.arguments import Parser, Run
-from features.errors import InputError
 
 
 def design(parser: Parser) -> Run:
@@ -23,28 +21,14 @@ def design(parser: Parser) -> Run:
         softslide design --sensor sensor.toml --boards 2 --height 9 --out design
     """
     arguments.existing(parser, "--sensor", "sensor.toml", "the design", required=True)
-    parser.add_argument(
-        "--boards",
-        type=int,
-        nargs="+",
-        default=[1, 2, 3, 4],
-        metavar="N",
-        help="numbers of accelerometers (default: 1 2 3 4)",
+    boards = "numbers of accelerometers (default: 1 2 3 4)"
+    arguments.number(parser, "--boards", "N", boards, [1, 2, 3, 4], type=int, nargs="+")
+    arguments.number(parser, "--thickness", "MM", "of the skin, mm (default: the sensor's)")
+    arguments.number(parser, "--height", "MM", "of the inflated skin, mm (default: 7)")
+    arguments.number(
+        parser, "--chamber", "MM", "its sizes along x and y, mm (default: the sensor's)", nargs=2
     )
-    parser.add_argument(
-        "--thickness", type=float, metavar="MM", help="of the skin, mm (default: the sensor's)"
-    )
-    parser.add_argument("--height", type=float, metavar="MM", help="of the inflated skin, mm (default: 7)")
-    parser.add_argument(
-        "--chamber",
-        type=float,
-        nargs=2,
-        metavar="MM",
-        help="its sizes along x and y, mm (default: the sensor's)",
-    )
-    parser.add_argument(
-        "--depth", type=float, default=0.5, metavar="MM", help="contact depth, mm (default: %(default)s)"
-    )
+    arguments.number(parser, "--depth", "MM", "contact depth, mm", 0.5)
     arguments.out(parser, "where the page, the table and the sensors go")
 
     def run(given: argparse.Namespace) -> None:
@@ -81,9 +65,7 @@ def plan(parser: Parser) -> Run:
             --candidates my-recordings/manifest.csv
     """
     arguments.existing(parser, "--sensor", "sensor.toml", "the design", required=True)
-    parser.add_argument(
-        "--slides", type=int, default=12, metavar="N", help="how many slides (default: %(default)s)"
-    )
+    arguments.number(parser, "--slides", "N", "how many slides", 12)
     arguments.atlas(parser, "from 'simulate' (default: the shipped one for its design, else solved coarsely)")
     arguments.existing(
         parser,
@@ -91,36 +73,18 @@ def plan(parser: Parser) -> Run:
         "manifest.csv",
         "choose among the calibration and train slides of a manifest (default: lines in all directions)",
     )
-    parser.add_argument(
-        "--directions",
-        type=float,
-        nargs="+",
-        default=[15.0 * n for n in range(24)],
-        metavar="DEG",
-        help="that the stage can move in, deg (default: every 15)",
-    )
-    parser.add_argument(
-        "--speeds",
-        type=float,
-        nargs="+",
-        default=[1.0, 2.0, 4.0],
-        metavar="MM_S",
-        help="that the stage can move at, mm/s (default: 1 2 4)",
-    )
-    parser.add_argument(
-        "--depth", type=float, default=0.5, metavar="MM", help="contact depth, mm (default: %(default)s)"
-    )
+    every, few = [15.0 * n for n in range(24)], [1.0, 2.0, 4.0]
+    directions = "that the stage can move in, deg (default: every 15)"
+    speeds = "that the stage can move at, mm/s (default: 1 2 4)"
+    arguments.number(parser, "--directions", "DEG", directions, every, type=float, nargs="+")
+    arguments.number(parser, "--speeds", "MM_S", speeds, few, type=float, nargs="+")
+    arguments.number(parser, "--depth", "MM", "contact depth, mm", 0.5)
     arguments.out(parser, "the CSV to write", metavar="plan.csv")
-    parser.add_argument(
-        "--picture", type=Path, metavar="plan.svg", help="draw the plan too: .svg, .png or .pdf"
-    )
+    arguments.picture(parser, "plan.svg", "draw the plan too: .svg, .png or .pdf")
 
     def run(given: argparse.Namespace) -> None:
-        from experiments.acquisition.plan import plan
-        from experiments.acquisition.plan_file import write_plan
+        from experiments.acquisition.plan import plan, write_plan
 
-        if given.picture and given.picture.suffix not in (".svg", ".png", ".pdf"):
-            raise InputError(f"{given.picture}: name a .svg, .png or .pdf", "picture")
         table, figures, sensor = plan(
             given.sensor,
             given.slides,
@@ -132,7 +96,7 @@ def plan(parser: Parser) -> Run:
         )
         write_plan(given.out, table)
         if given.picture:
-            from experiments.acquisition.plan_picture import draw_plan
+            from experiments.acquisition.pictures import draw_plan
 
             draw_plan(table, sensor, given.picture)
         for name, (direction, speed, offset) in (("no slide", figures.before), ("these", figures.deviations)):
@@ -184,9 +148,7 @@ def record(parser: Parser) -> Run:
         ("--timeout", 2.0, "silence that counts as a pulled cable"),
         ("--wait", 600.0, "how long to wait for the source to come back"),
     ):
-        parser.add_argument(
-            name, type=float, default=default, metavar="S", help=f"{text}, s (default: %(default)g)"
-        )
+        arguments.number(parser, name, "S", f"{text}, s", default)
     parser.add_argument("--yes", action="store_true", help="ask nothing: record and keep every slide")
 
     def run(given: argparse.Namespace) -> None:

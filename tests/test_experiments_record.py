@@ -19,7 +19,7 @@ from streams import a_sensor
 
 import softslide
 from experiments.acquisition.capture import Phases, remarks
-from experiments.acquisition.plan_file import read_plan
+from experiments.acquisition.record import read_plan
 from features.errors import InputError
 from pipeline.recordings.folder import Recording, read_folder
 from pipeline.recordings.growing_folder import add_recording, open_growing

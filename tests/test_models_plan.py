@@ -9,7 +9,7 @@ import pytest
 from scipy.optimize import least_squares
 
 import softslide
-from experiments.acquisition.plan_file import read_plan
+from experiments.acquisition.record import read_plan
 from models.design.line_information import GAIN_SD, LINE_SPEED_MM_S, Line, places
 from models.design.plan import (
     Unknowns,

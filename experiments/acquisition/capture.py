@@ -1,13 +1,16 @@
-"""One slide from a live source: samples with an even clock, or the reason why not."""
+"""One slide from a live source: a thread listens, and samples with an even clock come out, or the reason why not."""
 
+import math
+import threading
 import time
 from collections.abc import Callable
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from experiments.acquisition.listener import Listener, joined
 from features.angles import tilt_channels
 from features.clock import RATE_TOLERANCE, check_clock
 from features.errors import InputError
@@ -15,13 +18,74 @@ from pipeline.checks.rail_run import MOST_AT_RAIL, rail_run
 from pipeline.recordings.folder import Recording
 from pipeline.sensor import Sensor
 from serve.stream.framing import Chunk
+from serve.stream.sources import Source
 
+AGAIN_S = 0.5  # between two attempts to open a source that is gone
 POLL_S = 0.05
 # Samples arrive in bundles: of a stream without times, the moments of the first and the last are known this well.
 ARRIVAL_S = 0.5
 BLOCK_S = 0.02  # the localizer's; a level is the mean over one
 FAINT = 6.0  # times the rest's deviation: a peak below it is no contact
 NOT_BACK = 0.3  # share of the peak that the output is off its rest by at the end; the lag's remainder is less
+
+
+class Listener:
+    """Collects the samples of a source; `close` ends it.
+
+    opened: how often the source was opened; a recording that spans two of them has a hole.
+    trouble: why nothing comes, as the source says it; empty while it is open.
+    """
+
+    def __init__(self, reopen: Callable[[], Source]) -> None:
+        self.opened, self.trouble = 0, ""
+        self._reopen, self._chunks, self._lock = reopen, list[Chunk](), threading.Lock()
+        self._heard_s, self._closed = -math.inf, threading.Event()
+        self._thread = threading.Thread(target=self._run, args=(reopen(),), daemon=True)
+        self._thread.start()
+
+    def take(self) -> list[Chunk]:
+        """The chunks that have come since the last call."""
+        with self._lock:
+            chunks, self._chunks = self._chunks, []
+        return chunks
+
+    @property
+    def silent_s(self) -> float:
+        """How long ago the last sample came; infinite before the first."""
+        return time.monotonic() - self._heard_s
+
+    def close(self) -> None:
+        """Stops listening and closes the source."""
+        self._closed.set()
+        self._thread.join()
+
+    def _run(self, source: Source | None) -> None:
+        while not self._closed.is_set():
+            try:
+                self._listen(self._reopen() if source is None else source)
+                self.trouble = "it has ended"
+            except InputError as error:
+                self.trouble = str(error)
+            source = None
+            self._closed.wait(AGAIN_S)
+
+    def _listen(self, source: Any) -> None:
+        self.opened, self.trouble = self.opened + 1, ""
+        with closing(source):
+            for chunk in source:
+                if self._closed.is_set():
+                    return
+                if chunk:
+                    with self._lock:
+                        self._chunks.append(chunk)
+                    self._heard_s = time.monotonic()
+
+
+def joined(chunks: list[Chunk], channels: int) -> tuple[np.ndarray, np.ndarray | None]:
+    """Chunks as one: volts (n, channels) V, and time_s (n,) s where every one has it."""
+    volts = np.concatenate([np.empty((0, channels)), *[volts for volts, _ in chunks]])
+    times = [time_s for _, time_s in chunks if time_s is not None]
+    return volts, np.concatenate(times) if chunks and len(times) == len(chunks) else None
 
 
 class Lost(Exception):
@@ -52,7 +116,7 @@ def capture(
 ) -> Recording:
     """Records for `phases.whole_s` from now on.
 
-    timeout_s: silence that counts as a pulled cable. show: told the s recorded and the present level (V).
+    timeout_s: silence that counts as a pulled cable. show: is given the s recorded and the present level (V).
 
     Raises:
         Lost: the source went silent or was opened anew, samples are missing or no numbers, or their rate is wrong.
@@ -128,19 +192,19 @@ def remarks(recording: Recording, sensor: Sensor, phases: Phases, touched: bool 
     strongest = int(peaks.argmax())
     channel = sensor.channels[tilt_channels(len(sensor.channels))[strongest]]
     faint = FAINT * rest_sd[strongest]
-    told = [
+    said = [
         f"{recording.time_s[-1]:.1f} s, {len(recording.volts)} samples, peak {1e3 * peaks[strongest]:.1f} mV "
         f"({channel}), rest within {1e3 * rest_sd.max():.1f} mV"
     ]
     if touched and peaks[strongest] < faint:
-        told.append(f"no contact shows: the peak is less than {FAINT:g} times the rest's deviation")
+        said.append(f"no contact shows: the peak is less than {FAINT:g} times the rest's deviation")
     elif touched and np.abs(away[-5:].mean(axis=0)).max() > NOT_BACK * peaks[strongest]:
-        told.append(
+        said.append(
             "the output does not come back to rest: the object is still on the skin, or the rest is short"
         )
     for name, column in zip(sensor.columns, recording.samples.T, strict=True):
         if column.min() == column.max():
-            told.append(f"{name} does not change at all: is it connected?")
+            said.append(f"{name} does not change at all: is it connected?")
         elif rail_run(column) > MOST_AT_RAIL:
-            told.append(f"{name} is clipped")
-    return told
+            said.append(f"{name} is clipped")
+    return said

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from experiments.acquisition.plan_file import NEEDED
+from experiments.acquisition.record import NEEDED
 from features.errors import InputError
 from models.design.plan import Plan, plan_slides
 from models.response_map.from_atlas import SensorSpread
@@ -17,6 +17,7 @@ from pipeline.progress import progress_bar
 from pipeline.recordings.at_rest import REFERENCE_V_PER_G
 from pipeline.recordings.manifest import check_manifest, read_table
 from pipeline.sensor import Sensor, check_design, read_sensor
+from pipeline.staging import writing
 from pipeline.synthesis.slide_plan import crossing
 
 OFFSET_STEP_MM = 2.5  # between candidate lines of one direction, the map's own resolution
@@ -74,6 +75,16 @@ def plan(
     return picked[list(COLUMNS)], chosen, design
 
 
+def write_plan(path: Path, plan: pd.DataFrame) -> None:
+    """Writes a plan, in the order of its rows.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+    with writing(path, "name another file"):
+        plan.to_csv(path, index=False, lineterminator="\n")
+
+
 def _lines(
     sensor: Sensor, directions_deg: Sequence[float], speeds_mm_s: Sequence[float], depth_mm: float
 ) -> pd.DataFrame:
@@ -95,5 +106,5 @@ def _lines(
 def _recorded(path: Path, sensor: Sensor) -> pd.DataFrame:
     """A manifest's slides of calibration and train splits that have the labels a plan needs."""
     table = check_manifest(read_table(path), sensor, path)
-    taught = table["split"].str.startswith(("calibration", "train"))
-    return table[taught & table[list(NEEDED)].notna().all(axis=1)].reset_index()
+    learned = table["split"].str.startswith(("calibration", "train"))
+    return table[learned & table[list(NEEDED)].notna().all(axis=1)].reset_index()

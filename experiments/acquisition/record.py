@@ -5,6 +5,8 @@ earlier one stopped. A slide during which the source was gone or lost samples is
 """
 
 import math
+import select
+import sys
 import time
 from collections.abc import Callable
 from contextlib import closing
@@ -13,21 +15,24 @@ from pathlib import Path
 
 import pandas as pd
 
-from experiments.acquisition.capture import POLL_S, Level, Lost, Phases, capture, remarks
-from experiments.acquisition.listener import Listener
-from experiments.acquisition.operator import Operator, level_bar
-from experiments.acquisition.plan_file import read_plan
+from experiments.acquisition.capture import POLL_S, Level, Listener, Lost, Phases, capture, remarks
 from features.errors import CheckFailed, InputError
 from pipeline.recordings.base_motion import BASE_SPLIT
 from pipeline.recordings.folder import Folder, Recording
 from pipeline.recordings.growing_folder import add_recording, open_growing
+from pipeline.recordings.manifest import LABELS, check_manifest, read_table
 from pipeline.sensor import Sensor, read_sensor
 from serve.stream.sources import open_live
 
+# What a stage is set to, and how long the motion takes.
+NEEDED = ("direction_deg", "speed_mm_s", "start_x_mm", "start_y_mm", "travel_mm")
 LIVE = ("serial://", "udp://", "ros2://")
 BASE_S = 60.0  # of a robot that moves while nothing touches, where the plan gives no travel and speed
 ATTEMPTS = 3  # at a slide that fails with nobody to ask
 RAMP_S = 1.0  # a stage's ramps come on top of way over speed; `softslide check` allows as much
+BAR = 30  # characters
+REDRAW_S = 0.1
+LOWEST_V, HIGHEST_V = 1e-3, 0.3  # the bar's ends: about a block's noise, and the article's largest outputs
 
 
 @dataclass(frozen=True)
@@ -44,6 +49,46 @@ class Times:
         for field in fields(self):
             if not getattr(self, field.name) > 0:
                 raise InputError(f"{getattr(self, field.name):g}: give a positive time in s", field.name)
+
+
+class Operator:
+    """Asks on standard error and reads answers from standard input; where `absent`, every default is taken."""
+
+    def __init__(self, absent: bool) -> None:
+        self.absent, self._watched = absent, sys.stderr.isatty()
+
+    def say(self, text: str) -> None:
+        """One line."""
+        print(f"{self._clear()}{text}", file=sys.stderr, flush=True)
+
+    def ask(self, question: str, live: Callable[[], str]) -> str:
+        """The first letter of the answer, in lower case; "" for the default, "q" at the input's end.
+
+        live: what to show next to the question while a person thinks.
+        """
+        if self.absent:
+            return ""
+        self.say(question)
+        if self._watched and sys.stdin.isatty():
+            while not select.select([sys.stdin], [], [], REDRAW_S)[0]:
+                self.show(live())
+        answer = sys.stdin.readline()
+        return answer.strip().lower()[:1] if answer else "q"
+
+    def show(self, text: str) -> None:
+        """A line that the next one replaces; only where a person watches."""
+        if self._watched:
+            print(f"{self._clear()}{text}", end="", file=sys.stderr, flush=True)
+
+    def _clear(self) -> str:
+        return "\r\x1b[K" if self._watched else ""
+
+
+def level_bar(volts: float) -> str:
+    """A deviation in V as a bar on a logarithmic scale, and in mV."""
+    share = math.log(max(volts, LOWEST_V) / LOWEST_V) / math.log(HIGHEST_V / LOWEST_V)
+    full = round(BAR * min(share, 1.0))
+    return f"|{'#' * full}{' ' * (BAR - full)}| {1e3 * volts:6.1f} mV"
 
 
 def record(
@@ -155,12 +200,12 @@ def _wait(listener: Listener, operator: Operator, times: Times, source: str) -> 
     Raises:
         InputError: none came within times.wait.
     """
-    begun_s, told = time.monotonic(), ""
+    begun_s, said = time.monotonic(), ""
     while listener.trouble or listener.silent_s > times.timeout:
         reason = listener.trouble or "nothing comes"
-        if reason != told:
+        if reason != said:
             operator.say(f"waiting for {source}: {reason}")
-            told = reason
+            said = reason
         if time.monotonic() - begun_s > times.wait:
             raise InputError(
                 f"{source}: nothing came for {times.wait:g} s; what is recorded is kept, run the same command to go on"
@@ -169,7 +214,7 @@ def _wait(listener: Listener, operator: Operator, times: Times, source: str) -> 
 
 
 def _shower(operator: Operator, phases: Phases) -> Callable[[float, float], None]:
-    """Tells the operator what to do as a recording goes on, with the level."""
+    """Says to the operator what to do as a recording goes on, with the level."""
     ends = (
         (phases.rest_s, "rest: hands off"),
         (phases.rest_s + phases.start_s, "go: start the stage now"),
@@ -187,3 +232,32 @@ def _shower(operator: Operator, phases: Phases) -> Callable[[float, float], None
         operator.show(f"  {level_bar(level_v)}  {max(left_s, 0.0):4.0f} s")
 
     return show
+
+
+def read_plan(path: Path, sensor: Sensor) -> pd.DataFrame:
+    """The slides by name, with `split` and the manifest's labels as columns; those not given are NaN.
+
+    Slides without a name are called p01, p02, ...; without a split they are `calibration`. Rows of the split `base`, of
+    a robot that moves, need no label.
+
+    Raises:
+        InputError: no such file, no rows, a label that a stage needs is missing, a cell is wrong, or a row is of a base
+            that the sensor has not.
+    """
+    table = read_table(path)
+    if "recording" not in table:
+        table["recording"] = [f"p{n:02d}" for n in range(1, len(table) + 1)]
+    table = table.assign(split=table.get("split", "calibration"), file="-")
+    plan = check_manifest(table, sensor, path)
+    of_base = plan["split"] == BASE_SPLIT
+    if of_base.any() and sensor.base is None:
+        raise InputError(
+            f"{path}: {plan.index[of_base][0]} is of the split '{BASE_SPLIT}', and sensor.toml has no [base]"
+        )
+    for column in NEEDED:
+        if (empty := plan[column].isna() & ~of_base).any():
+            row = int(empty.to_numpy().argmax())
+            raise InputError(
+                f"{path}: row {row + 1} ({plan.index[row]}), {column} is empty; a stage needs it, write it"
+            )
+    return plan[["split", *LABELS]]
