@@ -15,6 +15,7 @@ from typing import Any
 from features.base_motion import BASE
 from features.errors import InputError
 from features.stream.conditioning import TOUCH_AXES
+from pipeline.ranges import SHARE, check_one_of, check_positive, check_ranges
 from pipeline.toml_tables import from_table, read_toml
 
 # Noise density of an accelerometer by its data sheet, g / sqrt(Hz). MMA7361L: Freescale, rev. 0, 350 ug / sqrt(Hz).
@@ -54,14 +55,11 @@ class Accelerometer:
     touch_axes: str = ""
 
     def __post_init__(self) -> None:
-        if not self.sensitivity_v_per_g > 0:
-            raise ValueError(f"sensitivity_v_per_g is {self.sensitivity_v_per_g}; it must be positive")
-        if self.kind not in KINDS:
-            raise ValueError(f"kind is '{self.kind}'; it must be one of {', '.join(KINDS)}")
+        check_positive(self, "sensitivity_v_per_g")
+        check_one_of(KINDS, kind=self.kind)
         if not self.touch_axes:
             object.__setattr__(self, "touch_axes", TOUCH_AXES[0 if self.measures_gravity else 1])
-        if self.touch_axes not in TOUCH_AXES:
-            raise ValueError(f"touch_axes is '{self.touch_axes}'; it must be one of {', '.join(TOUCH_AXES)}")
+        check_one_of(TOUCH_AXES, touch_axes=self.touch_axes)
 
     @property
     def measures_gravity(self) -> bool:
@@ -71,15 +69,13 @@ class Accelerometer:
 
 @dataclass(frozen=True)
 class Base:
-    """`[base]`: an accelerometer, of an IMU for instance, on what the skin is mounted on: it tells how that moves."""
+    """`[base]`: an accelerometer, of an IMU for instance, on what the skin is mounted on: it shows how that moves."""
 
     sensitivity_v_per_g: float = 0.8
     zero_g_v: float = 1.65
 
     def __post_init__(self) -> None:
-        for name in ("sensitivity_v_per_g", "zero_g_v"):
-            if not getattr(self, name) > 0:
-                raise ValueError(f"{name} is {getattr(self, name)}; it must be positive")
+        check_positive(self, "sensitivity_v_per_g", "zero_g_v")
 
     @property
     def name(self) -> str:
@@ -115,21 +111,14 @@ class Skin:
     effective_pressure_mpa: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
-        for name in ("youngs_modulus_mpa", "bulk_modulus_mpa"):
-            if not getattr(self, name) > 0:
-                raise ValueError(f"{name} is {getattr(self, name)}; it must be positive")
-        if not 0 <= self.friction <= 1:
-            raise ValueError(f"friction is {self.friction}; it must lie in 0..1")
-        if not 0 <= self.overlap_mm <= MOST_OVERLAP_MM:
-            raise ValueError(f"overlap_mm is {self.overlap_mm}; it must lie in 0..{MOST_OVERLAP_MM:g}")
+        check_positive(self, "youngs_modulus_mpa", "bulk_modulus_mpa")
+        check_ranges(self, friction=SHARE, overlap_mm=(0.0, MOST_OVERLAP_MM), prestretch=(0.8, 1.5))
         if self.base_mpa_mm and (len(self.base_mpa_mm) != 2 or not min(self.base_mpa_mm) > 0):
             raise ValueError(
                 f"base_mpa_mm is {list(self.base_mpa_mm)}; it must be two positive stiffnesses, normal and tangential"
             )
         if self.base_mpa_mm and not self.overlap_mm:
             raise ValueError("base_mpa_mm is given without overlap_mm: nothing of the skin lies on the base")
-        if not 0.8 <= self.prestretch <= 1.5:
-            raise ValueError(f"prestretch is {self.prestretch}; it must lie in 0.8..1.5")
         for name in ("height_mm", "effective_pressure_mpa"):
             levels = getattr(self, name)
             if any(v <= 0 for v in levels) or any(b <= a for a, b in pairwise(levels)):
@@ -158,10 +147,7 @@ class Board:
     thickness_mm: float = 1.7
 
     def __post_init__(self) -> None:
-        if len(self.size_mm) != 2 or not min(self.size_mm) > 0:
-            raise ValueError(f"size_mm is {list(self.size_mm)}; it must be two positive lengths")
-        if not self.thickness_mm > 0:
-            raise ValueError(f"thickness_mm is {self.thickness_mm}; it must be positive")
+        check_positive(self, "size_mm", "thickness_mm")
 
 
 @dataclass(frozen=True)
@@ -172,10 +158,7 @@ class MeshSize:
     layers: int = 1
 
     def __post_init__(self) -> None:
-        if not 0.5 <= self.size_mm <= 5.0:
-            raise ValueError(f"size_mm is {self.size_mm}; it must lie in 0.5..5")
-        if not 1 <= self.layers <= 4:
-            raise ValueError(f"layers is {self.layers}; it must lie in 1..4")
+        check_ranges(self, size_mm=(0.5, 5.0), layers=(1, 4))
 
 
 @dataclass(frozen=True)
@@ -206,21 +189,17 @@ class Sensor:
     indenter_edge_mm: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
-        if len(self.indenter_edge_mm) != 2 or min(map(abs, self.indenter_edge_mm)) > 0:
+        if min(map(abs, self.indenter_edge_mm)) > 0:
             raise ValueError(
                 f"indenter_edge_mm is {list(self.indenter_edge_mm)}; it must be a length along x or along y and a 0"
             )
         if self.mains_hz not in (None, 50.0, 60.0):
             raise ValueError(f"mains_hz is {self.mains_hz:g}; it must be 50 or 60")
-        for name in ("sample_rate_hz", "skin_thickness_mm", "indenter_diameter_mm", "pressure_mpa"):
-            if not getattr(self, name) > 0:
-                raise ValueError(f"{name} is {getattr(self, name)}; it must be positive")
+        check_positive(
+            self, "sample_rate_hz", "chamber_mm", "skin_thickness_mm", "indenter_diameter_mm", "pressure_mpa"
+        )
         if not self.adc_step_v >= 0:
             raise ValueError(f"adc_step_v is {self.adc_step_v}; it must not be negative")
-        if len(self.chamber_mm) != 2 or not min(self.chamber_mm) > 0:
-            raise ValueError(f"chamber_mm is {list(self.chamber_mm)}; it must be two positive lengths")
-        if len(self.reference_mm) != 2:
-            raise ValueError(f"reference_mm is {list(self.reference_mm)}; it must be x and y")
         if not self.accelerometers:
             raise ValueError("no [[accelerometer]] is given; a sensor has at least one")
         names = [a.name for a in self.accelerometers]
@@ -234,8 +213,7 @@ class Sensor:
             raise ValueError(
                 "the accelerometers differ in touch_axes or unit; make a folder of each, or state the same"
             )
-        if self.origin and self.origin not in ORIGINS:
-            raise ValueError(f"origin is '{self.origin}'; it must be one of {', '.join(ORIGINS)}")
+        check_one_of(("", *ORIGINS), origin=self.origin)
 
     @property
     def channels(self) -> tuple[str, ...]:

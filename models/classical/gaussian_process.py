@@ -13,7 +13,7 @@ from models.classical.fit import feature_model
 from models.classical.learned_lines import SharesConfig
 from models.classical.regression import Regressor, regression_table
 from models.graph.builder import GraphBuilder
-from models.ranges import SEED, check_ranges
+from pipeline.ranges import SEED, check_ranges
 from pipeline.recordings.windows import LabelledWindows
 
 

@@ -22,7 +22,7 @@ from models.classical.regression import (
     targets,
 )
 from models.graph.builder import OPSET, OPSET_ML, GraphBuilder
-from models.ranges import SEED, check_ranges
+from pipeline.ranges import SEED, check_ranges
 from pipeline.recordings.windows import LabelledWindows
 
 # Each forest's targets, and those of them that are taken from it. Direction and speed fare better alone: what splits

@@ -17,7 +17,7 @@ from torch.nn import functional as F
 
 from features.window import WINDOW_BINS
 from models.cnn.gauss_newton import DEPTH, Refinement, RefinementConfig
-from models.ranges import check_ranges
+from pipeline.ranges import check_ranges
 
 OUTPUTS = (
     "direction_cos",

@@ -12,7 +12,7 @@ from torch.nn.utils import clip_grad_norm_
 from models.cnn.network import LENGTH_MM, NetworkConfig, Proposal
 from models.cnn.training_windows import WindowSource
 from models.graph.packing import rounded, rounded_weights
-from models.ranges import SEED, check_ranges
+from pipeline.ranges import SEED, check_ranges
 
 
 @dataclass(frozen=True)

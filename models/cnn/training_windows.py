@@ -15,8 +15,8 @@ from torch.nn import functional as F
 
 from features.window import WINDOW_BINS
 from models.cnn.gauss_newton import PEAK_SHARE
-from models.ranges import POSITIVE, SHARE, SIZE, check_ranges
 from models.response_map.map import ResponseMap
+from pipeline.ranges import POSITIVE, SHARE, SIZE, check_ranges
 from pipeline.recordings.windows import LabelledWindows
 
 SAMPLES = 2 * WINDOW_BINS  # of a slide before its window is cut: two a bin

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from features.stream.conditioning import Conditioning
-from models.ranges import POSITIVE, check_ranges
+from pipeline.ranges import POSITIVE, check_ranges
 from models.response_map.map import ResponseMap
 from models.response_map.slides import CalibrationSlide
 from pipeline.synthesis.viscoelastic_lag import standard_solid

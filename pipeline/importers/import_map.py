@@ -10,6 +10,7 @@ from features.errors import InputError
 from pipeline.importers.readers.delimited import CsvLayout
 from pipeline.importers.readers.registry import READERS
 from pipeline.importers.readers.workbook import ExcelLayout
+from pipeline.ranges import check_one_of, check_positive
 from pipeline.recordings.manifest import LABELS
 from pipeline.sensor import Sensor, read_sensor
 from pipeline.toml_tables import from_table, read_toml
@@ -37,13 +38,12 @@ class Clock:
     align: str = "none"
 
     def __post_init__(self) -> None:
-        _one_of("unit", self.unit, TIME_UNITS)
-        _one_of("origin", self.origin, ("kept", "first"))
-        _one_of("align", self.align, ("none", "onset"))
+        check_one_of(TIME_UNITS, unit=self.unit)
+        check_one_of(("kept", "first"), origin=self.origin)
+        check_one_of(("none", "onset"), align=self.align)
+        check_positive(self, "max_gap_s")
         if bool(self.column) == (self.rate_hz > 0):
             raise ValueError("give either column or rate_hz")
-        if not self.max_gap_s > 0:
-            raise ValueError(f"max_gap_s is {self.max_gap_s}; it must be positive")
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ class Signal:
     zero_count: float = 0.0
 
     def __post_init__(self) -> None:
-        _one_of("unit", self.unit, SIGNAL_UNITS)
+        check_one_of(SIGNAL_UNITS, unit=self.unit)
         if (self.unit == "counts") != (self.volts_per_count > 0):
             raise ValueError(
                 "volts_per_count belongs to the unit counts, and only to it; give the volts of one count"
@@ -69,7 +69,7 @@ class Board:
     """`[boards.a0]`: how an accelerometer is mounted, and its calibration.
 
     flip: outputs whose sign is inverted, before the rotation. turn_deg: the board's x axis seen from the
-    skin's, counter-clockwise. calibration: a six-position file, beside the map.
+    skin's, counter-clockwise. calibration: a six-position file, next to the map.
     """
 
     turn_deg: float = 0.0
@@ -78,7 +78,7 @@ class Board:
 
     def __post_init__(self) -> None:
         for axis in self.flip:
-            _one_of("flip", axis, ("x", "y", "z"))
+            check_one_of(("x", "y", "z"), flip=axis)
 
 
 @dataclass(frozen=True)
@@ -102,7 +102,7 @@ class Label:
 
 @dataclass(frozen=True)
 class Sheet:
-    """`[sheet]`: a table with one row a recording, in delimited text beside the map."""
+    """`[sheet]`: a table with one row a recording, in delimited text next to the map."""
 
     file: str
     key: str = "recording"
@@ -128,8 +128,8 @@ class Map:
     sheet: Sheet | None = None
 
     def __post_init__(self) -> None:
-        _one_of("kind", self.kind, tuple(READERS))
-        _one_of("signs", self.signs, ("given", "zones"))
+        check_one_of(tuple(READERS), kind=self.kind)
+        check_one_of(("given", "zones"), signs=self.signs)
         try:
             with warnings.catch_warnings():
                 # Of what a later Python will read otherwise.
@@ -173,7 +173,9 @@ def read_map(path: Path) -> Map:
     table = read_toml(path, "name a map, or start from a template")
     sensor = table.pop("sensor", None)
     if not isinstance(sensor, str):
-        raise InputError(f'{path}: sensor is {sensor!r}; write sensor = "sensor.toml", a file beside the map')
+        raise InputError(
+            f'{path}: sensor is {sensor!r}; write sensor = "sensor.toml", a file next to the map'
+        )
     for kind in ("csv", "xlsx"):
         if kind in table and table.get("kind") != kind:
             raise InputError(f'{path}: [{kind}] belongs to kind = "{kind}"; remove it')
@@ -200,11 +202,6 @@ def template(kind: str) -> str:
 def sensor_template() -> str:
     """A commented `sensor.toml` to start from."""
     return (Path(__file__).parent / "templates" / "sensor.toml").read_text(encoding="utf-8")
-
-
-def _one_of(name: str, value: str, known: tuple[str, ...]) -> None:
-    if value not in known:
-        raise ValueError(f"{name} is '{value}'; it must be one of {', '.join(known)}")
 
 
 def _known(name: str, given: dict[str, Any], known: tuple[str, ...]) -> None:

@@ -1,11 +1,12 @@
 """What synthetic slides are like: a documented distribution, and slides drawn from it."""
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from features.errors import InputError
 from pipeline.atlas.atlas import Atlas
+from pipeline.ranges import check_pairs, check_positive, check_ranges
 from pipeline.sensor import Sensor
 from pipeline.synthesis.electronics import ElectronicsSpread
 from pipeline.synthesis.motion import Stroke
@@ -17,7 +18,7 @@ SPLITS = (
     *("calibration", "calibration-diagonal", "test", "calibration", "test-diagonal"),
     *("calibration", "calibration", "calibration-diagonal", "test", "calibration"),
 )
-# Lines to be taught lie on a scale, as a lab sets them; lines to be tested lie between its marks.
+# Lines to learn from lie on a scale, as a lab sets them; lines to test lie between its marks.
 SCALE_MM = 0.5
 _BETWEEN = (0.2, 0.8)
 _DRAWS = 200
@@ -73,17 +74,13 @@ class Distribution:
     electronics: ElectronicsSpread = field(default_factory=ElectronicsSpread)
 
     def __post_init__(self) -> None:
-        for each in fields(self):
-            value = getattr(self, each.name)
-            if isinstance(value, tuple) and not value[0] <= value[1]:
-                raise ValueError(f"{each.name} is {list(value)}; it must rise")
-        for name in ("speed_mm_s", "rest_s", "tau_s", "vibration_g", "ripple", "ripple_hz", "pressure_share"):
-            if not getattr(self, name)[0] > 0:
-                raise ValueError(f"{name} is {list(getattr(self, name))}; it must be positive")
+        check_pairs(self)
+        check_positive(
+            self, "speed_mm_s", "rest_s", "tau_s", "vibration_g", "ripple", "ripple_hz", "pressure_share"
+        )
         if not 0 <= self.stopping + self.turning <= 1:
             raise ValueError(f"stopping and turning are {self.stopping + self.turning} together; at most 1")
-        if not 0.1 <= self.stop_share[0] <= self.stop_share[1] <= 1:
-            raise ValueError(f"stop_share is {list(self.stop_share)}; it must lie in 0.1..1")
+        check_ranges(self, stop_share=(0.1, 1.0))
 
 
 def draw_slide(

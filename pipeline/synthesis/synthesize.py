@@ -265,7 +265,7 @@ def synthesize(
     all on the same specimen. solved: paths are solved step by step instead of read from the atlas.
 
     Raises:
-        InputError: no recordings, a negative seed, an atlas that is none or of another design, an `out` not to be
+        InputError: no recordings, a negative seed, an atlas that is not one or of another design, an `out` not to be
             written.
     """
     if count < 0:

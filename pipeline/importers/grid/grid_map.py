@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from pipeline.ranges import check_one_of
 from pipeline.sensor import Sensor, read_sensor
 from pipeline.toml_tables import from_table, read_toml
 
@@ -24,7 +25,7 @@ class GridSplit:
 
     passes: whose presses they show, one pass a slide. colour: of the checkerboard whose places they show, "even", "odd"
     (the sum of a place's numbers in the grid) or "any". paths: "lines" in the 16 lattice directions, "circles" or
-    "s-curves", with their truth beside them. count: how many; 0: every line.
+    "s-curves", with their truth. count: how many; 0: every line.
     """
 
     name: str
@@ -34,10 +35,8 @@ class GridSplit:
     count: int = 0
 
     def __post_init__(self) -> None:
-        if self.colour not in COLOURS:
-            raise ValueError(f"colour is '{self.colour}'; it must be one of {', '.join(COLOURS)}")
-        if self.paths not in PATHS:
-            raise ValueError(f"paths is '{self.paths}'; it must be one of {', '.join(PATHS)}")
+        check_one_of(COLOURS, colour=self.colour)
+        check_one_of(PATHS, paths=self.paths)
         if not self.passes:
             raise ValueError("passes is empty; name one at least")
         if self.count < 0 or (self.paths != "lines" and self.count == 0):

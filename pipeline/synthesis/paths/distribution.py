@@ -1,6 +1,8 @@
 """What synthetic paths are like: a documented distribution."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
+
+from pipeline.ranges import check_pairs, check_positive
 
 
 @dataclass(frozen=True)
@@ -44,10 +46,5 @@ class PathDistribution:
     after_s: tuple[float, float] = (2.0, 3.0)
 
     def __post_init__(self) -> None:
-        for each in fields(self):
-            value = getattr(self, each.name)
-            if isinstance(value, tuple) and not 0 <= value[0] <= value[1]:
-                raise ValueError(f"{each.name} is {list(value)}; it must rise and not be negative")
-        for name in ("radius_mm", "speed_mm_s", "slow_mm_s", "quick_mm_s", "fall_mm_s", "ramp_s"):
-            if not getattr(self, name)[0] > 0:
-                raise ValueError(f"{name} is {list(getattr(self, name))}; it must be positive")
+        check_pairs(self, least=0.0)
+        check_positive(self, "radius_mm", "speed_mm_s", "slow_mm_s", "quick_mm_s", "fall_mm_s", "ramp_s")

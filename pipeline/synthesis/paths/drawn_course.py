@@ -50,7 +50,7 @@ class Draw:
 
 
 def rim_to_rim(draw: Draw, curve: str | None = None) -> Course | None:
-    """A course from clear of the skin to clear of it again; None if what was drawn is none.
+    """A course from clear of the skin to clear of it again; None if what was drawn is not one.
 
     curve: one of `CURVES`; None is straight, half of them along the axes.
     """
