@@ -1,4 +1,4 @@
-"""Write beside, then rename: a reader sees the whole output or none of it.
+"""Write next to the place, then rename: a reader sees the whole output or none of it.
 
 A process that is killed leaves its folder behind; the next one that writes the same output removes it.
 """
@@ -15,7 +15,7 @@ from pathlib import Path
 
 from features.errors import InputError
 
-# A folder beside `out` holds `new` while that is written, and `old` while `out` is replaced.
+# A folder next to `out` holds `new` while that is written, and `old` while `out` is replaced.
 UNFINISHED = ".unfinished-"
 FULL = (errno.ENOSPC, errno.EDQUOT)
 
@@ -38,7 +38,7 @@ def writing(place: Path, instead: str = "name another folder") -> Iterator[None]
 
 @contextmanager
 def whole(path: Path) -> Iterator[Path]:
-    """A file beside `path` that becomes `path` when the block ends well, and vanishes when not."""
+    """A file next to `path` that becomes `path` when the block ends well, and vanishes when not."""
     scratch = path.with_name(f".{path.name}.partial")
     try:
         yield scratch
@@ -49,7 +49,7 @@ def whole(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def staged(out: Path) -> Iterator[Path]:
-    """A temporary folder beside `out` that becomes `out` when the block ends well, and vanishes when not.
+    """A temporary folder next to `out` that becomes `out` when the block ends well, and vanishes when not.
 
     An `out` that exists already is replaced, so that a command can be run again, but only if it holds nothing
     that the new one does not.

@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
@@ -38,14 +39,14 @@ def test_packages_are_those_of_this_tree() -> None:
         assert Path(importlib.import_module(room).__file__ or "").parent == HERE / room
 
 
-def run(*arguments: object) -> subprocess.CompletedProcess[str]:
-    """The command in a process of its own where importing HEAVY fails, as on a device."""
+def run(*arguments: object, absent: Sequence[str] = HEAVY) -> subprocess.CompletedProcess[str]:
+    """The command in a process of its own where importing these fails, as on a device."""
     script = f"""
 import sys
 
 class Absent:
     def find_spec(self, name, path=None, target=None):
-        if name.split(".")[0] in {HEAVY!r}:
+        if name.split(".")[0] in {absent!r}:
             raise ModuleNotFoundError(name + " is not on this device", name=name)
 
 sys.meta_path.insert(0, Absent())
@@ -342,3 +343,10 @@ def test_the_template_of_a_sensor_is_a_sensor(tmp_path: Path, capsys: pytest.Cap
     assert softslide.main(["import", "--sensor-template"]) == 0
     (tmp_path / "sensor.toml").write_text(capsys.readouterr().out)
     assert read_sensor(tmp_path / "sensor.toml").name == "my-sensor"
+
+
+def test_check_needs_the_io_extra_alone() -> None:
+    done = run(
+        "check", SAMPLE, absent=("torch", "sklearn", "numba", "mlflow", "matplotlib", "joblib", "onnx")
+    )
+    assert done.returncode == 0, done.stderr

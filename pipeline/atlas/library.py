@@ -6,7 +6,6 @@ from pathlib import Path
 
 from features.errors import InputError
 from pipeline.atlas.atlas import Atlas, check_atlas, read_atlas, write_atlas
-from pipeline.atlas.solve import COARSE, coarse, solve_atlas
 from pipeline.progress import progress_bar
 from pipeline.sensor import Sensor, check_design, design_hash
 
@@ -24,6 +23,9 @@ def atlas_of(sensor: Sensor, named: Path | None = None, workers: int = 2) -> Atl
         check_design(sensor, sensor.name)
     if (atlas := atlas_at_hand(sensor, named)) is not None:
         return atlas
+    # The solver needs numba, which the io extra does not bring.
+    from pipeline.atlas.solve import COARSE, coarse, solve_atlas
+
     cached = _cached(sensor)
     print(
         f"atlas: none of {sensor.name} yet; solving a coarse one (minutes), to be cached in {cached}",

@@ -64,6 +64,6 @@ class LineStore:
 
     def remove(self) -> None:
         shutil.rmtree(self._folder, ignore_errors=True)
-        # Another design's lines may be beside it, or another solve may have been first.
+        # Another design's lines may be next to it, or another solve may have been first.
         with suppress(OSError):
             self._folder.parent.rmdir()

@@ -1,4 +1,4 @@
-"""A press in a recording: where and how hard something presses on the skin, and how well the outputs tell."""
+"""A press in a recording: where and how hard something presses on the skin, and how well the outputs show it."""
 
 from typing import Any
 

@@ -122,7 +122,7 @@ def find_indentation(subtracted_g: np.ndarray, atlas: Atlas, pressure_level: flo
 
 @dataclass(frozen=True)
 class Doubt:
-    """How well readings tell a press: what holds 90 % of its posterior.
+    """How well readings determine a press: what holds 90 % of its posterior.
 
     radius_mm: about its place. depth_mm, force_n: intervals.
     """

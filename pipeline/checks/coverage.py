@@ -1,4 +1,4 @@
-"""What a folder's calibration slides cannot tell: directions, lines and speeds without a slide, and what is confounded.
+"""What a folder's calibration slides leave open: directions, lines and speeds without a slide, and what is confounded.
 
 From labels alone; the signal may still be sound. Each sentence says what is missing and what would mend it.
 """
@@ -18,7 +18,7 @@ WIDEST_GAP_DEG = 100.0
 WIDEST_GAP_MM = 10.0
 # A line this near to the chamber's rim hardly moves the skin.
 RIM_MM = 5.0
-# Speeds tell the skin's lag from the map only where they differ by this factor at least.
+# Speeds separate the skin's lag from the map only where they differ by this factor at least.
 LEAST_SPEED_RATIO = 2.0
 FASTER = 1.05  # than the fastest calibration slide: beyond it a speed is extrapolated
 
@@ -26,13 +26,13 @@ FASTER = 1.05  # than the fastest calibration slide: beyond it a speed is extrap
 def not_covered(manifest: pd.DataFrame, sensor: Sensor) -> list[str]:
     """What the calibration slides leave open, a sentence each; empty where they leave nothing that is looked for.
 
-    manifest: `Folder.manifest`. Slides without direction, speed or offset tell nothing of it.
+    manifest: `Folder.manifest`. Slides without direction, speed or offset say nothing of it.
     """
     known = manifest[manifest[["direction_deg", "speed_mm_s", "offset_mm"]].notna().all(axis=1)]
-    taught = known[known["split"].str.startswith(CALIBRATION)]
-    if taught.empty:
+    learned = known[known["split"].str.startswith(CALIBRATION)]
+    if learned.empty:
         return ["no calibration slide says direction, speed and offset: there is nothing to calibrate from"]
-    return [*_confounded(taught), *_directions(taught), *_lines(taught, sensor), *_speeds(taught, known)]
+    return [*_confounded(learned), *_directions(learned), *_lines(learned, sensor), *_speeds(learned, known)]
 
 
 def headings(direction_deg: pd.Series) -> pd.Series:
@@ -46,22 +46,22 @@ def headings(direction_deg: pd.Series) -> pd.Series:
     return numbers.reindex(direction_deg.index)
 
 
-def _confounded(taught: pd.DataFrame) -> list[str]:
-    """Speeds that go with one heading only: their effects cannot be told apart."""
-    heading = headings(taught["direction_deg"])
+def _confounded(learned: pd.DataFrame) -> list[str]:
+    """Speeds that go with one heading only: their effects cannot be separated."""
+    heading = headings(learned["direction_deg"])
     if heading.nunique() < 2:
         return []
-    logs = np.log(taught["speed_mm_s"])
+    logs = np.log(learned["speed_mm_s"])
     ranges = logs.groupby(heading).agg(np.ptp)
     if np.ptp(logs) < SAME_SPEED:
         return []
     if (ranges < SAME_SPEED).all():
         return [
             "speed and heading are confounded: each heading has one speed, so that friction, the skin's lag and the "
-            "speed cannot be told apart; record two speeds along one heading at least"
+            "speed cannot be separated; record two speeds along one heading at least"
         ]
     if (ranges >= SAME_SPEED).sum() == 1:
-        varied = taught["direction_deg"][heading == ranges.idxmax()].median()
+        varied = learned["direction_deg"][heading == ranges.idxmax()].median()
         return [
             f"speeds differ along one heading alone ({varied:.0f} deg): whether the lag is the same along "
             "others is not "
@@ -70,9 +70,9 @@ def _confounded(taught: pd.DataFrame) -> list[str]:
     return []
 
 
-def _directions(taught: pd.DataFrame) -> list[str]:
+def _directions(learned: pd.DataFrame) -> list[str]:
     """Gaps in the circle of directions."""
-    directions = np.sort(taught["direction_deg"].unique())
+    directions = np.sort(learned["direction_deg"].unique())
     gaps = np.diff(np.append(directions, directions[0] + 360.0))
     wide = [
         f"{low:.0f} to {(low + gap) % 360:.0f} deg"
@@ -84,10 +84,10 @@ def _directions(taught: pd.DataFrame) -> list[str]:
     return [f"directions without a slide: {', '.join(wide)}; motion there is extrapolated"]
 
 
-def _lines(taught: pd.DataFrame, sensor: Sensor) -> list[str]:
+def _lines(learned: pd.DataFrame, sensor: Sensor) -> list[str]:
     """Parts of the chamber, along x or y, that no slide passes."""
-    told = []
-    placed = taught.dropna(subset=["start_x_mm", "start_y_mm", "travel_mm"])
+    lines = []
+    placed = learned.dropna(subset=["start_x_mm", "start_y_mm", "travel_mm"])
     if placed.empty:
         return ["where on the skin the slides are is not said (start_x_mm, start_y_mm, travel_mm)"]
     angle = np.deg2rad(placed["direction_deg"])
@@ -99,17 +99,17 @@ def _lines(taught: pd.DataFrame, sensor: Sensor) -> list[str]:
         marks = np.concatenate([[-reach], np.sort(passed[np.abs(passed) < reach]), [reach]])
         for low, gap in zip(marks, np.diff(marks), strict=False):
             if gap > WIDEST_GAP_MM:
-                told.append(
+                lines.append(
                     f"no slide passes {name} from {low:.1f} to {low + gap:.1f} mm; the map is a guess there"
                 )
-    return told
+    return lines
 
 
-def _speeds(taught: pd.DataFrame, known: pd.DataFrame) -> list[str]:
+def _speeds(learned: pd.DataFrame, known: pd.DataFrame) -> list[str]:
     """A single speed, and test slides faster than any calibration slide."""
-    speeds, told = taught["speed_mm_s"], []
+    speeds, lines = learned["speed_mm_s"], []
     if speeds.max() < LEAST_SPEED_RATIO * speeds.min():
-        told.append(
+        lines.append(
             f"all calibration slides move at {speeds.min():.3g} to {speeds.max():.3g} mm/s: the skin's lag, "
             "which grows with the "
             f"speed, is not known; record one {LEAST_SPEED_RATIO:g} times as fast"
@@ -117,8 +117,8 @@ def _speeds(taught: pd.DataFrame, known: pd.DataFrame) -> list[str]:
     others = known[~known["split"].str.startswith(CALIBRATION)]
     faster = others[others["speed_mm_s"] > FASTER * speeds.max()]
     if len(faster):
-        told.append(
+        lines.append(
             f"{len(faster)} slides of {', '.join(sorted(set(faster['split'])))} are faster than any calibration slide "
             f"({faster['speed_mm_s'].max():.3g} to {speeds.max():.3g} mm/s): their speed is extrapolated"
         )
-    return told
+    return lines

@@ -147,7 +147,7 @@ def _units(measured: Sequence[Measurements], folder: Folder, limits: Limits) -> 
             yield Finding("error", "unit", "", part.name, float(off), limits.gravity_g, text)
     factor, text = impossible_speed(folder.manifest, folder.sensor)
     if text:
-        # Where no label tells the way, it may be a short one.
+        # Where no label gives the way, it may be a short one.
         level = "error" if folder.manifest["travel_mm"].notna().any() else "warning"
         yield Finding(level, "speed", "", "", factor, 1.0, text)
 
@@ -169,89 +169,85 @@ def _explained(finding: Finding, units: Sequence[Finding]) -> bool:
 
 def _signal(one: Measurements, sensor: Sensor, limits: Limits) -> Iterator[Finding]:
     """One recording's own signal: clock, rest, gravity, and each output's."""
-
-    def warning(kind: str, channel: str, figure: float, limit: float, text: str) -> Finding:
-        return Finding("warning", kind, one.name, channel, float(figure), float(limit), text)
-
-    if one.longest_step > limits.longest_step:
-        yield warning("clock", "", one.longest_step, limits.longest_step, "the longest step, in samples")
-    if (off := abs(one.rate_hz / sensor.sample_rate_hz - 1)) > limits.rate:
-        yield warning("clock", "", off, limits.rate, "the rate is off sample_rate_hz by this portion")
+    off = abs(one.rate_hz / sensor.sample_rate_hz - 1)
+    yield from _above(
+        *(one, ""),
+        ("warning", "clock", one.longest_step, limits.longest_step, "the longest step, in samples"),
+        ("warning", "clock", off, limits.rate, "the rate is off sample_rate_hz by this portion"),
+    )
     if one.rest_s < limits.rest_s:
-        yield warning("no rest", "", one.rest_s, limits.rest_s, "s of rest before the slide")
+        text = "s of rest before the slide"
+        yield Finding("warning", "no rest", one.name, "", float(one.rest_s), limits.rest_s, text)
     for k, part in enumerate(sensor.accelerometers):
         if part.measures_gravity:
             rest_g = (one.rest_v[3 * k : 3 * k + 3] - part.zero_g_v) / part.sensitivity_v_per_g
-            if (off := abs(float(np.linalg.norm(rest_g)) - 1)) > limits.gravity_g:
-                yield warning(
-                    "gravity", part.name, off, limits.gravity_g, "g off the 1 g that is due at rest"
-                )
+            off, text = abs(float(np.linalg.norm(rest_g)) - 1), "g off the 1 g that is due at rest"
+            yield from _above(one, part.name, ("warning", "gravity", off, limits.gravity_g, text))
         for n in range(3 * k, 3 * k + 3):
-            if one.span_v[n] <= sensor.adc_step_v:
+            channel, span_v = sensor.channels[n], float(one.span_v[n])
+            if span_v <= sensor.adc_step_v:
                 text = f"{part.unit} between highest and lowest"
-                yield Finding(
-                    "error",
-                    "dead",
-                    one.name,
-                    sensor.channels[n],
-                    float(one.span_v[n]),
-                    sensor.adc_step_v,
-                    text,
-                )
+                yield Finding("error", "dead", one.name, channel, span_v, sensor.adc_step_v, text)
                 continue
             if part.measures_gravity:
-                yield from _acceleration(one, n, part, sensor, limits)
+                yield from _acceleration(one, n, channel, part, limits)
             if sensor.origin != "assembled":
-                yield from _output(one, n, sensor, limits)
+                yield from _output(one, n, channel, limits)
 
 
 def _acceleration(
-    one: Measurements, n: int, part: Accelerometer, sensor: Sensor, limits: Limits
+    one: Measurements, n: int, channel: str, part: Accelerometer, limits: Limits
 ) -> Iterator[Finding]:
-    """One output of an accelerometer, in g: noise, mains, drift. n: its channel."""
-    v_per_g = part.sensitivity_v_per_g
+    """One output of an accelerometer, in g: noise, mains, drift. n: of its channel."""
+    noise, mains, drift = (
+        v[n] / part.sensitivity_v_per_g for v in (one.noise_v_rthz, one.mains_v, np.abs(one.drift_v))
+    )
+    sheet = NOISE_G_RTHZ.get(part.model, np.nan)
+    high, low = limits.noise_high * sheet, limits.noise_low * sheet
+    yield from _above(
+        *(one, channel),
+        ("warning", "noise", noise, high, f"g/sqrt(Hz), more than the {part.model} has"),
+        ("warning", "mains", mains, limits.mains_g, f"g at {one.mains_hz:g} Hz"),
+        ("warning", "drift", drift, limits.drift_g, "g between rest before and after"),
+    )
+    if noise < low:
+        text = f"g/sqrt(Hz), less than any {part.model} has"
+        yield Finding("warning", "noise", one.name, channel, float(noise), float(low), text)
 
-    def find(kind: str, figure: float, limit: float, text: str) -> Finding:
-        return Finding("warning", kind, one.name, sensor.channels[n], float(figure), float(limit), text)
 
-    noise, sheet = one.noise_v_rthz[n] / v_per_g, NOISE_G_RTHZ.get(part.model)
-    if sheet and noise > (limit := limits.noise_high * sheet):
-        yield find("noise", noise, limit, f"g/sqrt(Hz), more than the {part.model} has")
-    if sheet and noise < (limit := limits.noise_low * sheet):
-        yield find("noise", noise, limit, f"g/sqrt(Hz), less than any {part.model} has")
-    if (mains := one.mains_v[n] / v_per_g) > limits.mains_g:
-        yield find("mains", mains, limits.mains_g, f"g at {one.mains_hz:g} Hz")
-    if (drift := abs(one.drift_v[n]) / v_per_g) > limits.drift_g:
-        yield find("drift", drift, limits.drift_g, "g between rest before and after")
+def _output(one: Measurements, n: int, channel: str, limits: Limits) -> Iterator[Finding]:
+    """One output's signal, whatever it measures: clipped, tones, repeats. n: of its channel."""
+    tone = f"times the noise floor at {one.tone_hz[n]:g} Hz: a pure tone, a machine's or a program's"
+    yield from _above(
+        *(one, channel),
+        ("error", "clipped", one.rail_run[n], limits.rail_run, "equal samples at a rail"),
+        ("warning", "tone", one.tone_ratio[n], limits.tone, tone),
+        ("error", "made up", one.echo[n], limits.echo, "the noise repeats itself"),
+    )
 
 
-def _output(one: Measurements, n: int, sensor: Sensor, limits: Limits) -> Iterator[Finding]:
-    """One output's signal, whatever it measures: clipped, tones, repeats. n: its channel."""
-
-    def find(level: str, kind: str, figure: float, limit: float, text: str) -> Finding:
-        return Finding(level, kind, one.name, sensor.channels[n], float(figure), float(limit), text)
-
-    if one.rail_run[n] > limits.rail_run:
-        yield find("error", "clipped", one.rail_run[n], limits.rail_run, "equal samples at a rail")
-    if one.tone_ratio[n] > limits.tone:
-        text = f"times the noise floor at {one.tone_hz[n]:g} Hz: a pure tone, a machine's or a program's"
-        yield find("warning", "tone", one.tone_ratio[n], limits.tone, text)
-    if one.echo[n] > limits.echo:
-        yield find("error", "made up", one.echo[n], limits.echo, "the noise repeats itself")
+def _above(one: Measurements, channel: str, *rows: tuple[str, str, float, float, str]) -> Iterator[Finding]:
+    """Those of a recording whose figure exceeds the limit: level, kind, figure, limit and text each."""
+    for level, kind, figure, limit, text in rows:
+        if figure > limit:
+            yield Finding(level, kind, one.name, channel, float(figure), float(limit), text)
 
 
 def _labels(one: Measurements, labels: pd.Series, sensor: Sensor, limits: Limits) -> Iterator[Finding]:
     """Labels that contradict each other."""
-    if (off := abs(line_mismatch_mm(labels, sensor))) > limits.line_mm:
-        text = "mm between the start and the line of direction and offset"
-        yield Finding("error", "labels", one.name, "", off, limits.line_mm, text)
     duration = labels["motion_end_s"] - labels["motion_start_s"]
     due = labels["travel_mm"] / labels["speed_mm_s"]
     # A stage takes its time to speed up and to stop; that is no contradiction.
-    if (off := abs(duration - due)) > max(limits.ramp_s, limits.speed * due):
-        limit = max(limits.ramp_s, limits.speed * due)
-        text = "s between the moments of motion and travel over speed"
-        yield Finding("error", "labels", one.name, "", float(off), float(limit), text)
+    ramps, line = (
+        max(limits.ramp_s, limits.speed * due),
+        "mm between the start and the line of direction and offset",
+    )
+    moments = "s between the moments of motion and travel over speed"
+    yield from _above(
+        *(one, ""),
+        ("error", "labels", abs(line_mismatch_mm(labels, sensor)), limits.line_mm, line),
+        ("error", "labels", abs(duration - due), ramps, moments),
+    )
 
 
 def _label_against_signal(one: Measurements, sensor: Sensor, limits: Limits) -> Iterator[Finding]:
@@ -293,11 +289,11 @@ def _wiring(measured: Sequence[Measurements], sensor: Sensor, limits: Limits) ->
         )
         if not np.isnan(upright).all() and (z_g := float(np.nanmedian(upright))) < -0.5:
             yield Finding("error", "inverted", "", f"{part.name}_vz", z_g, -0.5, "g at rest, where +1 is due")
-        told = np.array([one.agreement[k] for one in measured])
-        known = ~np.isnan(told)
+        agreement = np.array([one.agreement[k] for one in measured])
+        known = ~np.isnan(agreement)
         if (known.sum(axis=0).diagonal() < 3).any():
             continue
-        mean = np.where(known, told, 0).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
+        mean = np.where(known, agreement, 0).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
         for i, axis in enumerate("xy"):
             channel = f"{part.name}_v{axis}"
             others = [j for j in range(3) if j != i and abs(mean[j, i]) > limits.swapped]

@@ -71,7 +71,7 @@ def checked(
     of recordings that can be read, for what is said of what they cover.
 
     Raises:
-        InputError: the atlas named is none, or of another design.
+        InputError: the atlas named is not one, or of another design.
     """
     measured, unreadable = measured_slides(folder)
     findings = compared(folder, measured, unreadable)

@@ -52,7 +52,7 @@ def sign_agreement(recording: Recording, labels: pd.Series, sensor: Sensor) -> n
 
     Entry [k, i, j] compares output i (v_x, v_y, v_z, less the rest before the slide) of accelerometer k with
     the sign due along axis j: +1 agrees, -1 inverted, 0 unrelated. A well-wired board has [k, 0, 0] and
-    [k, 1, 1] near +1. NaN where the labels or the path do not tell.
+    [k, 1, 1] near +1. NaN where the labels or the path do not say.
     """
     agreement = np.full((len(sensor.accelerometers), 3, 2), np.nan)
     if labels[list(NEEDED)].isna().any():
@@ -67,12 +67,12 @@ def sign_agreement(recording: Recording, labels: pd.Series, sensor: Sensor) -> n
         away = path - (part.x_mm, part.y_mm)
         close = np.hypot(away[:, 0], away[:, 1]) < FAR_MM
         for j in range(2):
-            told = close & (np.abs(away[:, j]) > NEAR_MM)
-            if told.sum() < 10:
+            known = close & (np.abs(away[:, j]) > NEAR_MM)
+            if known.sum() < 10:
                 continue
-            due = np.sign(away[told, j])
+            due = np.sign(away[known, j])
             for i in range(3):
-                output = volts[told, 3 * k + i]
+                output = volts[known, 3 * k + i]
                 scale = np.linalg.norm(output) * np.sqrt(len(due))
                 agreement[k, i, j] = output @ due / scale if scale > 0 else 0.0
     return agreement

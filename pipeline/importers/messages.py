@@ -14,12 +14,12 @@ INVERTED = -0.4
 
 def inverted(entries: Sequence[dict[str, Any]], mapping: Map) -> tuple[dict[int, float], list[str]]:
     """Outputs to flip, as channel -> the volts to mirror them at, and why."""
-    told = [entry["agreement"] for entry in entries if entry["agreement"] is not None]
+    known_signs = [entry["agreement"] for entry in entries if entry["agreement"] is not None]
     flips: dict[int, float] = {}
     notes: list[str] = []
-    if not told:
+    if not known_signs:
         return flips, notes
-    cosines = np.array(told, dtype=float).reshape(len(told), -1, 3, 2)
+    cosines = np.array(known_signs, dtype=float).reshape(len(known_signs), -1, 3, 2)
     for k, part in enumerate(mapping.sensor.accelerometers):
         for i, axis in enumerate("xy" if part.measures_gravity else ""):
             known = cosines[:, k, i, i][~np.isnan(cosines[:, k, i, i])]

@@ -46,12 +46,12 @@ def stamp(job: Source) -> list[list[Any]]:
 
 def fingerprint(mapping: Map) -> str:
     """A hash of the map and of every file that it names."""
-    beside = [board.calibration for board in mapping.boards.values() if board.calibration]
-    beside += [mapping.sheet.file] if mapping.sheet else []
+    named = [board.calibration for board in mapping.boards.values() if board.calibration]
+    named += [mapping.sheet.file] if mapping.sheet else []
     # Where the map lies does not change what it means.
     texts = [
         repr(replace(mapping, path=Path())),
-        *((mapping.path.parent / name).read_text(errors="replace") for name in beside),
+        *((mapping.path.parent / name).read_text(errors="replace") for name in named),
     ]
     return hashlib.sha256("\0".join(texts).encode()).hexdigest()
 

@@ -1,6 +1,6 @@
 """The import: sources and a map in, a folder of recordings out. It resumes, and two imports are identical.
 
-Finished recordings wait in a hidden folder beside the output, with a journal that says from which files and
+Finished recordings wait in a hidden folder next to the output, with a journal that says from which files and
 with which map they were made. An interrupted import resumes from it; bad input removes it.
 """
 
@@ -128,7 +128,7 @@ def find_sources(sources: Sequence[Path], mapping: Map) -> list[Source]:
             job = found.setdefault(name, Source(name, groups))
             if part in job.files:
                 raise InputError(
-                    f"{path}: recording '{name}' comes from {job.files[part]} too; tell them apart in pattern"
+                    f"{path}: recording '{name}' comes from {job.files[part]} too; separate them in pattern"
                 )
             job.files[part] = path
     if not found:
@@ -198,7 +198,7 @@ def _checked_row(row: Row, sensor: Sensor, source: Path) -> pd.Series:
 
 
 def _shift_s(recording: Recording, labels: pd.Series, sensor: Sensor) -> float:
-    """How much later than labelled the motion starts, by the onset; NaN where labels or onset do not tell.
+    """How much later than labelled the motion starts, by the onset; NaN where labels or onset do not say.
 
     The skin begins to bend once the object has reached the inflated chamber, a little after the stage starts.
     """

@@ -104,7 +104,7 @@ def read_calibration(path: Path, accelerometer: str) -> Calibration:
     Raises:
         InputError: no such table, a position is missing, an axis that hardly responds to gravity.
     """
-    table = read_text_table(path, "a calibration is a table of six positions beside the map")
+    table = read_text_table(path, "a calibration is a table of six positions next to the map")
     for column in ("accelerometer", "position", "vx", "vy", "vz"):
         if column not in table:
             raise InputError(f"{path}: column '{column}' is missing; add it")

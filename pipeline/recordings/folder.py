@@ -19,7 +19,7 @@ from pipeline.recordings.truth import read_truth, truth_path, write_truth
 from pipeline.sensor import Sensor, read_sensor, write_sensor
 from pipeline.staging import staged
 
-# 60 emulated bench recordings that ship with the project; see the README beside them.
+# 60 emulated bench recordings that ship with the project; see the README next to them.
 SAMPLE = Path(__file__).parents[1] / "sample"
 
 
@@ -55,7 +55,7 @@ class Recording:
         if not upright.all():
             raise InputError(
                 f"{place}: from {self.time_s[~upright.all(axis=1)][0]:g} s on the base leans over further than a "
-                "contact can be told from; leave it out"
+                "contact can be separated from; leave it out"
             )
         return replace(self, volts=volts, base_v=None)
 
@@ -85,7 +85,7 @@ class Folder:
         read = self.read(recording)
         if self.base_motion is None:
             return read
-        return read.without(self.base_motion, self.root / self.manifest.at[recording, "file"])
+        return read.without(self.base_motion, self.root / str(self.manifest.at[recording, "file"]))
 
     def read(self, recording: str) -> Recording:
         """One recording as it was recorded, and its truth if any; held against the sensor's rate and the moments of

@@ -13,27 +13,21 @@ from pipeline.staging import whole, writing
 
 
 def open_growing(root: Path, sensor: Sensor | None) -> Folder:
-    """The folder as it stands, to be gone on with; a new one, without recordings, where there is none.
+    """The folder as it stands, to be gone on with; a new one, without recordings, where there is not one.
 
     sensor: of the new folder; None: the one that the folder names.
 
     Raises:
-        InputError: the folder is of another sensor, is none, or is new and no sensor is given.
+        InputError: the folder is of another sensor, is not a folder, or is new and no sensor is given.
     """
     root = Path(root)
-    if (root / "manifest.csv").exists():
-        folder = read_folder(root)
-        if sensor is not None and sensor != folder.sensor:
-            raise InputError(
-                f"{root / 'sensor.toml'}: another sensor than the one given; name a new folder, or that sensor"
-            )
-        return folder
     kept = root / "sensor.toml"
-    if kept.exists():
-        # An earlier run ended before its first recording.
-        if sensor is not None and sensor != read_sensor(kept):
-            raise InputError(f"{kept}: another sensor than the one given; name a new folder, or that sensor")
-        sensor = read_sensor(kept)
+    known = read_sensor(kept) if kept.exists() else None
+    if sensor is not None and known is not None and sensor != known:
+        raise InputError(f"{kept}: another sensor than the one given; name a new folder, or that sensor")
+    if (root / "manifest.csv").exists():
+        return read_folder(root)
+    sensor = known or sensor  # known of a run that ended before its first recording
     if sensor is None:
         raise InputError("give the sensor.toml of the new folder", "sensor")
     with writing(root):

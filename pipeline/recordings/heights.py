@@ -1,6 +1,6 @@
 """The skin's height at each recording: a laser's reading, or what the pressure under the skin makes of those there are.
 
-A skin's height goes about with the cube root of the pressure; where a laser read several pressures they tell the power.
+A skin's height goes about with the cube root of the pressure; where a laser read several pressures they give the power.
 """
 
 import math
@@ -17,7 +17,7 @@ LASER = "skin_height_mm"  # a laser's reading of it
 # Relative: what a regulator holds a pressure by. The skin's height goes with its cube root.
 SAME_PRESSURE = 0.02
 POWER = 1 / 3
-# At the main pressure, where no laser tells: between two benches' 7.2 and 8.1 mm (docs/method.md).
+# At the main pressure, where no laser read it: between two benches' 7.2 and 8.1 mm (docs/method.md).
 USUAL_MM = 7.5
 
 
@@ -58,7 +58,7 @@ def said_of_heights(folder: Folder) -> str:
 def with_heights(folder: Folder) -> Folder:
     """The folder with the height of the skin at each recording in the column HEIGHT, where there are several pressures.
 
-    A height is the laser's reading, else that of its pressure, which the readings tell.
+    A height is the laser's reading, else that of its pressure, which the readings give.
     """
     main_mpa = main_pressure_mpa(folder)
     pressure = folder.manifest["pressure_mpa"].fillna(main_mpa)

@@ -1,4 +1,4 @@
-"""What was so at each moment of a recording: `slides/NAME.truth.csv` beside `slides/NAME.parquet`.
+"""What was so at each moment of a recording: `slides/NAME.truth.csv` next to `slides/NAME.parquet`.
 
 Columns: time_s, on an even clock of any rate; x_mm, y_mm of the indenter's centre; vx_mm_s, vy_mm_s; contact, 0 or 1;
 depth_mm of the indenter's lowest point below the flat skin's face, which is negative over it.
@@ -44,7 +44,7 @@ def read_truth(path: Path) -> pd.DataFrame:
         InputError: a column or a number is missing, the clock is not even, contact is neither 0 nor 1, or velocity is
             not the slope of the place.
     """
-    table = read_text_table(path, "write it beside its slide")
+    table = read_text_table(path, "write it next to its slide")
     for column in COLUMNS:
         if column not in table and column not in _OPTIONAL:
             raise InputError(f"{path}: column '{column}' is missing; add it")

@@ -46,13 +46,13 @@ def import_grid(source: Path, mapping: GridMap, out: Path) -> tuple[Folder, list
         recording, row = _assembled(slide, presses, mapping)
         recordings.append(recording)
         rows.append(row)
-    told = {
+    origin = {
         "what": "slides assembled from presses on a grid: each sample is a press as measured, the motion is made",
         "source": source.name,
         "notes": notes,
     }
     folder = write_folder(
-        out, sensor, pd.DataFrame(rows), recordings, {"import.json": json.dumps(told, indent=1) + "\n"}
+        out, sensor, pd.DataFrame(rows), recordings, {"import.json": json.dumps(origin, indent=1) + "\n"}
     )
     return folder, notes
 

@@ -2,7 +2,7 @@
 
 Places are (n, 2) mm. A line of the direction (i, j) is numbered by q = j x - i y, x and y counted in steps of the grid.
 Lines with even q are for presses of the even places of the checkerboard, lines with odd q for the odd places: what is
-taught on the one colour and asked on the other shares neither a press nor a line.
+learned on the one colour and tested on the other shares neither a press nor a line.
 """
 
 from dataclasses import dataclass
