@@ -36,7 +36,7 @@ from features.errors import InputError
 from pipeline.progress import progress_bar
 from pipeline.recordings.derived_labels import with_derived_labels
 from pipeline.recordings.folder import Folder, read_folder
-from pipeline.recordings.taught import taught_depths_mm, taught_lines
+from pipeline.recordings.learned import learned_depths_mm, learned_lines
 from pipeline.staging import alone, staged
 from serve.whole_contacts import has_whole_contacts
 
@@ -133,9 +133,9 @@ def _evaluated(
         followed, whole_paths = _followed(bundle, folder, archive)
         least = list(bounds_of(bundle, folder, archive))
         scored = score(table, folder.manifest, folder.sensor)
-        along = scored["recording"].map(taught_lines(whole.manifest)) != ""
+        along = scored["recording"].map(learned_lines(whole.manifest)) != ""
         apart, unseen = scored[along], scored[~along]
-        verdicts = tuple(check(bound, unseen, taught_depths_mm(whole.manifest)) for bound in read_bounds())
+        verdicts = tuple(check(bound, unseen, learned_depths_mm(whole.manifest)) for bound in read_bounds())
         card = json.loads((bundle / "model.json").read_text(encoding="utf-8"))
         metrics = measure(unseen, verdicts) | {
             "taught_lines": {

@@ -35,6 +35,12 @@ def recorded(root: Path, moves: dict[str, float], sensor: Sensor = SENSOR, split
     return write_folder(root, sensor, manifest, recordings)
 
 
+@pytest.fixture(scope="module")
+def robot(tmp_path_factory: pytest.TempPathFactory) -> Folder:
+    """One recording of a robot that leans over, read without the motion."""
+    return without_base_motion(recorded(tmp_path_factory.mktemp("robot") / "lab", {"one": 20.0}))
+
+
 def test_how_the_skin_follows_the_base_is_recovered(tmp_path: Path) -> None:
     folder = without_base_motion(recorded(tmp_path / "lab", {"one": 20.0, "two": 20.0}))
     found = folder.base_motion
@@ -48,9 +54,8 @@ def test_how_the_skin_follows_the_base_is_recovered(tmp_path: Path) -> None:
     assert left_v < 3e-3  # the noise of a block is 1.1 mV in the skin and 1.8 from the base
 
 
-def test_recordings_are_loaded_without_the_motion(tmp_path: Path) -> None:
-    folder = without_base_motion(recorded(tmp_path / "lab", {"one": 20.0}))
-    moving, level = folder.read("one"), folder.load("one")
+def test_recordings_are_loaded_without_the_motion(robot: Folder) -> None:
+    moving, level = robot.read("one"), robot.load("one")
     assert moving.volts[:, 0].std() > 0.05
     assert level.volts[:, 0].std() < 0.015
     assert moving.base_v is not None
@@ -76,9 +81,8 @@ def test_a_base_that_hardly_moves_tells_nothing(tmp_path: Path) -> None:
         without_base_motion(recorded(tmp_path / "lab", {"one": 0.5}))
 
 
-def test_a_recording_in_which_the_robot_lies_on_its_side_is_refused(tmp_path: Path) -> None:
-    folder = without_base_motion(recorded(tmp_path / "lab", {"one": 20.0}))
-    turned = replace(folder, base_motion=replace(folder.base_motion, base_v=(1.5, 1.5, 2.6)))
+def test_a_recording_in_which_the_robot_lies_on_its_side_is_refused(robot: Folder) -> None:
+    turned = replace(robot, base_motion=replace(robot.base_motion, base_v=(1.5, 1.5, 2.6)))
     with pytest.raises(InputError, match=r"one\.parquet: from 0 s on the base leans over further"):
         turned.load("one")
 
@@ -95,10 +99,9 @@ def test_an_accelerometer_of_the_skin_is_not_named_as_the_base() -> None:
         replace(SENSOR, accelerometers=(named,))
 
 
-def test_recordings_without_the_motion_are_not_written_as_if_they_had_it(tmp_path: Path) -> None:
-    folder = without_base_motion(recorded(tmp_path / "lab", {"one": 20.0}))
+def test_recordings_without_the_motion_are_not_written_as_if_they_had_it(robot: Folder, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="do not both have a base"):
-        write_folder(tmp_path / "out", folder.sensor, folder.manifest, [folder.load("one")])
+        write_folder(tmp_path / "out", robot.sensor, robot.manifest, [robot.load("one")])
     assert not (tmp_path / "out").exists()
 
 

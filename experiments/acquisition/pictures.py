@@ -14,7 +14,7 @@ from matplotlib.patches import Rectangle
 
 from experiments.pages.figures import COLOURS, EDGE, INK, STYLE
 from pipeline.recordings.folder import Folder
-from pipeline.recordings.taught import CALIBRATION
+from pipeline.recordings.learned import CALIBRATION
 from pipeline.sensor import Sensor
 
 NUMBER_MM = 1.5  # from a line's start back to its number

@@ -13,7 +13,7 @@ from experiments.article.scoring import Scored, at_end
 from experiments.article.section import Section
 from experiments.article.slide_figures import SINCE_EDGE, Whole, delays_mm, nearest
 from experiments.pages.figures import COLOURS, EDGE, INK, Panel, chart, on_skin, rectangle
-from pipeline.recordings.taught import CALIBRATION
+from pipeline.recordings.learned import CALIBRATION
 from pipeline.sensor import Sensor
 
 # The one fit that the article still shows, of X-sliding: v in mm/s of t_max in s, coefficients in rising powers.

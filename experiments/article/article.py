@@ -17,7 +17,7 @@ from experiments.evaluation.bounds import INFLATED_MM, read_bounds
 from experiments.pages.page import render
 from pipeline.atlas.library import atlas_of
 from pipeline.recordings.folder import read_folder
-from pipeline.recordings.taught import CALIBRATION
+from pipeline.recordings.learned import CALIBRATION
 from pipeline.sensor import Sensor
 from pipeline.staging import staged
 

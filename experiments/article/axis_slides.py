@@ -16,7 +16,7 @@ from features.vector.feature_vector import feature_matrix
 from models.classical.interpolation import DIRECTIONS_DEG
 from pipeline.recordings.at_rest import conditioning_for
 from pipeline.recordings.folder import Folder
-from pipeline.recordings.taught import SAME_DEPTH_MM, taught_depths_mm
+from pipeline.recordings.learned import SAME_DEPTH_MM, learned_depths_mm
 from pipeline.recordings.windows import labelled_windows
 
 KINDS = ("X forward", "Y forward", "X backward", "Y backward")  # as DIRECTIONS_DEG
@@ -76,7 +76,7 @@ def read_axis_slides(folder: Folder) -> tuple[AxisSlides | None, list[str]]:
     manifest = folder.manifest
     known = manifest[list(_NEEDED)].notna().all(axis=1)
     axis = known & (_turned(manifest["direction_deg"].to_numpy(float)).min(axis=1) < _AXIS_DEG)
-    depths = taught_depths_mm(manifest)
+    depths = learned_depths_mm(manifest)
     off = np.abs(manifest["depth_mm"].to_numpy(float)[:, None] - np.array(depths or (np.nan,))).min(axis=1)
     same = axis & ~(off > SAME_DEPTH_MM)
     slides = (

@@ -10,7 +10,7 @@ from experiments.article.axis_slides import AxisSlides
 from experiments.article.method import Method, Variant, fit_method
 from experiments.evaluation.bounds import Bound, Verdict, check
 from experiments.evaluation.scoring import score
-from pipeline.recordings.taught import CALIBRATION, taught_depths_mm
+from pipeline.recordings.learned import CALIBRATION, learned_depths_mm
 
 FOLDS = 5
 _LINE_MM = 0.5  # lines this close count as one
@@ -40,7 +40,7 @@ def score_variant(slides: AxisSlides, variant: Variant) -> Scored:
     """
     fitted_to = slides.table["split"].str.startswith(CALIBRATION).to_numpy()
     tested = slides.table["split"].str.startswith("test").to_numpy()
-    depths = taught_depths_mm(slides.folder.manifest)
+    depths = learned_depths_mm(slides.folder.manifest)
     method = fit_method(slides[fitted_to].whole, variant)
     fitted = scored(method, slides[fitted_to])
     if tested.any():

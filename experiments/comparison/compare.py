@@ -29,7 +29,7 @@ from features.window import Window
 from models.registry import MODELS as REGISTERED
 from pipeline.recordings.base_motion import without_base_motion
 from pipeline.recordings.folder import Folder, read_folder
-from pipeline.recordings.taught import CALIBRATION, taught_lines
+from pipeline.recordings.learned import CALIBRATION, learned_lines
 from pipeline.recordings.windows import LabelledWindows, labelled_windows
 from pipeline.staging import writing
 from serve.localizer import Localizer
@@ -129,7 +129,7 @@ def compare_on(folder: Folder, test: Folder, models: Sequence[str], out: Path, j
     Raises:
         InputError: no model suits it.
     """
-    lines = taught_lines(folder.manifest)
+    lines = learned_lines(folder.manifest)
     found = Findings(folder.sensor.origin, lines.index[lines != ""].intersection(test.manifest.index))
     for model in models:
         called = label(model)

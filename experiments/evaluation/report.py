@@ -17,7 +17,7 @@ from experiments.pages.page import number, render
 from experiments.tracking.run import flattened
 from features.stream.conditioning import Conditioning
 from pipeline.recordings.folder import Folder
-from pipeline.recordings.taught import CALIBRATION
+from pipeline.recordings.learned import CALIBRATION
 
 TEMPLATE = Path(__file__).parent / "report.html.j2"
 QUANTITY_NAMES = {

@@ -6,7 +6,7 @@ From labels alone; the signal may still be sound. Each sentence says what is mis
 import numpy as np
 import pandas as pd
 
-from pipeline.recordings.taught import CALIBRATION
+from pipeline.recordings.learned import CALIBRATION
 from pipeline.sensor import Sensor
 
 SAME_HEADING_DEG = 15.0

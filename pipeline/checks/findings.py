@@ -25,7 +25,7 @@ from pipeline.progress import progress_bar
 from pipeline.recordings.base_motion import base_motion_of
 from pipeline.recordings.derived_labels import with_derived_labels
 from pipeline.recordings.folder import Folder
-from pipeline.recordings.taught import SAME_LINE_MM, taught_lines
+from pipeline.recordings.learned import SAME_LINE_MM, learned_lines
 from pipeline.sensor import NOISE_G_RTHZ, Accelerometer, Sensor
 
 
@@ -352,9 +352,9 @@ def _made_up(measured: Sequence[Measurements], sensor: Sensor, limits: Limits) -
 
 def _leakage(manifest: pd.DataFrame) -> Iterator[Finding]:
     """Leakage: a line of the same direction and offset in a calibration and in a test split."""
-    taught, offset_mm = taught_lines(manifest), manifest["offset_mm"].astype(float)
+    learned, offset_mm = learned_lines(manifest), manifest["offset_mm"].astype(float)
     for name in manifest.index[manifest["split"].str.startswith("test")]:
-        if line := taught[name]:
+        if line := learned[name]:
             text = f"mm from the line of {line}, which is in a calibration split: 'evaluate' scores it apart"
             off = abs(offset_mm[name] - offset_mm[line])
             yield Finding("warning", "leakage", str(name), "", off, SAME_LINE_MM, text)

@@ -15,7 +15,7 @@ from pipeline.checks.findings import Finding, compared, measured_slides
 from pipeline.recordings.derived_labels import with_derived_labels
 from pipeline.recordings.folder import Folder
 from pipeline.recordings.heights import said_of_heights
-from pipeline.recordings.taught import CALIBRATION
+from pipeline.recordings.learned import CALIBRATION
 from pipeline.sensor import Sensor
 
 

@@ -1,4 +1,4 @@
-"""What a folder's calibration slides teach: lines that a test should not be along, and contact depths."""
+"""What is learned from a folder's calibration slides: lines that a test should not be along, and contact depths."""
 
 import numpy as np
 import pandas as pd
@@ -10,24 +10,24 @@ SAME_LINE_MM = 0.05
 SAME_DEPTH_MM = 0.01
 
 
-def taught_lines(manifest: pd.DataFrame) -> pd.Series:
+def learned_lines(manifest: pd.DataFrame) -> pd.Series:
     """For each recording the calibration slide along whose line it runs, "" if there is none.
 
     manifest: `Folder.manifest` with all splits. A calibration slide runs along its own line or an earlier one's.
     """
-    taught = manifest[manifest["split"].str.startswith(CALIBRATION)]
+    learned = manifest[manifest["split"].str.startswith(CALIBRATION)]
     names = []
     for direction, offset in manifest[["direction_deg", "offset_mm"]].to_numpy(float):
-        turn = np.abs((taught["direction_deg"] - direction + 180) % 360 - 180)
-        same = (turn < SAME_LINE_DEG) & ((taught["offset_mm"] - offset).abs() < SAME_LINE_MM)
-        names.append(str(taught.index[int(same.argmax())]) if same.any() else "")
+        turn = np.abs((learned["direction_deg"] - direction + 180) % 360 - 180)
+        same = (turn < SAME_LINE_DEG) & ((learned["offset_mm"] - offset).abs() < SAME_LINE_MM)
+        names.append(str(learned.index[int(same.argmax())]) if same.any() else "")
     return pd.Series(names, index=manifest.index, dtype=object)
 
 
-def taught_depths_mm(manifest: pd.DataFrame) -> tuple[float, ...]:
+def learned_depths_mm(manifest: pd.DataFrame) -> tuple[float, ...]:
     """Contact depths of the calibration slides, ascending; without any the median of all. Empty: no depth is given."""
     depth = manifest["depth_mm"].dropna()
-    taught = depth[manifest.loc[depth.index, "split"].str.startswith(CALIBRATION)]
-    if taught.empty:
+    learned = depth[manifest.loc[depth.index, "split"].str.startswith(CALIBRATION)]
+    if learned.empty:
         return () if depth.empty else (float(depth.median()),)
-    return tuple(sorted(set(taught.tolist())))
+    return tuple(sorted(set(learned.tolist())))
