@@ -99,7 +99,9 @@ def test_an_accelerometer_of_the_skin_is_not_named_as_the_base() -> None:
         replace(SENSOR, accelerometers=(named,))
 
 
-def test_recordings_without_the_motion_are_not_written_as_if_they_had_it(robot: Folder, tmp_path: Path) -> None:
+def test_recordings_without_the_motion_are_not_written_as_if_they_had_it(
+    robot: Folder, tmp_path: Path
+) -> None:
     with pytest.raises(InputError, match="do not both have a base"):
         write_folder(tmp_path / "out", robot.sensor, robot.manifest, [robot.load("one")])
     assert not (tmp_path / "out").exists()
