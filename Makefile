@@ -20,7 +20,7 @@ real: .venv/installed ## the table of docs/real.md, in hours
 	$(BIN)/softslide import pipeline/presses/run2_20250317_fixed_depth.csv --map pipeline/presses/five.toml --out real/five
 	$(BIN)/softslide import pipeline/presses/run2_20250317_fixed_depth.csv --map pipeline/presses/few.toml --out real/few
 	$(BIN)/softslide compare --recordings real/one real/five --models trees inversion cnn --out real/comparison
-	$(BIN)/softslide few --recordings real/few --slides 48 12 --draws 1
+	$(BIN)/python -m experiments.studies.few_recordings --recordings real/few --slides 48 12 --draws 1
 	$(BIN)/softslide evaluate --model real/comparison/one/cnn/bundle --recordings real/one --split track-circle track-s --out real/curves-one --allow-untested
 	$(BIN)/softslide evaluate --model real/comparison/five/cnn/bundle --recordings real/five --split track-circle track-s --out real/curves-five --allow-untested
 

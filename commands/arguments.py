@@ -91,13 +91,10 @@ def existing(parser: Parser, name: str, metavar: str, help: str, **options: Any)
     parser.add_argument(name, type=Path, action=Existing, metavar=metavar, help=help, **options)
 
 
-def model(
-    parser: Parser,
-    required: bool = True,
-    help: str = "a bundle from 'train', or models:/softslide@champion (needs the train extra)",
-) -> None:
+def model(parser: Parser) -> None:
     """--model BUNDLE"""
-    existing(parser, "--model", "BUNDLE", help, required=required)
+    help = "a bundle from 'train', or models:/softslide@champion (needs the train extra)"
+    existing(parser, "--model", "BUNDLE", help, required=True)
 
 
 def recordings(parser: Parser, help: str, **options: Any) -> None:

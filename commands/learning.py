@@ -1,4 +1,4 @@
-"""Subcommands around one model: demo, train, sweep, evaluate, export, recalibrate."""
+"""Subcommands around one model: demo, train, evaluate, export, recalibrate."""
 
 import argparse
 import json
@@ -139,34 +139,6 @@ def _again(given: argparse.Namespace) -> int:
     return int(any(found.values()))
 
 
-def sweep(parser: Parser) -> Run:
-    """a tracked hyperparameter search
-
-    Searches a model's settings for the least errors on calibration lines held
-    out of the fit; test splits are never read. FILE names model, recordings,
-    atlas (if any), a table budget (trials, seconds of one call, workers), a
-    table settings that holds in every trial, and a table space: the settings'
-    keys, each { low, high, log } or a list of choices. Prints the best
-    settings as TOML for 'train --config'. Trials are kept beside FILE, as
-    .journal, and in MLflow; the same command continues an interrupted search.
-    Trials of cnn among the worst quarter at a third or two of their training
-    are given up, unless budget says prune = false. Pictures of the errors and
-    of each setting's importance go beside FILE, as .html.
-
-        softslide sweep --config sweep.toml > best.toml
-        softslide train --recordings my-recordings --config best.toml --out my-model
-    """
-    arguments.existing(parser, "--config", "FILE", "the sweep as TOML", required=True)
-    arguments.scheduler(parser)
-
-    def run(given: argparse.Namespace) -> None:
-        from experiments.sweep.search import sweep
-
-        print(sweep(given.config, given.scheduler or ""), end="")
-
-    return run
-
-
 def evaluate(parser: Parser) -> Run:
     """score a bundle on a folder of recordings against the article's bounds
 
@@ -280,4 +252,4 @@ def recalibrate(parser: Parser) -> Run:
     return run
 
 
-COMMANDS = (demo, train, sweep, evaluate, export, recalibrate)
+COMMANDS = (demo, train, evaluate, export, recalibrate)

@@ -38,7 +38,7 @@ def train_from_run(
         if configuration.get("command") != "train" or not (run.files / "bundle" / BUNDLE_FILES[0]).is_file():
             raise InputError(f"run {identifier}: not a training that has finished; name one")
         were = configuration["recordings"]
-        source = list(recordings) or ([were] if isinstance(were, str) else were)
+        source = list(recordings) or [Path(root) for root in ([were] if isinstance(were, str) else were)]
         for line in _not_as_it_was(run, configuration, source):
             print(line, file=sys.stderr)
         train(

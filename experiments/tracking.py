@@ -15,6 +15,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -94,8 +95,7 @@ class Run:
     def parameters(self, configuration: Mapping[str, Any]) -> None:
         """Logs a configuration whole as `configuration.json` and, flattened, as parameters."""
         rows = [Param(name, str(value)[:LONGEST]) for name, value in flattened(configuration).items()]
-        for first in range(0, len(rows), BATCH):
-            self.log(lambda client, run, first=first: client.log_batch(run, params=rows[first:][:BATCH]))
+        self._batches("params", rows)
         self.text(json.dumps(configuration, indent=1) + "\n", "configuration.json")
 
     def text(self, content: str, name: str) -> None:
@@ -131,8 +131,12 @@ class Run:
     def _metrics(self, values: Sequence[tuple[str, int, float]]) -> None:
         now = _now_ms()
         rows = [Metric(_name(name), value, now, step) for name, step, value in values if math.isfinite(value)]
+        self._batches("metrics", rows)
+
+    def _batches(self, name: str, rows: Sequence[Any]) -> None:
         for first in range(0, len(rows), BATCH):
-            self.log(lambda client, run, first=first: client.log_batch(run, metrics=rows[first:][:BATCH]))
+            batch = {name: rows[first : first + BATCH]}
+            self.log(partial(mlflow.MlflowClient.log_batch, **batch))
 
 
 @contextmanager
@@ -195,9 +199,11 @@ def open_experiment(client: mlflow.MlflowClient, address: str) -> str:
         return found.experiment_id if found else client.create_experiment(EXPERIMENT, place)
     except MlflowException as error:
         # Another process has been quicker.
-        if error.error_code != "RESOURCE_ALREADY_EXISTS":
-            raise
-        return client.get_experiment_by_name(EXPERIMENT).experiment_id
+        if error.error_code == "RESOURCE_ALREADY_EXISTS" and (
+            found := client.get_experiment_by_name(EXPERIMENT)
+        ):
+            return found.experiment_id
+        raise
 
 
 def find_run(

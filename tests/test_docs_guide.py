@@ -4,6 +4,8 @@ import re
 import shlex
 from collections.abc import Iterable, Iterator
 from contextlib import chdir, redirect_stdout
+from importlib import import_module
+from importlib.util import find_spec
 from io import StringIO
 from pathlib import Path
 
@@ -20,7 +22,7 @@ TEXT = (Path(__file__).parents[1] / "docs" / "guide.md").read_text(encoding="utf
 # Of the sample's slides: quick ones are short. Fewer do for commands that fit nothing.
 FASTEST, FITTED = 6, 36
 # What takes half a minute and more, and what needs a trained bundle: in the long test.
-SLOW = ("design", "plan", "train", "export", "drift", "false-alarms", "article")
+SLOW = ("design", "plan", "train", "export", "python", "article")
 # What waits for a port, or serves until it is stopped; and where it runs.
 ELSEWHERE = {
     "record": "test_experiments_record.py",
@@ -29,12 +31,17 @@ ELSEWHERE = {
 
 
 def commands() -> list[str]:
-    """The guide's commands in order, without the name of the program."""
-    return re.findall(r"^    softslide (.+)$", TEXT, re.MULTILINE)
+    """The guide's commands in order, without the name of the program; studies begin with python."""
+    return re.findall(r"^    (?:softslide )?((?<=softslide ).+|python -m .+)$", TEXT, re.MULTILINE)
 
 
 def begins(command: str, names: Iterable[str]) -> bool:
     return any(command.startswith(name) for name in names)
+
+
+def study(words: list[str]) -> int:
+    """`python -m MODULE WORDS...`."""
+    return import_module(words[2]).main(words[3:])
 
 
 def run(command: str) -> int:
@@ -46,7 +53,7 @@ def run(command: str) -> int:
         target = Path(words[words.index(">") + 1])
         words = words[: words.index(">")]
     with redirect_stdout(out):
-        status = softslide.main(words)
+        status = study(words) if words[0] == "python" else softslide.main(words)
     if target:
         target.write_text(out.getvalue(), encoding="utf-8")
     return status
@@ -86,7 +93,10 @@ def test_every_command_is_one_that_the_program_has() -> None:
     assert len(found) > 12
     for command in found:
         words = shlex.split(command)
-        softslide.parser().parse_args(words[: words.index(">")] if ">" in words else words)
+        if words[0] == "python":
+            assert find_spec(words[2])
+        else:
+            softslide.parser().parse_args(words[: words.index(">")] if ">" in words else words)
     for name, where in ELSEWHERE.items():
         assert any(begins(command, [name]) for command in found)
         for file in where.split(", "):

@@ -1,7 +1,8 @@
-"""docs/real.md: its import maps ask no press that they teach, and its commands are what `make real` runs."""
+"""docs/real.md: its import maps ask no press that they learn from, and its commands are what `make real` runs."""
 
 import re
 import shlex
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -16,28 +17,30 @@ MAPS = sorted(path for path in PRESSES.glob("*.toml") if not path.name.startswit
 
 
 @pytest.mark.parametrize("path", MAPS, ids=lambda path: path.stem)
-def test_a_map_asks_no_pass_and_no_place_that_it_teaches(path: Path) -> None:
+def test_a_map_asks_no_pass_and_no_place_that_it_learns_from(path: Path) -> None:
     mapping = read_grid_map(path)
     assert mapping.sensor.touch_axes == "xyz"
-    (taught,) = [split for split in mapping.splits if split.name == "calibration"]
-    asked = [split for split in mapping.splits if split is not taught]
+    (learned,) = [split for split in mapping.splits if split.name == "calibration"]
+    asked = [split for split in mapping.splits if split is not learned]
     assert asked
     for split in asked:
-        assert not set(split.passes) & set(taught.passes)
-        assert {split.colour, taught.colour} == {"even", "odd"}
+        assert not set(split.passes) & set(learned.passes)
+        assert {split.colour, learned.colour} == {"even", "odd"}
 
 
 def test_its_commands_are_those_of_make_and_are_understood() -> None:
     text = (ROOT / "docs" / "real.md").read_text(encoding="utf-8")
-    told = re.findall(r"^    softslide (.+)$", text, re.MULTILINE)
+    shown = re.findall(r"^    ((?:softslide|python) .+)$", text, re.MULTILINE)
     recipe = re.search(
         r"^real:.*\n((?:\t.+\n)+)", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE
     )
     assert recipe is not None
-    made = re.findall(r"^\t\$\(BIN\)/softslide (.+)$", recipe.group(1), re.MULTILINE)
-    assert made == told
-    for line in told:
-        softslide.parser().parse_args(shlex.split(line))
+    assert re.findall(r"^\t\$\(BIN\)/(.+)$", recipe.group(1), re.MULTILINE) == shown
+    for program, *words in map(shlex.split, shown):
+        if program == "softslide":
+            softslide.parser().parse_args(words)
+        else:
+            assert find_spec(words[1])
 
 
 def test_the_presses_that_ship_make_slides_that_check_finds_nothing_wrong_with(

@@ -6,7 +6,9 @@ import re
 import shlex
 import shutil
 import subprocess
+from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -21,7 +23,7 @@ from experiments.bench.documents import (
     rewrite,
     write_results,
 )
-from experiments.bench.results import TAKEN, Bench, main
+from experiments.bench.results import main, take_from
 from experiments.code_hash import ROOMS
 
 ROOT = Path(__file__).parents[1]
@@ -49,6 +51,8 @@ def test_every_figure_has_its_commands_its_day_and_a_table() -> None:
             words = shlex.split(re.sub(r"^\w+=\S+ ", "", command))
             if words[0] == "softslide":
                 softslide.parser().parse_args(words[1:])
+            if words[0] == "python":
+                assert find_spec(words[2])
         assert keys_of(name, tables.values())
 
 
@@ -66,7 +70,7 @@ def claims(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (tmp_path / "models" / "level.py").write_text("LEVEL = 1  # V\n")
     monkeypatch.setattr("experiments.code_hash.ROOT", tmp_path)
     source = {
-        "commands": ["softslide bench"],
+        "commands": ["A=1 python -m study --json lab.json"],
         "date": "2026-01-01",
         "code": ["models.level"],
         "hash": hash_of({"code": ["models.level"]}),
@@ -108,12 +112,12 @@ def test_figures_of_earlier_code_are_found_and_shown_as_such(
     assert call(claims, "--stale") == 1
     assert capsys.readouterr().out == "lab: 2026-01-01: not marked\n"
     assert call(claims, "--mark", "another level") == 0
-    told = "*`lab`: measured with an earlier version of the code (2026-01-01): another level.*"
+    said = "*`lab`: measured with an earlier version of the code (2026-01-01): another level.*"
     page = claims.with_name("page.md")
-    assert f"100 % |\n\n{told}\n<!-- end of table -->" in page.read_text()
+    assert f"100 % |\n\n{said}\n<!-- end of table -->" in page.read_text()
     assert call(claims, "--stale") == 0
     assert call(claims, "--entered", "lab") == 0
-    assert told not in page.read_text()
+    assert said not in page.read_text()
     assert outdated(read_results(claims)) == []
 
 
@@ -126,17 +130,18 @@ def test_stale_figures_are_renewed_by_their_commands(
     measured = hash_of(results["lab"])
     ran = []
 
-    def run(words: list[str], **options: object) -> subprocess.CompletedProcess[str]:
+    def run(words: list[str], **options: Any) -> subprocess.CompletedProcess[str]:
         code.write_text("LEVEL = 3\n")
-        ran.append((words[1:], options["cwd"]))
-        printed = "it takes minutes\n" + json.dumps({"splits": {"a": {"mean": 0.5}}, "share": 0.25})
-        return subprocess.CompletedProcess(words, 0, printed)
+        ran.append((words[1:], options["cwd"], options["env"]["A"]))
+        figures = {"splits": {"a": {"mean": 0.5}}, "share": 0.25}
+        (options["cwd"] / "lab.json").write_text(json.dumps(figures))
+        return subprocess.CompletedProcess(words, 0)
 
     monkeypatch.setattr(subprocess, "run", run)
     (tmp_path / "all" / "bench-a").mkdir(parents=True)
     work = tmp_path / "work"
     assert call(claims, "--renew", "--work", str(work), "--recordings-root", str(tmp_path / "all")) == 0
-    assert ran == [(["-m", "softslide", "bench"], work)]
+    assert ran == [(["-m", "study", "--json", "lab.json"], work, "1")]
     assert (work / "bench-a").is_dir()
     source = read_results(claims)["lab"]
     assert source["figures"] == {"splits/a/mean": 0.5, "share": 0.25}
@@ -163,7 +168,7 @@ def test_figures_over_several_seeds_are_their_range(claims: Path, tmp_path: Path
         rows = f"as published,0,{8 + n},{2.5 - n}\nas published,1.5,1,1\nt from the edge,0,1,1\n"
         table = "variant,least_speed_mm_s,slides,speed_percent_mean\n" + rows
         (tmp_path / f"a-{n}" / "variants.csv").write_text(table)
-    TAKEN["article"](results, "lab", Bench(tmp_path), {})
+    take_from(results, "lab", tmp_path, {})
     found = {key: value for key, value in results["lab"]["figures"].items() if key.startswith("published")}
     assert found == {
         "published/slides/min": 8,
@@ -173,16 +178,19 @@ def test_figures_over_several_seeds_are_their_range(claims: Path, tmp_path: Path
     }
 
 
-def test_draws_are_averaged_and_a_plan_is_apart(claims: Path, tmp_path: Path) -> None:
+def test_a_source_takes_the_figures_of_each_of_its_scripts(claims: Path, tmp_path: Path) -> None:
     results = read_results(claims)
-    results["lab"]["commands"] = ["softslide few", "softslide few --plan p"]
-    rows = [{"slides": 4, "draw": n, "offset_mm_mean": 0.1 + 0.2 * n, "offset_mm_max": 1.0} for n in range(2)]
-    plan = {"slides": 12, "offset_mm_mean": 0.3, "offset_mm_max": 1.0}
-    printed = ["".join(f"{json.dumps(row)}\n" for row in rows), f"{json.dumps(plan)}\n"]
-    bench = Bench(tmp_path, dict(zip(results["lab"]["commands"], printed, strict=True)))
-    TAKEN["few"](results, "lab", bench, {})
-    assert results["lab"]["figures"]["4/offset_mm"] == pytest.approx(0.2)
+    results["lab"]["commands"] = [
+        "python -m a --json a.json",
+        "softslide plan",
+        "python -m a --plan p --json b.json",
+    ]
+    (tmp_path / "a.json").write_text(json.dumps({"4": {"offset_mm": 0.2}, "0": {"offset_mm": None}}))
+    (tmp_path / "b.json").write_text(json.dumps({"12-planned": {"offset_mm": 0.3}}))
+    take_from(results, "lab", tmp_path, {})
+    assert results["lab"]["figures"]["4/offset_mm"] == 0.2
     assert results["lab"]["figures"]["12-planned/offset_mm"] == 0.3
+    assert "0/offset_mm" not in results["lab"]["figures"]
 
 
 def test_a_table_names_each_stale_source_once() -> None:
@@ -203,7 +211,7 @@ def test_an_evaluation_gives_the_figures_that_tables_show(claims: Path) -> None:
     assert call(claims, "--evaluated", f"lab={lab}") == 0
     source = read_results(claims)["lab"]
     assert source["figures"] == {"splits/a/mean": 0.5, "share": 0.8}
-    assert source["commands"] == ["softslide bench"]
+    assert source["commands"] == ["A=1 python -m study --json lab.json"]
     assert source["date"] > "2026-01-01"
 
 
@@ -236,6 +244,6 @@ def test_what_is_missing_is_said_in_one_line(
 ) -> None:
     break_it(claims.parent)
     assert call(claims) == 2
-    told = capsys.readouterr().err
-    assert told.count("\n") == 1
-    assert says in told
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert says in said

@@ -12,9 +12,9 @@ from small_bundle import write_small_bundle
 import softslide
 from experiments.derived_labels import derived
 from features.stream.conditioning import Conditioning
-from models.response_map.config import CalibrationConfig
 from models.response_map.from_atlas import SensorSpread
 from models.response_map.select import calibrated_map
+from models.response_map.slide_fit import CalibrationConfig
 from pipeline.atlas.library import atlas_at_hand
 from pipeline.recordings.at_rest import conditioning_for
 from pipeline.recordings.derived_labels import recordings_to_learn_from, with_derived_labels

@@ -16,7 +16,7 @@ from streams import a_sensor
 from trial_folder import SENSOR, a_folder
 
 from pipeline.atlas.atlas import DEFAULT_SENSOR
-from pipeline.recordings.folder import SAMPLE, read_folder, write_folder
+from pipeline.recordings.folder import SAMPLE, read_folder
 from pipeline.sensor import write_sensor
 
 # A mount that only the commands see, and no other rights than the tests' own.
@@ -156,20 +156,6 @@ def test_a_full_store_costs_no_training(disk: Disk, tmp_path: Path) -> None:
     (line,) = [line for line in said if "run not logged" in line]
     assert "No space left on device" in line
     assert (tmp_path / "bundle" / "model.onnx").exists()
-
-
-@pytest.mark.long
-def test_sweep(disk: Disk, tmp_path: Path) -> None:
-    lab = read_folder(SAMPLE).select("calibration")
-    fastest = lab.manifest["speed_mm_s"].nlargest(12).index
-    recordings = [lab.load(str(name)) for name in fastest]
-    write_folder(tmp_path / "lab", lab.sensor, lab.manifest.loc[fastest], recordings)
-    sweep = (
-        f'model = "trees"\nrecordings = "{tmp_path / "lab"}"\nbudget.trials = 2\nsettings.trees = 2\n'
-        "space.least_leaf = { low = 2, high = 12 }\n"
-    )
-    command, given = words("sweep", "--config", disk.place / "s.toml"), {"s.toml": sweep}
-    check(disk, command, tmp_path / "work", given=given, kept={"s.journal"}, tenths=(1, 5))
 
 
 @pytest.mark.parametrize("to", ["ort", "c"])

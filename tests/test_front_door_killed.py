@@ -7,19 +7,14 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-import mlflow
-import optuna
 import pytest
 from forked import Commands, commands
 from lab_files import FORMATS, write_lab
-from optuna.storages import JournalStorage
-from optuna.storages.journal import JournalFileBackend
-from optuna.trial import TrialState
 from small_bundle import write_small_bundle
 from trial_folder import SENSOR, a_folder
 
 from pipeline.atlas.atlas import DEFAULT_SENSOR, read_atlas
-from pipeline.recordings.folder import SAMPLE, read_folder, write_folder
+from pipeline.recordings.folder import SAMPLE
 
 KILLS = 20
 
@@ -129,69 +124,3 @@ def test_simulate(softslide: Commands, tmp_path: Path) -> None:
     sensor.write_text(text.replace("size_mm = 2.5", "size_mm = 5.0"))
     command = words("simulate", "--sensor", sensor, "--coarse", "--depth", 0.5, "--out", "out.npz")
     check(softslide, Case(command, "out.npz", ".out.npz.lines/*/*.npz", solved), tmp_path, KILLS)
-
-
-SWEEP = """
-model = "trees"
-recordings = {recordings!r}
-budget.trials = 4
-settings.trees = 2
-space.least_leaf = {{ low = 2, high = 12 }}
-"""
-
-
-def values(journal: Path) -> list[float]:
-    """Those of the trials that have ended, in their order; none where there is no journal yet."""
-    if not journal.exists():
-        return []
-    text = journal.read_bytes()
-    # The copy is read: what a killed process left of its last line is cut off by the next call alone.
-    copy = journal.with_suffix(".copy")
-    copy.write_bytes(text[: text.rfind(b"\n") + 1])
-    storage = JournalStorage(JournalFileBackend(str(copy)))
-    names = optuna.get_all_study_names(storage)
-    studies = [optuna.load_study(study_name=name, storage=storage) for name in names]
-    found = [t.value for s in studies for t in s.get_trials(states=(TrialState.COMPLETE,))]
-    copy.unlink()
-    return [value for value in found if value is not None]
-
-
-@pytest.mark.long
-def test_sweep(softslide: Commands, tmp_path: Path) -> None:
-    """A trial that has ended stays; a call that is let run does the rest, and no run stays under way."""
-    folder, chance = tmp_path / "killed", random.Random(5)
-    lab = read_folder(SAMPLE).select("calibration")
-    fastest = lab.manifest["speed_mm_s"].nlargest(12).index
-    recordings = [lab.load(str(name)) for name in fastest]
-    write_folder(tmp_path / "lab", lab.sensor, lab.manifest.loc[fastest], recordings)
-    command = words("sweep", "--config", "s.toml")
-    store = f"sqlite:///{tmp_path / 'killed.store' / 'mlflow.db'}"
-
-    def begin() -> None:
-        folder.mkdir(exist_ok=True)
-        (folder / "s.toml").write_text(SWEEP.format(recordings=str(tmp_path / "lab")))
-        softslide.start(command, folder)
-
-    begin()
-    took_s = softslide.finish()
-    assert softslide.status == 0, said(folder)
-    shutil.rmtree(folder)
-    for number in range(KILLS):
-        begin()
-        before = values(folder / "s.journal")
-        softslide.kill(chance.uniform(0.0, took_s))
-        after = values(folder / "s.journal")
-        assert after[: len(before)] == before
-        page = folder / "s.html"
-        assert not page.exists() or page.read_text().rstrip().endswith("</html>")
-        if number % 2:
-            begin()
-            softslide.finish()
-            assert softslide.status == 0, said(folder)
-            ended = values(folder / "s.journal")
-            assert ended[: len(after)] == after
-            assert len(ended) == 4
-            assert seen(folder) == {"s.toml", "s.journal", "s.html"}
-            runs = mlflow.MlflowClient(store, store).search_runs(["1"])
-            assert {run.info.status for run in runs} <= {"FINISHED", "KILLED"}
-            shutil.rmtree(folder)

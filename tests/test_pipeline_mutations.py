@@ -13,7 +13,6 @@ import pytest
 from readers import CHANNELS, manifest, recording, slide
 
 from experiments.configuration import configured
-from experiments.sweep.space import read_sweep
 from features.errors import InputError
 from models.registry import model_named
 from pipeline.atlas import atlas as atlases
@@ -80,17 +79,6 @@ trigger_v = 0.005
 block_s = 0.02
 touch_axes = "xy"
 """
-SWEEP = """model = "trees"
-recordings = "my-recordings"
-[budget]
-trials = 40
-seconds = 60.0
-[settings]
-seed = 1
-[space]
-trees = { low = 50, high = 400, log = true }
-least_leaf = [2, 4, 8]
-"""
 MAP = """sensor = "sensor.toml"
 kind = "csv"
 pattern = '(?P<name>x\\d+)_(?P<speed>[\\d.]+)\\.csv'
@@ -133,7 +121,6 @@ def seeds(folder: Path) -> dict[str, tuple[str, bytes, Callable[[Path], Any]]]:
     lines = (SAMPLE / "manifest.csv").read_bytes().splitlines(keepends=True)
     return {
         "configuration": (".toml", CONFIGURATION.encode(), configuration),
-        "sweep": (".toml", SWEEP.encode(), read_sweep),
         "sensor": (".toml", sensor.read_bytes(), read_sensor),
         "map": (".toml", MAP.encode(), read_map),
         "manifest": (".csv", b"".join(lines[:8]), manifest),
@@ -147,7 +134,7 @@ def seeds(folder: Path) -> dict[str, tuple[str, bytes, Callable[[Path], Any]]]:
 
 
 FORMATS = (
-    *("configuration", "sweep", "sensor", "map", "manifest", "truth", "slide in CSV", "slide in Parquet"),
+    *("configuration", "sensor", "map", "manifest", "truth", "slide in CSV", "slide in Parquet"),
     *("recording in CSV", "recording in Parquet", "atlas"),
 )
 

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from experiments.studies.sensor_drift import study
+from experiments.studies.sensor_drift import drift
 from models.cnn.fit import CnnConfig, fit_cnn
 from models.cnn.training import TrainingConfig
 from models.export.bundle import write_bundle
@@ -16,7 +16,7 @@ BENCH = Path(__file__).parents[1].parent / "shared" / "recordings" / "bench-a"
 
 @pytest.mark.long
 @pytest.mark.skipif(
-    not BENCH.is_dir(), reason="the bench recordings lie beside the project's folder only at times"
+    not BENCH.is_dir(), reason="the bench recordings lie next to the project's folder only at times"
 )
 def test_drift_at_most_doubles_the_errors(tmp_path: Path) -> None:
     folder = read_folder(BENCH)
@@ -25,7 +25,7 @@ def test_drift_at_most_doubles_the_errors(tmp_path: Path) -> None:
     fitted = fit_cnn(learning, config)
     windows = labelled_windows(learning, fitted.conditioning)
     write_bundle(fitted, folder.sensor, windows, {}, tmp_path / "bundle")
-    figures = study(tmp_path / "bundle", folder.select("test"))
+    figures = dict(drift(tmp_path / "bundle", folder.select("test")))
     clean = figures.pop("clean")
     assert clean["valid"] > 0.95
     for label, drifted in figures.items():

@@ -226,17 +226,6 @@ def test_a_missing_extra_is_named(
     assert "softslide[live]" in capsys.readouterr().err
 
 
-@pytest.mark.long
-def test_the_bench_measures_the_page(bundle: Path, capsys: pytest.CaptureFixture) -> None:
-    assert softslide.main(["bench", "--model", str(bundle), "--page", "--decisions", "50"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert list(told) == ["alone", "viewers_0", "viewers_1", "viewers_4"]
-    assert 0 < told["alone"]["core_share"] < 1
-    assert 5 < told["viewers_4"]["frames_a_second"] <= 42
-    for name, late in ((n, l) for n, case in told.items() for l in case.values() if isinstance(l, dict)):
-        assert 0 < late["median_ms"] <= late["p99_ms"], name
-
-
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Browser]:
     if CHROMIUM is None:

@@ -1,1 +1,1 @@
-"""Benchmarks of making data, with FElupe as the reference solver."""
+"""Figures of the documents: where they stand, and measuring them anew."""

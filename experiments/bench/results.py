@@ -13,8 +13,7 @@ import os
 import shlex
 import subprocess
 import sys
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -42,39 +41,28 @@ METHODS = {
 }
 
 
-@dataclass
-class Bench:
-    """Where commands run, and what those that ran have printed: what several sources share is done once."""
+def run(command: str, folder: Path) -> None:
+    """Runs `softslide ...` or `python -m ...` in a folder. That a bound is not met, exit status 1, is not a failure.
 
-    folder: Path
-    printed: dict[str, str] = field(default_factory=dict)
-
-    def run(self, command: str) -> None:
-        """Runs `softslide ...`, as a shell would. That a bound is not met, exit status 1, is no failure.
-
-        Raises:
-            InputError: it failed.
-        """
-        if command in self.printed:
-            return
-        print(command, file=sys.stderr)
-        words = shlex.split(command)
-        start = words.index("softslide")
-        done = subprocess.run(
-            [sys.executable, "-m", *words[start:]],
-            cwd=self.folder,
-            env={**os.environ, "PYTHONPATH": str(ROOT), **dict(word.split("=") for word in words[:start])},
-            stdout=subprocess.PIPE,
-            text=True,
-            check=False,
-        )
-        if done.returncode not in (0, 1 if words[start + 1] == "evaluate" else 0):
-            raise InputError(f"'{command}' failed with status {done.returncode}; mend it, then renew again")
-        self.printed[command] = done.stdout
+    Raises:
+        InputError: it failed.
+    """
+    print(command, file=sys.stderr)
+    words = shlex.split(command.replace("softslide ", "python -m softslide ", 1))
+    start = words.index("python")
+    variables = dict(word.split("=") for word in words[:start])
+    done = subprocess.run(
+        [sys.executable, *words[start + 1 :]],
+        cwd=folder,
+        env={**os.environ, "PYTHONPATH": str(ROOT), **variables},
+        check=False,
+    )
+    if done.returncode not in (0, int("evaluate" in words)):
+        raise InputError(f"'{command}' failed with status {done.returncode}; mend it, then renew again")
 
 
-def bench_at(folder: Path, recordings: Path | None) -> Bench:
-    """An empty folder to run commands in, with links to the folders of recordings and to docs.
+def work_in(folder: Path, recordings: Path | None) -> None:
+    """Puts links to the folders of recordings and to docs into an empty folder to run commands in.
 
     Raises:
         InputError: the folder holds something, from an earlier run for instance.
@@ -84,45 +72,50 @@ def bench_at(folder: Path, recordings: Path | None) -> Bench:
         raise InputError(f"{folder}: is not empty; name another folder with --work")
     for place in [ROOT / "docs", *(recordings.iterdir() if recordings else ())]:
         (folder / place.name).symlink_to(place.resolve())
-    return Bench(folder)
 
 
-def renew(results: dict[str, Any], name: str, bench: Bench, tables: dict[str, str]) -> bool:
-    """Runs a source's commands and takes its figures; whether they can be taken without a person.
+def renew(results: dict[str, Any], name: str, folder: Path, ran: set[str], tables: dict[str, str]) -> None:
+    """Runs those of a source's commands that have not run in the folder, and takes its figures.
 
     Raises:
         InputError: a command failed, or gave other figures than the tables show.
     """
     source = results[name]
-    commands = source["commands"]
-    job = shlex.split(commands[-1].partition("softslide ")[2])[:1]
-    if not job or job[0] not in TAKEN:
-        return False
     # Of the code that runs, should it be edited meanwhile.
     before = hash_of(source)
-    for command in commands:
-        bench.run(command)
-    TAKEN[job[0]](results, name, bench, tables)
+    for command in source["commands"]:
+        if command not in ran:
+            run(command, folder)
+            ran.add(command)
+    take_from(results, name, folder, tables)
     source["hash"] = before
-    return True
 
 
-def _take_evaluation(results: dict[str, Any], name: str, bench: Bench, tables: dict[str, str]) -> None:
-    take_evaluation(results, name, bench.folder / _out(results[name]["commands"][-1]), tables)
+def take_from(results: dict[str, Any], name: str, folder: Path, tables: dict[str, str]) -> None:
+    """Takes the figures of a source that its commands have left in the folder."""
+    commands = results[name]["commands"]
+    if "softslide evaluate" in commands[-1]:
+        take_evaluation(results, name, folder / _option(commands[-1], "--out"), tables)
+    elif "softslide article" in commands[-1]:
+        _take_article(results, name, folder)
+    else:
+        for command in commands:
+            if "--json" in command:
+                take(results, name, json.loads((folder / _option(command, "--json")).read_text()))
 
 
-def _take_article(results: dict[str, Any], name: str, bench: Bench, tables: dict[str, str]) -> None:
+def is_taken(source: Mapping[str, Any]) -> bool:
+    """Whether `take_from` knows where the figures are; others are entered by hand."""
+    last = source["commands"][-1]
+    return any(word in last for word in ("softslide evaluate", "softslide article", "--json"))
+
+
+def _take_article(results: dict[str, Any], name: str, folder: Path) -> None:
     """Of one folder its figures; of several the least and the largest of each."""
     commands = [each for each in results[name]["commands"] if "softslide article" in each]
-    every = pd.DataFrame([_variants(bench.folder / _out(each) / "variants.csv") for each in commands])
-    if len(every) == 1:
-        take(results, name, {str(key): float(values.iloc[0]) for key, values in every.items()})
-    else:
-        ranges = {
-            str(key): {"min": float(values.min()), "max": float(values.max())}
-            for key, values in every.items()
-        }
-        take(results, name, ranges)
+    every = pd.DataFrame([_variants(folder / _option(each, "--out") / "variants.csv") for each in commands])
+    found = every.iloc[0] if len(every) == 1 else every.agg(["min", "max"])
+    take(results, name, {str(key): figures for key, figures in found.to_dict().items()})
 
 
 def _variants(path: Path) -> dict[str, float]:
@@ -135,39 +128,9 @@ def _variants(path: Path) -> dict[str, float]:
     }
 
 
-def _take_few(results: dict[str, Any], name: str, bench: Bench, tables: dict[str, str]) -> None:
-    """Mean errors, over the draws where these are random."""
-    printed = [bench.printed[each] for each in results[name]["commands"] if "softslide few" in each]
-    rows = pd.DataFrame([json.loads(line) for text in printed for line in text.splitlines()])
-    rows["kind"] = rows["slides"].astype(str) + rows["draw"].isna().map({True: "-planned", False: ""})
-    means = rows.groupby("kind").mean(numeric_only=True).filter(like="_mean")
-    take(
-        results,
-        name,
-        {
-            f"{kind}/{str(key).removesuffix('_mean')}": float(values[kind])
-            for key, values in means.items()
-            for kind in means.index
-        },
-    )
-
-
-def _take_printed(results: dict[str, Any], name: str, bench: Bench, tables: dict[str, str]) -> None:
-    take(results, name, json.loads(bench.printed[results[name]["commands"][-1]].splitlines()[-1]))
-
-
-# How the figures of a source are taken, by the job of its last command.
-TAKEN: dict[str, Callable[[dict[str, Any], str, Bench, dict[str, str]], None]] = {
-    "evaluate": _take_evaluation,
-    "article": _take_article,
-    "few": _take_few,
-    "bench": _take_printed,
-}
-
-
-def _out(command: str) -> str:
+def _option(command: str, name: str) -> str:
     words = shlex.split(command)
-    return words[words.index("--out") + 1]
+    return words[words.index(name) + 1]
 
 
 def _by_hand(name: str, source: dict[str, Any], tables: dict[str, str]) -> str:
@@ -247,9 +210,12 @@ def _run(given: argparse.Namespace) -> int:
     if given.renew is not None:
         if given.work is None:
             raise InputError("--renew runs commands; name an empty folder for them with --work")
-        bench = bench_at(given.work, given.recordings_root)
+        work_in(given.work, given.recordings_root)
+        ran: set[str] = set()
         for name in names:
-            if not renew(results, name, bench, tables):
+            if is_taken(results[name]):
+                renew(results, name, given.work, ran, tables)
+            else:
                 print(_by_hand(name, results[name], tables))
             write_results(given.results, results)
     if given.mark or evaluated or given.entered:

@@ -14,7 +14,7 @@ from experiments.evaluation.traces import trace
 from experiments.evaluation.tracks import Track
 from experiments.pages.figures import Panel
 from experiments.pages.page import number, render
-from experiments.tracking.run import flattened
+from experiments.tracking import flattened
 from features.stream.conditioning import Conditioning
 from pipeline.recordings.folder import Folder
 from pipeline.recordings.learned import CALIBRATION

@@ -1,16 +1,23 @@
-"""How often a bundle takes for a contact what is none: synthetic streams of a sensor that nothing touches."""
+"""How often a bundle takes a signal without any contact for a slide.
 
+Reads synthetic streams of a sensor that nothing touches, of 13 kinds: at rest; the device tilted, rocked and swayed;
+its pressure changed; waves, bumps, chirps, random walks, drifts, steps and taps of 5 to 300 mV. V_z stays in every
+second stream of the latter. Prints for each kind the time (s) for which something seemed to slide, the share of it (%)
+with a valid estimate, and how many streams have one. A second of signal takes about 50 ms.
+
+    python -m experiments.studies.false_alarms --model my-model --recordings my-recordings
+"""
+
+import sys
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
 from experiments.evaluation.readout import check_fits, open_localizer
-from experiments.provenance import bundle_hash, data_tags
-from experiments.tracking.study import tracked_study
+from experiments.studies.script import Part, at_least, bundle, parser, recordings, run
 from features.errors import InputError
 from features.stream.tracker import SlideState
-from pipeline.progress import progress_bar
 from pipeline.recordings.folder import Folder, read_folder
 from pipeline.sensor import Sensor
 from pipeline.synthesis.no_contact import SIGNALS, untouched
@@ -20,100 +27,51 @@ from pipeline.workers import results
 REST_S = 0.2
 
 
-class Stream(NamedTuple):
-    """One stream to read: its kind and number, how long its signal lasts, and what the sensor shows at rest (C,) V."""
-
-    kind: str
-    number: int
-    seconds: float
-    seed: int
-    sensor: Sensor
-    static_v: np.ndarray
-
-
-class Counts(NamedTuple):
-    """Estimates of one stream while something seems to slide, and those of them that are valid."""
-
-    kind: str
-    tracked: int
-    valid: int
-
-
 def false_alarms(
-    bundle: Path,
-    recordings: Path,
-    streams: int = 12,
-    seconds: float = 25.0,
-    seed: int = 0,
-    jobs: int = 1,
-    store: str | None = None,
-) -> dict[str, dict[str, float]]:
-    """Reads `streams` streams of each kind of `SIGNALS`, logged as a run with one below it a kind.
+    bundle: Path, folder: Folder, streams: int = 12, seconds: float = 25.0, seed: int = 0, jobs: int = 1
+) -> Iterator[Part]:
+    """For each kind of SIGNALS `tracked_s`, time for which something seemed to slide; `valid_percent`, the share of it
+    with a valid estimate, NaN without any; `streams_with_any` of the `streams` have one.
 
-    recordings: a folder of the bundle's sensor, whose first recording tells the static output. seconds: of each signal.
-    jobs: processes. store: as in `tracking.store.store_address`.
-
-    Returns:
-        For each kind `tracked_s`, time for which something seemed to slide; `valid_percent`, the share of it with a
-        valid estimate, NaN without any; `streams_with_any` of the `streams` have one.
+    folder: of the bundle's sensor; its first recording gives the static output. seconds: of each signal.
+    jobs: processes.
 
     Raises:
-        InputError: the bundle or the folder is not valid, they do not fit, or the sensor is of a kind, or the bundle
-            reads a base, of which no such streams are made; a number is not positive.
+        InputError: the bundle is not valid, does not fit the folder, or reads a base, or the sensor is another than
+            accelerometers: no such streams are made of these.
     """
-    for name, value in {"streams": streams, "seconds": seconds, "jobs": jobs}.items():
-        if not value > 0:
-            raise InputError(f"{value}: must be positive", name)
-    folder, localizer = read_folder(recordings), open_localizer(bundle)
+    localizer = open_localizer(bundle)
     check_fits(localizer, folder)
     if not folder.sensor.measures_gravity:
-        raise InputError(f"{recordings}: is not of accelerometers; streams of other sensors are not made")
+        raise InputError(f"{folder.root}: is not of accelerometers; streams of other sensors are not made")
     if localizer.card.base is not None:
         raise InputError(f"{bundle}: reads a base, of which no streams are made; name a bundle without one")
-    static_v = _static(folder)
-    calls = [
-        (bundle, Stream(kind, number, seconds, seed, folder.sensor, static_v))
-        for kind in SIGNALS
-        for number in range(streams)
-    ]
-    configuration = {
-        "bundle": str(bundle),
-        "recordings": str(recordings),
-        "streams": streams,
-        "seconds": seconds,
-        "seed": seed,
-    }
-    tags = {"bundle": bundle_hash(bundle)} | data_tags(folder)
-    name = f"false alarms of {localizer.card.model} on {folder.sensor.name}"
-    beside = Path("false-alarms")
-    with tracked_study("false-alarms", name, configuration, beside, tags=tags, store=store) as (_, part):
-        counted = results(counts, calls, jobs)
-        every = list(progress_bar("streams", "stream", counted, len(calls)))
-        block_s = localizer.card.conditioning.block_s
-        figures = {kind: _figures([c for c in every if c.kind == kind], block_s) for kind in SIGNALS}
-        for kind, found in figures.items():
-            part(kind, {"signal": kind}, found)
-    return figures
+    static_v, block_s = _static(folder), localizer.card.conditioning.block_s
+    for kind in SIGNALS:
+        calls = [(bundle, folder.sensor, static_v, kind, seconds, (seed, n)) for n in range(streams)]
+        slid, valid = np.array(list(results(counts, calls, jobs))).T
+        share = 100.0 * valid.sum() / slid.sum() if slid.any() else np.nan
+        yield (
+            kind,
+            {
+                "tracked_s": slid.sum() * block_s,
+                "valid_percent": share,
+                "streams": streams,
+                "streams_with_any": int(np.count_nonzero(valid)),
+            },
+        )
 
 
-def counts(bundle: Path, stream: Stream) -> Counts:
-    """Reads one stream as it comes."""
+def counts(
+    bundle: Path, sensor: Sensor, static_v: np.ndarray, kind: str, seconds: float, seed: tuple[int, int]
+) -> tuple[int, int]:
+    """Of one stream, read as it comes: estimates while something seems to slide, and those of them that are valid."""
     localizer = open_localizer(bundle)
     localizer.reset()
-    random = np.random.default_rng([stream.seed, list(SIGNALS).index(stream.kind), stream.number])
-    volts = untouched(stream.sensor, stream.static_v, SIGNALS[stream.kind], stream.seconds, random)
-    tracked = [e.valid for e in localizer.push(volts) if e.state is SlideState.SLIDE]
-    return Counts(stream.kind, len(tracked), sum(tracked))
-
-
-def _figures(counted: list[Counts], block_s: float) -> dict[str, float]:
-    tracked, valid = sum(c.tracked for c in counted), sum(c.valid for c in counted)
-    return {
-        "tracked_s": tracked * block_s,
-        "valid_percent": 100.0 * valid / tracked if tracked else float("nan"),
-        "streams": len(counted),
-        "streams_with_any": sum(c.valid > 0 for c in counted),
-    }
+    random = np.random.default_rng([seed[0], list(SIGNALS).index(kind), seed[1]])
+    volts = untouched(sensor, static_v, SIGNALS[kind], seconds, random)
+    valid = [e.valid for e in localizer.push(volts) if e.state is SlideState.SLIDE]
+    return len(valid), sum(valid)
 
 
 def _static(folder: Folder) -> np.ndarray:
@@ -128,3 +86,24 @@ def _static(folder: Folder) -> np.ndarray:
         )
     static: np.ndarray = recording.volts[before].mean(axis=0)
     return static
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    words = parser("false_alarms", __doc__)
+    bundle(words)
+    recordings(words, "of the bundle's sensor")
+    for name, metavar, least, default, help in (
+        ("--streams", "N", 1, 12, "streams of each kind"),
+        ("--seconds", "S", 1, 25, "of each signal"),
+        ("--seed", "N", 0, 0, "of all that is random"),
+        ("--jobs", "N", 1, 1, "streams that are read at a time"),
+    ):
+        help += " (default: %(default)s)"
+        words.add_argument(name, type=at_least(least), default=default, metavar=metavar, help=help)
+    return run(words, lambda given: false_alarms(
+        given.model, read_folder(given.recordings), given.streams, given.seconds, given.seed, given.jobs
+    ), argv)  # fmt: skip
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,9 +1,15 @@
-"""Accuracy with few recordings: the response map from a number of calibration slides, inverted on every test slide.
+"""How few calibration recordings will do.
 
-No network is trained: the recordings determine the map, and its inversion by least squares (models/cnn/inversion.py)
-shows how accurate it is.
+Calibrates the response map with so many of the calibration slides, drawn at random or named by a plan, and inverts it
+by least squares (models/cnn/inversion.py) on every slide of the test splits; no network is trained. Prints, for each
+number of slides, errors at the end of the stroke in deg, % and mm: means, over the draws, and the largest.
+
+    python -m experiments.studies.few_recordings --recordings my-recordings --slides 4 12
+    python -m experiments.studies.few_recordings --recordings my-recordings --plan plan.csv
 """
 
+import argparse
+import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -11,8 +17,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from experiments.provenance import data_tags
-from experiments.tracking.study import tracked_study
+from experiments.studies.script import Part, at_least, parser, recordings, run
 from features.errors import InputError
 from models.cnn.fit import CnnConfig
 from models.cnn.inversion import Inversion
@@ -25,115 +30,91 @@ from pipeline.recordings.base_motion import without_base_motion
 from pipeline.recordings.derived_labels import recordings_to_learn_from
 from pipeline.recordings.folder import Folder, read_folder
 from pipeline.recordings.manifest import read_table
-from pipeline.recordings.windows import LabelledWindows, labelled_windows
+from pipeline.recordings.windows import labelled_windows
 
 
 def few(
-    recordings: Path,
-    slides: Sequence[int],
-    draws: int,
-    splits: Sequence[str],
-    plan: Path | None = None,
-    store: str | None = None,
-) -> Iterator[dict[str, float]]:
-    """`study` of a folder, with the atlas of its sensor's design; or `planned`, where a plan's CSV names recordings.
+    folder: Folder, slides: Sequence[int], draws: int, splits: Sequence[str], plan: Path | None = None
+) -> Iterator[Part]:
+    """For each number of slides, or for the plan's: errors by quantity, and the largest as QUANTITY_max.
 
-    Sensors that are no accelerometers have no such atlas: their maps come from the recordings alone. A run is logged,
-    with one below it for each draw. store: as in `tracking.store.store_address`.
+    splits: beginnings of the names of those to score. plan: a CSV whose recordings are used in place of random ones.
 
     Raises:
-        InputError: as in `study` and `planned`, or the folder or its sensor is not valid.
+        InputError: no labelled slide to score, or the plan names no recording or one that is not a calibration slide.
     """
-    folder = without_base_motion(read_folder(recordings))
-    atlas = atlas_of(folder.sensor) if folder.sensor.measures_gravity else None
-    rows = (
-        study(folder, slides, draws, splits, atlas)
-        if plan is None
-        else iter([planned(folder, plan, splits, atlas)])
-    )
-    configuration = {
-        "recordings": str(recordings),
-        "slides": list(slides),
-        "draws": draws,
-        "splits": list(splits),
-        "plan": None if plan is None else str(plan),
-    }
-    tags = data_tags(folder)
-    name = f"few on {folder.sensor.name}"
-    with tracked_study("few", name, configuration, Path("few"), tags=tags, store=store) as (_, part):
-        for row in rows:
-            settings: dict[str, float] = {key: row[key] for key in row if key in ("slides", "draw")}
-            part(f"{row['slides']} slides", settings, {k: v for k, v in row.items() if k not in settings})
-            yield row
-
-
-def study(
-    folder: Folder, counts: Sequence[int], draws: int, splits: Sequence[str], atlas: Atlas | None
-) -> Iterator[dict[str, float]]:
-    """Mean and largest errors at the end of the stroke for each number of slides and each random draw of them.
-
-    Raises:
-        InputError: a negative number of slides, no draw, or no labelled slide of the splits.
-    """
-    if min(counts) < 0:
-        raise InputError(f"{min(counts)}: take 0 slides or more", "slides")
-    if draws < 1:
-        raise InputError(f"{draws}: take at least one", "draws")
-    taught = recordings_to_learn_from(folder)
-    names = list(taught.manifest.index)
-    scored = _scored(folder, splits)
-    for count in counts:
-        for draw in range(draws if 0 < count < len(names) else 1):
-            chosen = np.random.default_rng(draw).choice(len(names), min(count, len(names)), replace=False)
-            part = replace(taught, manifest=taught.manifest.loc[[names[n] for n in np.sort(chosen)]])
-            yield {"slides": len(part), "draw": draw, **_result(part, scored, atlas)}
-
-
-def planned(folder: Folder, plan: Path, splits: Sequence[str], atlas: Atlas | None) -> dict[str, float]:
-    """The same errors for the calibration slides that a plan names.
-
-    Raises:
-        InputError: the plan names no recordings, or others than the folder's calibration slides.
-    """
-    taught = recordings_to_learn_from(folder)
-    names = read_table(plan).get("recording", pd.Series(dtype=str))
-    unknown = [name for name in names if name not in taught.manifest.index]
-    if unknown or not len(names):
-        what = (
-            f"'{unknown[0]}' is no calibration slide of {folder.root}" if unknown else "it names no recording"
-        )
-        raise InputError(f"{plan}: {what}; plan it from this folder's manifest")
-    part = replace(taught, manifest=taught.manifest.loc[sorted(names)])
-    return {"slides": len(part), **_result(part, _scored(folder, splits), atlas)}
-
-
-def _scored(folder: Folder, splits: Sequence[str]) -> Folder:
+    learned = recordings_to_learn_from(folder)
     scored = folder.select(*splits).labelled()
     if not len(scored):
         raise InputError(f"{folder.root}: no labelled slide of a split {' or '.join(splits)}*; name another")
-    return scored
+    # Sensors other than accelerometers have no such atlas: their maps come from the recordings alone.
+    atlas = atlas_of(folder.sensor) if folder.sensor.measures_gravity else None
+    names = list(learned.manifest.index)
+    chosen = _drawn(names, slides, draws) if plan is None else [_planned(folder, names, plan)]
+    for label, choices in chosen:
+        parts = [replace(learned, manifest=learned.manifest.loc[choice]) for choice in choices]
+        tables = [errors(part, scored, atlas) for part in parts]
+        means = pd.DataFrame([table.mean() for table in tables]).mean()
+        yield label, {**means, **pd.concat(tables).max().add_suffix("_max")}
 
 
-def _result(part: Folder, scored: Folder, atlas: Atlas | None) -> dict[str, float]:
-    """Errors on the slides `scored` of the map calibrated on `part`."""
+def errors(part: Folder, scored: Folder, atlas: Atlas | None) -> pd.DataFrame:
+    """Of the map calibrated on `part`: absolute errors of a row for each slide `scored`, deg, % and mm."""
     config = CnnConfig()
     conditioning = conditioning_for(part, config.conditioning)
     found = calibrated_map(part, atlas, conditioning, config.calibration, config.spread)
     windows = labelled_windows(scored, found.conditioning, (1.0,))
     inversion = Inversion(found.response, found.conditioning.block_s)
     rows = inversion.predict(windows.volts, windows.elapsed_s)
-    return _errors(rows, inversion.outputs, windows)
+    signed = signed_errors(rows, inversion.outputs, windows)
+    return pd.DataFrame(
+        {
+            "direction_deg": np.abs(signed["direction_deg"]),
+            "speed_percent": 100 * np.abs(np.expm1(signed["log_speed"])),
+            "offset_mm": np.abs(signed["offset_mm"]),
+        }
+    )
 
 
-def _errors(rows: np.ndarray, outputs: tuple[str, ...], windows: LabelledWindows) -> dict[str, float]:
-    signed = signed_errors(rows, outputs, windows)
-    errors = {
-        "direction_deg": np.abs(signed["direction_deg"]),
-        "speed_percent": 100 * np.abs(np.expm1(signed["log_speed"])),
-        "offset_mm": np.abs(signed["offset_mm"]),
-    }
-    return {
-        f"{name}_{what}": round(float(of(values)), 4)
-        for name, values in errors.items()
-        for what, of in (("mean", np.mean), ("max", np.max))
-    }
+def _drawn(names: list[str], slides: Sequence[int], draws: int) -> Iterator[tuple[str, list[list[str]]]]:
+    for count in (min(each, len(names)) for each in slides):
+        seeds = range(draws if 0 < count < len(names) else 1)
+        picks = [np.random.default_rng(seed).choice(len(names), count, replace=False) for seed in seeds]
+        yield str(count), [[names[n] for n in np.sort(pick)] for pick in picks]
+
+
+def _planned(folder: Folder, names: list[str], plan: Path) -> tuple[str, list[list[str]]]:
+    planned = sorted(read_table(plan).get("recording", pd.Series(dtype=str)))
+    unknown = [name for name in planned if name not in names]
+    if unknown or not planned:
+        fault = f"'{unknown[0]}' is not a calibration slide" if unknown else "names no recording"
+        raise InputError(f"{plan}: {fault}; plan it from the manifest of {folder.root}")
+    return f"{len(planned)}-planned", [planned]
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    words = parser("few_recordings", __doc__)
+    recordings(words, "a folder of one sensor")
+    counts, default = at_least(0), [0, 4, 12, 24, 48]
+    words.add_argument(
+        "--slides", type=counts, nargs="+", default=default, metavar="N", help="default: %(default)s"
+    )
+    words.add_argument("--draws", type=at_least(1), default=3, metavar="N", help="default: %(default)s")
+    words.add_argument("--plan", type=Path, metavar="plan.csv", help="from 'softslide plan --candidates'")
+    words.add_argument(
+        "--split",
+        nargs="+",
+        default=["test"],
+        metavar="NAME",
+        help="beginnings of what to score",
+    )
+
+    def study(given: argparse.Namespace) -> Iterator[Part]:
+        folder = without_base_motion(read_folder(given.recordings))
+        return few(folder, given.slides, given.draws, given.split, given.plan)
+
+    return run(words, study, argv)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,133 +1,119 @@
 """How a skin answers between the first touch and the atlas's shallowest depth: vertical presses, solved, and the law.
 
-Run with `python -m experiments.studies.partial_contact`; takes minutes. Prints, for each skin height of the article's
-sensor, how far the law of `pipeline.synthesis.paths.partial_contact` is from the solver, and the exponents that fit
-these presses best.
+Prints, for each skin height of the article's sensor, how far the law of pipeline/synthesis/paths/partial_contact.py is
+from the solver: of the depth of the first touch, mm (rms), and, relative to the tilt at the shallowest depth, of the
+law from each press's own touch and end (rms along the way) and of law and atlas together (largest along the way),
+median and 90 % quantile over presses. Then the exponents that fit these presses best. Takes minutes.
+
+    python -m experiments.studies.partial_contact --presses 24
 """
 
-from collections.abc import Iterator
+import sys
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import least_squares, minimize_scalar
 
+from experiments.studies.script import Part, at_least, parser, run
 from pipeline.atlas.atlas import Atlas, read_atlas
 from pipeline.sensor import Sensor
 from pipeline.skin.solved_line import channels, skin_of
-from pipeline.synthesis.paths.partial_contact import (
-    EXPONENT,
-    FLATTER,
-    ROUNDER,
-    partial_friction_parts,
-    touch_depth_mm,
-)
+from pipeline.synthesis.paths import partial_contact as law
 from pipeline.synthesis.synthesize import sensor_of
 
-# Half size of the square that places are drawn from: nearer to the rim the response is too small to tell a law.
-INNER_MM = 22.0
-STEP_MM = 0.25
+# Half size of the square that places are drawn from: nearer to the rim the response is too small to show a law.
+INNER_MM, STEP_MM = 22.0, 0.25
 # The touch is where the normal force, straight through the first two above this, would be zero.
 TOUCH_N = 0.01
 
 
 @dataclass(frozen=True)
 class Press:
-    """One solved press: depths (n,) mm, V_x and V_y of the first board as tilts (n, 2) g, normal force (n,) N."""
+    """One solved press: depths (n,) mm, V_x and V_y of the first board as tilts (n, 2) g, depth of the first touch."""
 
     place_mm: tuple[float, float]
     height_mm: float
     depth_mm: np.ndarray
     tilt_g: np.ndarray
-    force_n: np.ndarray
+    touch_mm: float
 
-    @property
-    def touch_mm(self) -> float:
-        """Depth of the first touch."""
-        first = int(np.argmax(self.force_n > TOUCH_N))
-        (d0, d1), (f0, f1) = self.depth_mm[first : first + 2], self.force_n[first : first + 2]
-        return float(d0 - f0 * (d1 - d0) / (f1 - f0))
+    def law_g(self, exponent: float) -> np.ndarray:
+        """Tilts (n, 2) g as the law has them, from this press's own touch and end."""
+        way = (self.depth_mm - self.touch_mm) / (self.depth_mm[-1] - self.touch_mm)
+        return np.clip(way, 0, 1)[:, None] ** exponent * self.tilt_g[-1]
 
 
-def presses(
-    sensor: Sensor, height_mm: float, count: int, deepest_mm: float, random: np.random.Generator
-) -> Iterator[Press]:
-    """Presses at random places, straight down to the deepest depth."""
+def pressed(sensor: Sensor, height_mm: float, deepest_mm: float, x_mm: float, y_mm: float) -> Press | None:
+    """A press straight down to the deepest depth; None where the solver finds no equilibrium."""
     skin = skin_of(sensor)
     pressure, inflated = skin.inflate_to(height_mm)
     face = sensor.skin_thickness_mm + sensor.indenter_diameter_mm / 2
     depth = np.append(np.arange(-height_mm - 0.4, deepest_mm - 0.01, STEP_MM), deepest_mm)
-    for x, y in random.uniform(-INNER_MM, INNER_MM, (count, 2)):
-        centres = np.column_stack([np.full(len(depth), x), np.full(len(depth), y), face - depth])
-        postures, forces = skin.slide(inflated, pressure, centres)
-        if postures[-1] is None:
-            continue
-        tilts = np.array(
-            [channels(skin, posture, inflated)[:2] for posture in postures if posture is not None]
-        )
-        yield Press((float(x), float(y)), height_mm, depth, tilts, forces[:, 2])
+    centres = np.column_stack([np.full(len(depth), x_mm), np.full(len(depth), y_mm), face - depth])
+    postures, forces = skin.slide(inflated, pressure, centres)
+    if postures[-1] is None:
+        return None
+    tilts = np.array([channels(skin, each, inflated)[:2] for each in postures if each is not None])
+    first = int(np.argmax(forces[:, 2] > TOUCH_N))
+    (d0, d1), (f0, f1) = depth[first : first + 2], forces[first : first + 2, 2]
+    return Press((x_mm, y_mm), height_mm, depth, tilts, float(d0 - f0 * (d1 - d0) / (f1 - f0)))
 
 
 def errors(press: Press, atlas: Atlas) -> tuple[float, float, float]:
-    """Touch, mm; root mean square of the law from the press's own touch and end; largest of law and atlas together.
-
-    Both of the latter are relative to the tilt at the shallowest depth.
-    """
-    (x, y), depth = press.place_mm, press.depth_mm
+    """Of the touch, mm; of the law, rms; of law and atlas together, largest; the latter two relative."""
+    # The solver's height is the wanted one to a micrometre; the atlas holds no further ones.
+    height = float(np.clip(press.height_mm, *atlas.height_mm[[0, -1]]))
+    x, y = (np.full(len(press.depth_mm), each) for each in press.place_mm)
     size = np.linalg.norm(press.tilt_g[-1])
-    own = np.clip((depth - press.touch_mm) / (depth[-1] - press.touch_mm), 0, 1) ** EXPONENT
-    law = np.linalg.norm(own[:, None] * press.tilt_g[-1] - press.tilt_g, axis=1)[own > 0] / size
-    everywhere = np.full(len(depth), x), np.full(len(depth), y)
-    told = partial_friction_parts(atlas, *everywhere, depth, press.height_mm)[:, 0, :2]
-    touch = touch_depth_mm(np.array([x]), np.array([y]), press.height_mm, atlas)[0] - press.touch_mm
-    return (
-        touch,
-        float(np.sqrt((law**2).mean())),
-        float(np.linalg.norm(told - press.tilt_g, axis=1).max() / size),
-    )
+    alone = np.linalg.norm(press.law_g(law.EXPONENT) - press.tilt_g, axis=1)[press.depth_mm > press.touch_mm]
+    both = law.partial_friction_parts(atlas, x, y, press.depth_mm, height)[:, 0, :2] - press.tilt_g
+    touch = law.touch_depth_mm(x[:1], y[:1], height, atlas)[0] - press.touch_mm
+    return touch, np.sqrt((alone**2).mean()) / size, np.linalg.norm(both, axis=1).max() / size
 
 
-def fitted(solved: list[Press], sensor: Sensor) -> tuple[float, float, float]:
-    """EXPONENT, FLATTER and ROUNDER that fit best."""
+def fitted(solved: list[Press], sensor: Sensor) -> dict[str, float]:
+    """Of the law the constants that fit best."""
     half = np.array(sensor.chamber_mm) / 2
     dome = np.array([np.prod(1 - (np.array(press.place_mm) / half) ** 2) for press in solved])
     height, touch = np.array([(press.height_mm, press.touch_mm) for press in solved]).T
     ratio = height / min(sensor.chamber_mm)
 
-    def off(shape: np.ndarray) -> np.ndarray:
-        return -height * dome ** (shape[0] - shape[1] * ratio) - touch
-
     def misfit(exponent: float) -> float:
-        total = 0.0
-        for press in solved:
-            way = (press.depth_mm - press.touch_mm) / (press.depth_mm[-1] - press.touch_mm)
-            law = np.clip(way, 0, 1)[:, None] ** exponent * press.tilt_g[-1]
-            total += float(((law - press.tilt_g) ** 2).sum() / (press.tilt_g[-1] ** 2).sum())
-        return total
+        return sum(((p.law_g(exponent) - p.tilt_g) ** 2).sum() / (p.tilt_g[-1] ** 2).sum() for p in solved)
 
-    flatter, rounder = least_squares(off, (FLATTER, ROUNDER)).x
-    return float(minimize_scalar(misfit, bounds=(0.8, 1.6), method="bounded").x), flatter, rounder
+    s = least_squares(lambda s: -height * dome ** (s[0] - s[1] * ratio) - touch, (law.FLATTER, law.ROUNDER)).x
+    exponent = minimize_scalar(misfit, bounds=(0.8, 1.6), method="bounded").x
+    return {"exponent": exponent, "flatter": s[0], "rounder": s[1]}
 
 
-def main(count: int = 24) -> None:
-    """Prints the tables."""
-    atlas = read_atlas()
-    sensor, random = sensor_of(atlas), np.random.default_rng(0)
-    solved: list[Press] = []
-    print(
-        "height mm | presses | touch rms mm | law median | p90 | with the atlas median | p90, of the tilt at the end"
-    )
+def partial_contact(count: int) -> Iterator[Part]:
+    """The errors at each height of the article's sensor over `count` presses, and what fits best."""
+    atlas, random = read_atlas(), np.random.default_rng(0)
+    sensor, every = sensor_of(atlas), []
     for height in sensor.skin.height_mm:
-        # The solver's height is the wanted one to a micrometre; the atlas holds no further ones.
-        here = list(presses(sensor, height, count, float(atlas.depth_mm[0]), random))
-        within = float(np.clip(height, *atlas.height_mm[[0, -1]]))
-        touch, law, whole = np.array(
-            [errors(Press(p.place_mm, within, p.depth_mm, p.tilt_g, p.force_n), atlas) for p in here]
-        ).T
-        told = [np.sqrt((touch**2).mean()), *np.percentile(law, (50, 90)), *np.percentile(whole, (50, 90))]
-        print(f"{height:g} | {len(here)} | " + " | ".join(f"{value:.3f}" for value in told))
-        solved += here
-    print("fitted: exponent {:.2f}, flatter {:.2f}, rounder {:.2f}".format(*fitted(solved, sensor)))
+        places = random.uniform(-INNER_MM, INNER_MM, (count, 2)).tolist()
+        solved = [pressed(sensor, height, float(atlas.depth_mm[0]), x, y) for x, y in places]
+        here = [press for press in solved if press is not None]
+        touch, alone, both = np.array([errors(press, atlas) for press in here]).T
+        figures = {
+            "presses": len(here),
+            "touch_rms_mm": np.sqrt((touch**2).mean()),
+            "law_median": np.median(alone),
+            "law_p90": np.percentile(alone, 90),
+            "with_atlas_median": np.median(both),
+            "with_atlas_p90": np.percentile(both, 90),
+        }
+        yield f"height, mm {height:g}", figures
+        every += here
+    yield "fitted", fitted(every, sensor)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    words = parser("partial_contact", __doc__)
+    words.add_argument("--presses", type=at_least(1), default=24, metavar="N", help="default: %(default)s")
+    return run(words, lambda given: partial_contact(given.presses), argv)
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -1,64 +1,63 @@
-"""What the tracker's constants are worth: each of them halved and doubled, on calibration slides, presses and jumps.
+"""What the tracker's constants are worth: each of them halved and doubled, on slides, presses, stops and jumps.
 
-Run with `python -m experiments.studies.tracker_constants bench-a`; takes minutes. The slides are every fourth of the
-folder's calibration recordings; the presses and the stops are synthetic, made here; a jump is a step of 30 mV put into
-a recording's rest. For each setting it prints how many slides are lost (no slide seen) or split (more than one seen),
-in how many of the presses a slide is seen, how many stops are missed, and after how many presses and jumps the static
-output is wrong by more than `WRONG_V`.
+The slides are every fourth of the folder's calibration recordings; presses and stops are synthetic, made here; a jump
+is a step of 30 mV put into a recording's rest. Prints for each setting how many slides are lost (no slide seen) or
+split (more than one seen), in how many presses a slide is seen, how many stops are missed, and after how many presses
+and jumps the static output is wrong by more than 3 mV. Minutes on one core.
+
+    python -m experiments.studies.tracker_constants --recordings bench-a
 """
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
-import features.stream.tracker
+from experiments.studies.script import Part, parser, recordings, run
 from features.stream.conditioning import Conditioning, block_means
 from features.stream.tracker import SlideState, SlideTracker
 from pipeline.atlas.atlas import read_atlas
-from pipeline.progress import progress_bar
-from pipeline.recordings.folder import read_folder
+from pipeline.recordings.folder import Folder, read_folder
 from pipeline.synthesis.distribution import Distribution
+from pipeline.synthesis.paths.contact_path import ContactPath
 from pipeline.synthesis.paths.draw import draw_path
+from pipeline.synthesis.slide_plan import Slide
 from pipeline.synthesis.specimen import draw_specimen
 from pipeline.synthesis.synthesize import noise_of, plan, record, sensor_of
 
 COUNT = 20
-JUMP_V = 0.03
-WRONG_V = 0.003
+REST_S = 0.8
+JUMP_V, WRONG_V = 0.03, 0.003
 FACTORS = (0.5, 2.0)
-MODULE = ("TOUCH_CHANGE", "TOUCH_TRIGGER", "STRONG_TRIGGERS", "STRONG_TOUCH", "JUMP_SHARE")
-FIELDS = ("still_share", "still_change", "still_peak_v", "least_blocks", "touch_blocks")
+CONSTANTS = ("still_share", "still_change", "still_peak_v", "least_blocks", "touch_blocks")
 
 Stream = np.ndarray  # block means (m, C) V
 
 
-def streams_of(root: Path, conditioning: Conditioning) -> dict[str, list[Stream]]:
-    """Slides, presses, stops and jumps as block means."""
-    folder = read_folder(root).select("calibration")
+def streams_of(folder: Folder, conditioning: Conditioning) -> dict[str, list[Stream]]:
+    """Slides, jumps, presses and stops as block means."""
     rate = folder.sensor.sample_rate_hz
     slides = [block_means(folder.load(name).volts, conditioning, rate) for name in folder.manifest.index[::4]]
-    rest = int(0.8 / conditioning.block_s)
-    jumps = []
-    for slide in slides[:COUNT]:
-        still = slide[np.arange(400) % rest]
-        still[200:, 0] += JUMP_V
-        jumps.append(still)
+    rest = np.arange(400) % int(REST_S / conditioning.block_s)
+    step = JUMP_V * (np.arange(400) >= 200)[:, None] * (np.arange(slides[0].shape[1]) == 0)
     atlas = read_atlas()
     sensor, stopping = sensor_of(atlas), Distribution(stopping=1.0, turning=0.0)
     specimen = draw_specimen(sensor, Distribution(), 0)
-    presses, stops = [], []
-    for n in range(COUNT):
-        press = draw_path(n, atlas, sensor, Distribution(), np.random.default_rng([0, n]), kind="press")
-        presses.append(record(press, specimen, atlas, noise_of(n, 0)).volts)
-        stops.append(record(plan(n, 0, atlas, sensor, stopping), specimen, atlas, noise_of(n, 1)).volts)
-    made = {
-        kind: [block_means(volts, conditioning, sensor.sample_rate_hz) for volts in of]
-        for kind, of in {"presses": presses, "stops": stops}.items()
+
+    def blocks(drawn: Slide | ContactPath, noise: np.random.Generator) -> Stream:
+        return block_means(record(drawn, specimen, atlas, noise).volts, conditioning, sensor.sample_rate_hz)
+
+    presses = [
+        draw_path(n, atlas, sensor, Distribution(), np.random.default_rng([0, n]), kind="press")
+        for n in range(COUNT)
+    ]
+    return {
+        "slides": slides,
+        "jumps": [slide[rest] + step for slide in slides[:COUNT]],
+        "presses": [blocks(press, noise_of(n, 0)) for n, press in enumerate(presses)],
+        "stops": [blocks(plan(n, 0, atlas, sensor, stopping), noise_of(n, 1)) for n in range(COUNT)],
     }
-    return {"slides": slides, "jumps": jumps, **made}
 
 
 def seen(stream: Stream, conditioning: Conditioning) -> tuple[int, bool, np.ndarray]:
@@ -72,48 +71,43 @@ def seen(stream: Stream, conditioning: Conditioning) -> tuple[int, bool, np.ndar
     return count, before, tracker.static.copy()
 
 
-def score(streams: dict[str, list[Stream]], conditioning: Conditioning) -> str:
-    """One setting's figures, as text."""
-    slides = [seen(stream, conditioning)[0] for stream in streams["slides"]]
-    presses = [(stream, *seen(stream, conditioning)) for stream in streams["presses"]]
-    stops = [seen(stream, conditioning)[1] for stream in streams["stops"]]
-    jumps = [(stream, seen(stream, conditioning)[2]) for stream in streams["jumps"]]
-    figures = {
-        "slides lost": sum(n == 0 for n in slides),
-        "split": sum(n > 1 for n in slides),
-        "slides seen in presses": sum(n > 0 for _, n, _, _ in presses),
-        "static output wrong after presses": sum(
-            np.abs(static - stream[:20].mean(axis=0)).max() > WRONG_V for stream, _, _, static in presses
-        ),
-        "after jumps": sum(
-            np.abs(static - stream[-20:].mean(axis=0)).max() > WRONG_V for stream, static in jumps
-        ),
-        "stops missed": sum(stops),
+def score(streams: dict[str, list[Stream]], conditioning: Conditioning) -> dict[str, float]:
+    """One setting's figures."""
+    found = {kind: [seen(stream, conditioning) for stream in of] for kind, of in streams.items()}
+
+    def wrong(kind: str, rest: slice) -> int:
+        true_v = [stream[rest].mean(axis=0) for stream in streams[kind]]
+        return sum(np.abs(f[2] - v).max() > WRONG_V for f, v in zip(found[kind], true_v, strict=True))
+
+    return {
+        "slides_lost": sum(count == 0 for count, _, _ in found["slides"]),
+        "slides_split": sum(count > 1 for count, _, _ in found["slides"]),
+        "slides_seen_in_presses": sum(count > 0 for count, _, _ in found["presses"]),
+        "stops_missed": sum(runs for _, runs, _ in found["stops"]),
+        "static_output_wrong_after_presses": wrong("presses", slice(20)),
+        "static_output_wrong_after_jumps": wrong("jumps", slice(-20, None)),
     }
-    return ", ".join(f"{name} {count}" for name, count in figures.items())
 
 
-def settings(conditioning: Conditioning) -> Iterator[tuple[str, Conditioning]]:
-    """Each setting's name; while it is current, the module's constant is the setting's."""
-    yield "as they are", conditioning
+def constants(folder: Folder, conditioning: Conditioning) -> Iterator[Part]:
+    """The figures of the tracker as it is, then with each of CONSTANTS times each of FACTORS."""
+    streams = streams_of(folder, conditioning)
+    yield "as they are", score(streams, conditioning)
     for factor in FACTORS:
-        for name in MODULE:
-            value = getattr(features.stream.tracker, name)
-            setattr(features.stream.tracker, name, value * factor)
-            yield f"{name} {value * factor:g}", conditioning
-            setattr(features.stream.tracker, name, value)
-        for name in FIELDS:
+        for name in CONSTANTS:
             value = type(getattr(conditioning, name))(getattr(conditioning, name) * factor)
-            yield f"{name} {value:g}", replace(conditioning, **{name: value})
+            yield f"{name} {value:g}", score(streams, replace(conditioning, **{name: value}))
 
 
-def main(root: Path) -> None:
-    conditioning = Conditioning()
-    streams = streams_of(root, conditioning)
-    print(", ".join(f"{len(of)} {kind}" for kind, of in streams.items()))
-    for name, changed in progress_bar("settings", "setting", settings(conditioning), 21):
-        print(f"{name}: {score(streams, changed)}", flush=True)
+def main(argv: Sequence[str] | None = None) -> int:
+    words = parser("tracker_constants", __doc__)
+    recordings(words, "its calibration slides are read")
+    return run(
+        words,
+        lambda given: constants(read_folder(given.recordings).select("calibration"), Conditioning()),
+        argv,
+    )
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    sys.exit(main())

@@ -11,9 +11,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from features.stream.conditioning import Conditioning
-from pipeline.ranges import POSITIVE, check_ranges
 from models.response_map.map import ResponseMap
 from models.response_map.slides import CalibrationSlide
+from pipeline.ranges import POSITIVE, check_ranges
 from pipeline.synthesis.viscoelastic_lag import standard_solid
 
 # So much of a stretch's output is never explained: one step of the article's converter.

@@ -22,7 +22,7 @@ from pathlib import Path
 # Seconds after which a command, or what a killed one started, counts as hanging.
 PATIENCE_S = 300
 LOADED = (
-    *("experiments.evaluate", "experiments.sweep.search", "experiments.train", "pipeline.atlas.solve"),
+    *("experiments.evaluate", "experiments.train", "pipeline.atlas.solve"),
     *("pipeline.importers.run", "pipeline.synthesis.synthesize"),
 )
 

@@ -1,1 +1,0 @@
-"""The tracked hyperparameter search."""

@@ -1,1 +1,0 @@
-"""Cost of the runtime and of the live page."""
