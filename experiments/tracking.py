@@ -135,8 +135,8 @@ class Run:
 
     def _batches(self, name: str, rows: Sequence[Any]) -> None:
         for first in range(0, len(rows), BATCH):
-            batch = {name: rows[first : first + BATCH]}
-            self.log(partial(mlflow.MlflowClient.log_batch, **batch))
+            batch: dict[str, Any] = {name: rows[first : first + BATCH]}
+            self.log(partial(_log_batch, batch))
 
 
 @contextmanager
@@ -336,6 +336,10 @@ def _one_at_a_time(address: str) -> Iterator[None]:
     folder.mkdir(parents=True, exist_ok=True)
     with locked(folder):
         yield
+
+
+def _log_batch(batch: Mapping[str, Any], client: mlflow.MlflowClient, run: str) -> None:
+    client.log_batch(run, **batch)
 
 
 def _name(name: str) -> str:
