@@ -2,7 +2,7 @@
 
 The file is a protocol buffer (onnx.proto3 of ONNX); the few fields that matter are read here, since the package `onnx`
 is not on a device. The limits are orders of magnitude beyond the project's own models. They keep out what would exhaust
-memory or never end by its shapes alone; the bundle's example is run against a clock besides.
+memory by its shapes alone, and control flow, which need not end; the bundle's example is also run against a clock.
 """
 
 import math
@@ -14,13 +14,14 @@ from features.errors import InputError
 
 MOST_BYTES = 1 << 28
 MOST_NODES = 100_000
-DEEPEST = 4
-# Elements that one shape in the graph may ask for: 64 MB in single precision. Also the turns of a loop.
+# Elements that one shape in the graph may ask for: 64 MB in single precision.
 MOST_ELEMENTS = 1 << 24
 # Versions that ONNX Runtime 1.31 knows; a newer one is its to refuse.
 NEWEST = {"": 27, "ai.onnx": 27, "ai.onnx.ml": 6, "com.microsoft": 1}
-# Which input of an operator is a shape, a number of repeats or a number of turns.
-_SHAPE_INPUT = {"ConstantOfShape": 0, "Expand": 1, "Reshape": 1, "Tile": 1, "Loop": 0, "Pad": 1, "Resize": 3}
+# Of the one operator of ONNX Runtime's own that earlier bundles have.
+OWN, OWN_OPERATOR = "com.microsoft", "Inverse"
+# Which input of an operator is a shape or a number of repeats.
+_SHAPE_INPUT = {"ConstantOfShape": 0, "Expand": 1, "Reshape": 1, "Tile": 1, "Pad": 1, "Resize": 3}
 _INT64 = 7
 
 Fields = Iterator[tuple[int, int | bytes]]
@@ -31,7 +32,7 @@ def check_graph(graph: bytes, path: Path) -> None:
 
     Raises:
         InputError: no ONNX graph; operators of unknown domains or versions; data outside the file; too many nodes,
-            nested too deep, or a shape that is too large.
+            control flow, or a shape that is too large.
     """
     try:
         _check_model(graph)
@@ -55,35 +56,31 @@ def _check_model(content: bytes) -> None:
         elif key == 25:
             raise ValueError("it defines operators of its own")
         elif key == 7:
-            _check_graph(_bytes(value), [0], 1)
+            _check_graph(_bytes(value))
 
 
-def _check_graph(content: bytes, nodes: list[int], depth: int) -> None:
-    """nodes: a count of one, of the whole model."""
-    if depth > DEEPEST:
-        raise ValueError(f"graphs are nested more than {DEEPEST} deep")
+def _check_graph(content: bytes) -> None:
+    nodes = 0
     asked: list[tuple[str, bytes]] = []
     constants: dict[bytes, list[int]] = {}
     for key, value in _fields(content):
         if key == 1:
-            nodes[0] += 1
-            asked += _check_node(_bytes(value), nodes, depth, constants)
+            nodes += 1
+            asked += _check_node(_bytes(value), constants)
         elif key == 5:
             _note_tensor(_bytes(value), constants)
         elif key == 15:
             raise ValueError("a constant is sparse")
-    if nodes[0] > MOST_NODES:
+    if nodes > MOST_NODES:
         raise ValueError(f"more than {MOST_NODES} nodes")
     for operator, name in asked:
         if math.prod(max(1, abs(v)) for v in constants.get(name, ())) > MOST_ELEMENTS:
-            raise ValueError(f"{operator} asks for more than {MOST_ELEMENTS} elements or turns")
+            raise ValueError(f"{operator} asks for more than {MOST_ELEMENTS} elements")
 
 
-def _check_node(
-    content: bytes, nodes: list[int], depth: int, constants: dict[bytes, list[int]]
-) -> list[tuple[str, bytes]]:
+def _check_node(content: bytes, constants: dict[bytes, list[int]]) -> list[tuple[str, bytes]]:
     """The operator with the name of the constant that says how much it makes, if it is of that kind."""
-    inputs, outputs, attributes, operator = [], [], [], ""
+    inputs, outputs, attributes, operator, domain = [], [], [], "", ""
     for key, value in _fields(content):
         if key == 1:
             inputs.append(_bytes(value))
@@ -93,12 +90,14 @@ def _check_node(
             operator = _bytes(value).decode()
         elif key == 5:
             attributes.append(_bytes(value))
-        elif key == 7 and _bytes(value).decode() not in NEWEST:
-            raise ValueError(f"operators of '{_bytes(value).decode()}'")
+        elif key == 7:
+            domain = _bytes(value).decode()
+    if domain not in NEWEST or (domain == OWN and operator != OWN_OPERATOR):
+        raise ValueError(f"operator {operator} of '{domain}'")
     for attribute in attributes:
         for key, value in _fields(attribute):
             if key in (6, 11):
-                _check_graph(_bytes(value), nodes, depth + 1)
+                raise ValueError(f"control flow, operator {operator}")
             elif key in (5, 10):
                 _note_tensor(_bytes(value), constants, outputs[0] if outputs else b"")
             elif key in (22, 23):

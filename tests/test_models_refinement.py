@@ -9,7 +9,7 @@ from bump_map import REFERENCE_MM, bump_map
 
 from features.window import WINDOW_BINS
 from models.cnn.forward_model import BINS
-from models.cnn.gauss_newton import FLOOR_SHARE, PEAK_SHARE, Refinement, RefinementConfig, bin_means
+from models.cnn.gauss_newton import FLOOR_SHARE, PEAK_SHARE, Refinement, RefinementConfig, bin_means, inverted
 from models.cnn.training_windows import SynthesisConfig, WindowBatch, WindowSource
 
 BLOCK_S = 0.02
@@ -79,6 +79,18 @@ def test_bins_are_means_of_what_lies_in_them():
         means = np.diff(edge ** (power + 1)) / (power + 1)
         inner = slice(None) if power < 3 else slice(1, -1)
         np.testing.assert_allclose((bin_means() @ centre**power)[inner], means[inner], rtol=1e-9)
+
+
+@pytest.mark.parametrize("scale", [1.0, 1e4, 1e-4])
+def test_inverses_are_as_exact_as_their_matrices_allow(scale: float):
+    """Of numbers as unlike as those of a state: a turn, a logarithm, lengths in mm."""
+    generator = torch.Generator().manual_seed(0)
+    root = torch.randn(500, 1, 1, 6, 6, generator=generator, dtype=torch.float64)
+    sizes = scale ** torch.linspace(0, 1, 6, dtype=torch.float64)[:, None]
+    matrix = sizes * (root @ root.mT + 1e-3 * torch.eye(6)) * sizes.mT
+    inverse, exact = inverted(matrix), torch.linalg.inv(matrix)
+    off = (inverse - exact).abs() / exact.abs().amax((3, 4), keepdim=True)
+    assert off.max() < 1e-15 * torch.linalg.cond(root @ root.mT + 1e-3 * torch.eye(6)).max()
 
 
 def test_weights_are_the_inverse_of_the_residuals_covariance():

@@ -237,6 +237,16 @@ def endless() -> onnx.ModelProto:
     )
 
 
+def counted() -> onnx.ModelProto:
+    """Turns a loop as often as its input says."""
+    model = endless()
+    model.graph.initializer.pop()
+    whole = helper.make_node("Cast", ["elapsed_s"], ["many"], to=TensorProto.INT64)
+    model.graph.node.insert(0, helper.make_node("ReduceMax", ["many"], ["turns"], keepdims=0))
+    model.graph.node.insert(0, whole)
+    return model
+
+
 def huge() -> onnx.ModelProto:
     """Makes a matrix of 3 TB."""
     return hostile(
@@ -264,12 +274,21 @@ def foreign() -> onnx.ModelProto:
     return hostile([helper.make_node("Run", ["volts"], ["estimate"], domain="evil.example")], [])
 
 
+def of_the_runtimes_own() -> onnx.ModelProto:
+    """An operator of ONNX Runtime's own that no bundle has."""
+    model = hostile([helper.make_node("QAttention", ["volts"], ["estimate"], domain="com.microsoft")], [])
+    model.opset_import.append(helper.make_opsetid("com.microsoft", 1))
+    return model
+
+
 def newer() -> onnx.ModelProto:
     """Operators of a version that is not out."""
     return hostile([helper.make_node("Identity", ["volts"], ["estimate"])], [], opset=99)
 
 
-@pytest.mark.parametrize("made", [endless, huge, huge_by_node, elsewhere, foreign, newer])
+@pytest.mark.parametrize(
+    "made", [endless, counted, huge, huge_by_node, elsewhere, foreign, of_the_runtimes_own, newer]
+)
 def test_a_hostile_graph_with_a_fitting_card_is_refused_before_it_is_built(mine: Path, made: Any) -> None:
     resigned(mine, made().SerializeToString())
     with pytest.raises(InputError, match="no graph that this release runs"):

@@ -20,6 +20,9 @@ from pipeline.sensor import Sensor
 from pipeline.staging import staged
 
 PARITY = 1e-4  # relative difference of graph and original
+# Of the misfit, a chi-square of the residuals before the last step: rounding of the proposal moves it the most where
+# that step is a long one (three accelerometers: 1.3e-4, all else 2e-5; experiments/LOG.md).
+MISFIT_PARITY = 1e-3
 AT_LIMIT = 1e-3  # share of windows that one of them may answer and the other not
 
 
@@ -48,7 +51,7 @@ def write_bundle(
     base: what was taken out of the recordings that it was fitted to.
 
     Raises:
-        ParityError: it is more than PARITY; nothing is written.
+        ParityError: it is more than PARITY, of the misfit MISFIT_PARITY; nothing is written.
         InputError: `out` cannot be written.
     """
     graph = fitted.graph.SerializeToString()
@@ -69,8 +72,10 @@ def write_bundle(
         raise ParityError(
             f"the trained {fitted.name} answers none of the windows it was given; nothing was written"
         )
-    difference = float(relative_differences(exported[stands], original[stands]).max())
-    if not difference <= PARITY:
+    differences = relative_differences(exported[stands], original[stands])
+    limit = np.array([MISFIT_PARITY if name == "misfit" else PARITY for name in fitted.outputs])
+    difference = float(differences.max())
+    if not (differences <= limit).all():
         raise ParityError(
             f"ONNX Runtime and the trained {fitted.name} differ by {difference:.1e} relative; nothing was written"
         )
@@ -138,8 +143,7 @@ def read_graph(bundle: Path) -> onnx.ModelProto:
 
 
 def relative_differences(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """(n,): each row's largest |a - b| over the column's largest |b|; infinite where only one is NaN."""
-    torn = (np.isnan(a) != np.isnan(b)).any(axis=1)
+    """(n, K): |a - b| over the column's largest |b|; infinite where only one is NaN."""
+    torn = np.isnan(a) != np.isnan(b)
     a, b = np.nan_to_num(a), np.nan_to_num(b)
-    scale = np.maximum(np.abs(b).max(axis=0), 1e-6)
-    return np.where(torn, np.inf, (np.abs(a - b) / scale).max(axis=1))
+    return np.where(torn, np.inf, np.abs(a - b) / np.maximum(np.abs(b).max(axis=0), 1e-6))

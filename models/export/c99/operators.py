@@ -6,7 +6,6 @@ import numpy as np
 from onnx import helper
 
 from models.export.c99 import products, views
-from models.export.c99.inverse import inverse
 from models.export.c99.loops import Nest
 from models.export.c99.memory import Statement
 from models.export.c99.node import Done, Node, NoForm
@@ -164,7 +163,6 @@ OPERATORS: dict[str, Callable[[Node], Done]] = {
     "Concat": views.concat,
     "Conv": products.conv,
     "Gemm": products.gemm,
-    "Inverse": inverse,
     "MatMul": products.matmul,
     "Pad": views.pad,
     "TreeEnsembleRegressor": _trees,

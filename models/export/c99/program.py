@@ -8,7 +8,6 @@ import onnx
 from onnx import helper
 from onnx.reference import ReferenceEvaluator
 
-from models.export.c99.inverse import Inverse
 from models.export.c99.loops import Nest
 from models.export.c99.memory import Statement
 from models.export.c99.node import Node
@@ -33,7 +32,7 @@ def program(model: onnx.ModelProto) -> Program:
     """
     graph = model.graph
     # Of each operator only its own reference is run, on constants, shapes and places: never a whole graph.
-    evaluator = ReferenceEvaluator(model, new_ops=[Inverse])
+    evaluator = ReferenceEvaluator(model)
     # What need not be given is as it is unless it is given: a constant.
     inputs = {v.name: _parameter(v) for v in graph.input if v.name not in evaluator.rt_inits_}
     known: dict[str, Tensor] = {
