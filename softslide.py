@@ -15,7 +15,7 @@ from typing import Any
 try:
     from features.errors import CheckFailed, InputError, printable
 except ImportError as error:
-    # A folder of a lab beside it, say, which Python finds first.
+    # A folder of a lab next to it, say, which Python finds first.
     import features
 
     found = getattr(features, "__file__", None) or next(iter(features.__path__))
@@ -43,7 +43,7 @@ OFFERED = {
 }
 
 # The extra that a subcommand needs beyond the base install. Device commands need one for some of their options only,
-# which the package that is missing tells: so does a package of another extra than the subcommand's own.
+# which the package that is missing decides: so does a package of another extra than the subcommand's own.
 COMMAND_EXTRA = {
     "check": "io",
     "import": "io",

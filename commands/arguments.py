@@ -82,7 +82,7 @@ def skin_height(parser: Parser) -> None:
         "--height",
         type=float,
         metavar="MM",
-        help="of the inflated skin, mm, for a bundle trained at several (default: what the static output tells)",
+        help="of the inflated skin, mm, for a bundle trained at several (default: as the static output shows it)",
     )
 
 

@@ -144,7 +144,7 @@ def evaluate(parser: Parser) -> Run:
 
     Runs the exported bundle over recordings with the device's own runtime.
     Writes predictions.csv (deg, mm/s, mm), metrics.json and report.html.
-    Recordings with their truth beside them (slides/NAME.truth.csv) are
+    Recordings with their truth next to them (slides/NAME.truth.csv) are
     followed over time as well: errors of place, direction and speed, by split.
     Slides along calibration lines are scored apart. Of a bundle with a
     response map, errors are shown over its Cramer-Rao bound. The same command
