@@ -264,7 +264,7 @@ def check_design(sensor: Sensor, source: str = "sensor") -> None:
     in another.
 
     Raises:
-        InputError: a sensing element is no accelerometer; a board is thicker than the skin leaves room for, reaches
+        InputError: a sensing element is not an accelerometer; a board is thicker than the skin leaves room for, reaches
             over the chamber, or overlaps.
     """
     for n, a in enumerate(sensor.accelerometers, 1):

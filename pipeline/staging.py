@@ -26,7 +26,7 @@ def writing(place: Path, instead: str = "name another folder") -> Iterator[None]
 
     Raises:
         InputError: it cannot be written, whatever space there is.
-        OSError: its disk is full, which is no fault of the input.
+        OSError: its disk is full, which is not the input's fault.
     """
     try:
         yield

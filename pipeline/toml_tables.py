@@ -167,7 +167,7 @@ def _required(field: Field) -> bool:
 
 
 def _leaves(table: Mapping[str, Any]) -> Iterator[tuple[tuple[str, ...], Any]]:
-    """Every value that is no table or list, with its keys; without recursion, whatever the file's depth."""
+    """Every value that is not a table or list, with its keys; without recursion, whatever the file's depth."""
     waiting: list[tuple[tuple[str, ...], Any]] = [((), table)]
     while waiting:
         keys, value = waiting.pop()

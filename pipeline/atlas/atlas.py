@@ -290,7 +290,7 @@ def read_atlas(path: Path = DEFAULT_ATLAS) -> Atlas:
     """Reads an atlas, by default the one of the article's sensor that ships with the project.
 
     Raises:
-        InputError: there is no such file, it is no atlas, or one of another version.
+        InputError: there is no such file, it is not an atlas, or one of another version.
     """
     check_regular(path, MOST_BYTES, "name an atlas that softslide simulate wrote")
     try:
@@ -337,8 +337,8 @@ def _check_arrays(atlas: Atlas) -> None:
         raise ValueError("a grid does not rise")
     meta = atlas.meta
     if not isinstance(meta["design"], dict) or not isinstance(meta["design_hash"], str):
-        raise ValueError("its design is no table")
+        raise ValueError("its design is not a table")
     if not isinstance(meta["failed"], list) or np.shape(meta["reach_mm"]) != (2,):
-        raise ValueError("failed or reach_mm is no list")
+        raise ValueError("failed or reach_mm is not a list")
     if not all(0 < float(reach) < LARGEST for reach in meta["reach_mm"]):
         raise ValueError("reach_mm is not positive")

@@ -17,7 +17,7 @@ def atlas_of(sensor: Sensor, named: Path | None = None, workers: int = 2) -> Atl
     folder, `SOFTSLIDE_CACHE` if that is set.
 
     Raises:
-        InputError: the file named is no atlas or one of another design, or the design cannot be solved.
+        InputError: the file named is not an atlas or one of another design, or the design cannot be solved.
     """
     if not sensor.measures_gravity:
         check_design(sensor, sensor.name)
@@ -47,7 +47,7 @@ def atlas_at_hand(sensor: Sensor, named: Path | None = None) -> Atlas | None:
     """The sensor's atlas that is named, ships or was solved earlier; None: there is none.
 
     Raises:
-        InputError: the file named is no atlas or one of another design.
+        InputError: the file named is not an atlas or one of another design.
     """
     if not sensor.measures_gravity:
         if named is None:

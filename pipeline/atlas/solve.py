@@ -131,7 +131,7 @@ def simulate(
     """`softslide simulate`: reads a design, solves it, writes the atlas, says what did not converge.
 
     Raises:
-        InputError: see `solve_atlas`; an `out` that is a folder; a depth that is no depth.
+        InputError: see `solve_atlas`; an `out` that is a folder; a depth that is not positive.
     """
     path = sensor_path or DEFAULT_SENSOR
     sensor = read_sensor(path)

@@ -40,7 +40,7 @@ def height_by_formula(static_g: float, board_mm: float, half_width_mm: float) ->
         raise InputError("the accelerometer is at the chamber's centre, level at any height")
     if not -1 < static_g < 1:
         raise InputError(
-            f"a static output of {static_g:g} g is no tilt; check zero_g_v and sensitivity_v_per_g"
+            f"a static output of {static_g:g} g is not a tilt; check zero_g_v and sensitivity_v_per_g"
         )
     return half_width_mm**2 * math.tan(math.asin(static_g)) / (2 * board_mm)
 

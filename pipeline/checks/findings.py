@@ -237,7 +237,7 @@ def _labels(one: Measurements, labels: pd.Series, sensor: Sensor, limits: Limits
     """Labels that contradict each other."""
     duration = labels["motion_end_s"] - labels["motion_start_s"]
     due = labels["travel_mm"] / labels["speed_mm_s"]
-    # A stage takes its time to speed up and to stop; that is no contradiction.
+    # A stage takes its time to speed up and to stop; that does not contradict its label.
     ramps, line = (
         max(limits.ramp_s, limits.speed * due),
         "mm between the start and the line of direction and offset",

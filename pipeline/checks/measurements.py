@@ -157,7 +157,7 @@ def _mains(frequency: np.ndarray, power: np.ndarray, floor: np.ndarray) -> tuple
 
 
 def _tones(frequency: np.ndarray, power: np.ndarray, floor: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The strongest line that is no harmonic of the mains, (channels,) Hz, and its power over the floor."""
+    """The strongest line that is not a harmonic of the mains, (channels,) Hz, and its power over the floor."""
     other = np.ones(len(frequency), bool)
     for mains in MAINS_HZ:
         other &= np.abs((frequency + mains / 2) % mains - mains / 2) > 3

@@ -136,7 +136,7 @@ class Map:
                 warnings.simplefilter("error", FutureWarning)
                 groups = set(re.compile(self.pattern).groupindex)
         except (re.error, FutureWarning, RecursionError, OverflowError) as error:
-            raise ValueError(f"pattern is no regular expression ({error})") from None
+            raise ValueError(f"pattern is not a regular expression ({error})") from None
         for channel in self.sensor.columns:
             if channel not in self.channels:
                 raise ValueError(f"[channels.{channel}] is missing; say where the sensor's output is")

@@ -52,7 +52,7 @@ def label_row(
     groups: of the file name's pattern. sheet: `read_sheet`. cells: the one value of each label's column.
 
     Raises:
-        InputError: the sheet has no such row, or a text is no number.
+        InputError: the sheet has no such row, or a text is not a number.
     """
     row: Row = {"recording": name, "split": ""}
     for target, label in mapping.labels.items():

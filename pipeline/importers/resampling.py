@@ -44,7 +44,7 @@ def seconds(raw: np.ndarray, unit: str, origin: int | float) -> np.ndarray:
     """Times (n,) in their unit -> (n,) s since `origin`, in that unit too; whole numbers lose nothing.
 
     Raises:
-        ValueError: a cell is no time.
+        ValueError: a cell is not a time.
     """
     return np.asarray(whole(raw, unit) - origin, dtype=float) / PER_SECOND[unit]
 

@@ -117,7 +117,7 @@ def read_calibration(path: Path, accelerometer: str) -> Calibration:
         rows.loc[list(POSITIONS), ["vx", "vy", "vz"]].apply(pd.to_numeric, errors="coerce").to_numpy(float)
     )
     if not np.isfinite(volts).all():
-        raise InputError(f"{path}: {accelerometer} has a reading that is no number; correct it")
+        raise InputError(f"{path}: {accelerometer} has a reading that is not a number; correct it")
     gravity = np.column_stack([np.ones(6), np.array(list(POSITIONS.values()), dtype=float)])
     solution = np.linalg.lstsq(gravity, volts, rcond=None)[0]
     gain = solution[1:].T

@@ -1,4 +1,4 @@
-"""How well gravity keeps its length in a folder's slides: what V_z shows besides the tilt."""
+"""How well gravity keeps its length in a folder's slides: what V_z shows apart from the tilt."""
 
 from collections.abc import Sequence
 from dataclasses import asdict

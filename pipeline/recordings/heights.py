@@ -33,7 +33,7 @@ def is_other(pressures_mpa: pd.Series, pressure_mpa: float) -> pd.Series:
 
 
 def laser_readings_mm(folder: Folder) -> pd.Series:
-    """A laser's reading at each recording, NaN where there is none or it is no height above zero."""
+    """A laser's reading at each recording, NaN where it is missing or not above zero."""
     if LASER not in folder.manifest:
         return pd.Series(np.nan, folder.manifest.index)
     read = pd.to_numeric(folder.manifest[LASER], errors="coerce").astype(float)

@@ -32,7 +32,7 @@ def read_text_table(path: Path, missing: str, delimiter: str = ",", **options: A
 
 
 def numbers(column: pd.Series) -> np.ndarray:
-    """A column as float64; NaN where a cell is no number."""
+    """A column as float64; NaN where a cell is not a number."""
     try:
         return pd.to_numeric(column, errors="coerce").to_numpy(dtype=float, na_value=np.nan)
     except OverflowError:  # an integer beyond float

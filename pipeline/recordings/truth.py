@@ -54,7 +54,7 @@ def read_truth(path: Path) -> pd.DataFrame:
         allowed = table[column].isna().to_numpy() & (column in _OPTIONAL)
         if (bad := ~(np.isfinite(values) | allowed)).any():
             raise InputError(
-                f"{path}: row {bad.argmax() + 1}, column {column} is no finite number; write one"
+                f"{path}: row {bad.argmax() + 1}, column {column} is not a finite number; write one"
             )
         table[column] = values
     if len(table) < 3:

@@ -43,7 +43,7 @@ class Pardiso:
     """LDL^T by MKL, through the library that pypardiso finds; on the calling thread alone.
 
     In single precision, which halves the time of both phases: the factor is held over many postures and only
-    has to point the right way. Pivots stay on the diagonal, so that their signs tell
+    has to point the right way. Pivots stay on the diagonal, so that their signs show
     whether the posture is stable; the 2 x 2 pivots of Bunch and Kaufman (Math. Comp. 31 (1977) 163) would double the
     time.
     """

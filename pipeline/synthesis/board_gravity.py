@@ -7,7 +7,7 @@ def upright(tilt_deg: tuple[float, float]) -> np.ndarray:
     """The upward unit vector (3,) in the frame of a sensor tilted towards x and towards y by these angles."""
     x, y = np.sin(np.deg2rad(tilt_deg))
     if (left := 1 - x**2 - y**2) < 0:
-        raise ValueError(f"tilts of {tilt_deg[0]:g} and {tilt_deg[1]:g} degrees are none together")
+        raise ValueError(f"tilts of {tilt_deg[0]:g} and {tilt_deg[1]:g} degrees are impossible together")
     return np.array([-x, -y, np.sqrt(left)])
 
 

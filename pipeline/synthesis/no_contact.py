@@ -1,6 +1,6 @@
 """Outputs of a sensor that nothing touches: at rest, and what the device, its pressure and its wires may add.
 
-Of a signal that is no gravity (waves, bumps, chirps, walks, steps) V_x and V_y change; V_z stays in every second stream
+Of a signal other than gravity (waves, bumps, chirps, walks, steps) V_x and V_y change; V_z stays in every second stream
 and changes alike in the others.
 """
 

@@ -104,7 +104,7 @@ def path_plan(
 
 
 def noise_of(number: int, seed: int, stream: int = _NOISE) -> np.random.Generator:
-    """The random numbers of a seed's slide that are no part of its plan."""
+    """The random numbers of a seed's slide that are not part of its plan."""
     return np.random.default_rng([seed, stream, number])
 
 

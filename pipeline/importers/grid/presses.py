@@ -41,8 +41,8 @@ def read_presses(path: Path, mapping: GridMap) -> Presses:
     """Reads a file of presses.
 
     Raises:
-        InputError: no table, a column or a number is missing, the places are no even grid, or a place comes twice in a
-            pass.
+        InputError: no table, a column or a number is missing, the places are not an even grid, or a place comes twice
+            in a pass.
     """
     table = read_text_table(path, "name a table of presses")
     channels = [mapping.channels[name] for name in mapping.sensor.channels]
@@ -53,7 +53,7 @@ def read_presses(path: Path, mapping: GridMap) -> Presses:
         numbers = pd.to_numeric(table[column], errors="coerce")
         if (bad := ~np.isfinite(numbers.to_numpy(float))).any():
             raise InputError(
-                f"{path}: row {bad.argmax() + 1}, column {column} is no finite number; correct it"
+                f"{path}: row {bad.argmax() + 1}, column {column} is not a finite number; correct it"
             )
     x_mm, x = _axis(path, mapping.x, table[mapping.x].to_numpy(float))
     y_mm, y = _axis(path, mapping.y, table[mapping.y].to_numpy(float))

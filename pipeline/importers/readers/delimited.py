@@ -35,7 +35,7 @@ class CsvLayout:
 
 
 def read_delimited(path: Path, columns: Sequence[str], layout: CsvLayout) -> Iterator[Chunk]:
-    """Columns by the names in the header; a cell that is no number comes as text, an empty one as NaN."""
+    """Columns by the names in the header; a cell that is not a number comes as text, an empty one as NaN."""
     size = path.stat().st_size
     if not layout.open_end and size and not _ends_with_a_line(path):
         raise InputError(
