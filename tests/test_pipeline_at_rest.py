@@ -38,7 +38,7 @@ def with_tone(hz: float, amplitude_v: float) -> Change:
 
 
 def test_the_samples_signal_path_is_the_default() -> None:
-    """But for what its slides tell of gravity's length."""
+    """But for what its slides show of gravity's length."""
     found = conditioning_for(some(), Conditioning())
     assert 0.006 <= found.gravity_sd_g < 0.01
     assert found == Conditioning(gravity_sd_g=found.gravity_sd_g)

@@ -65,20 +65,23 @@ def test_recordings_are_loaded_without_the_motion(robot: Folder) -> None:
 
 
 def test_without_a_base_a_folder_stays_as_it_is(tmp_path: Path) -> None:
-    folder = recorded(tmp_path / "lab", {"one": 0.0}, replace(SENSOR, base=None), "calibration")
+    folder = recorded(tmp_path / "lab", {"one": 0.0}, replace(SENSOR, base=None), "base")
     assert without_base_motion(folder) is folder
     assert folder.load("one").base_v is None
+    with pytest.raises(InputError, match="column 'base_vx' is missing"):
+        without_base_motion(replace(folder, sensor=SENSOR))
 
 
-def test_a_base_needs_recordings_of_its_motion(tmp_path: Path) -> None:
-    folder = recorded(tmp_path / "lab", {"one": 20.0}, split="calibration")
-    with pytest.raises(InputError, match=r"no recording is of the split 'base'.*record a minute"):
-        without_base_motion(folder)
-
-
-def test_a_base_that_hardly_moves_tells_nothing(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="the base hardly moves"):
-        without_base_motion(recorded(tmp_path / "lab", {"one": 0.5}))
+@pytest.mark.parametrize(
+    ("tilt_deg", "split", "says"),
+    [
+        (20.0, "calibration", r"no recording is of the split 'base'.*record a minute"),
+        (0.5, "base", "the base hardly moves"),
+    ],
+)
+def test_a_base_needs_recordings_of_its_motion(tmp_path: Path, tilt_deg, split, says) -> None:
+    with pytest.raises(InputError, match=says):
+        without_base_motion(recorded(tmp_path / "lab", {"one": tilt_deg}, split=split))
 
 
 def test_a_recording_in_which_the_robot_lies_on_its_side_is_refused(robot: Folder) -> None:
@@ -87,21 +90,13 @@ def test_a_recording_in_which_the_robot_lies_on_its_side_is_refused(robot: Folde
         turned.load("one")
 
 
-def test_a_folder_without_the_base_s_columns_is_refused(tmp_path: Path) -> None:
-    folder = recorded(tmp_path / "lab", {"one": 0.0}, replace(SENSOR, base=None), "base")
-    with pytest.raises(InputError, match="column 'base_vx' is missing"):
-        without_base_motion(replace(folder, sensor=SENSOR))
-
-
 def test_an_accelerometer_of_the_skin_is_not_named_as_the_base() -> None:
     named = replace(SENSOR.accelerometers[0], name="base")
     with pytest.raises(ValueError, match=r"as the robot's under \[base\]"):
         replace(SENSOR, accelerometers=(named,))
 
 
-def test_recordings_without_the_motion_are_not_written_as_if_they_had_it(
-    robot: Folder, tmp_path: Path
-) -> None:
+def test_recordings_without_the_motion_are_not_written_as_with_it(robot: Folder, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="do not both have a base"):
         write_folder(tmp_path / "out", robot.sensor, robot.manifest, [robot.load("one")])
     assert not (tmp_path / "out").exists()

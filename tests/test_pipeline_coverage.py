@@ -1,4 +1,4 @@
-"""What a folder cannot tell: each gap is named where it is, and nothing where there is none."""
+"""What a folder does not cover: each gap is named, and nothing where all is covered."""
 
 from pathlib import Path
 
@@ -23,11 +23,9 @@ def slides(sensor: Sensor, directions, offsets, speeds, split: str = "calibratio
     rows = []
     for k, direction in enumerate(directions):
         for m, offset in enumerate(offsets):
-            if (line := crossing(float(direction), float(offset), sensor)) is None:
-                continue
-            (x, y), travel, _ = line
-            speed = speeds(k, m)
-            rows.append((split, direction, speed, offset, x, y, travel))
+            if line := crossing(float(direction), float(offset), sensor):
+                (x, y), travel, _ = line
+                rows.append((split, direction, speeds(k, m), offset, x, y, travel))
     columns = ["split", "direction_deg", "speed_mm_s", "offset_mm", "start_x_mm", "start_y_mm", "travel_mm"]
     return pd.DataFrame(rows, columns=columns)
 
@@ -59,8 +57,8 @@ def test_each_gap_is_named(sensor: Sensor, directions, offsets, speeds, says: st
 
 def test_faster_test_slides_are_counted(sensor: Sensor) -> None:
     fast = slides(sensor, (0.0,), (0.0, 5.0), lambda k, m: 9.0, split="test-fast")
-    told = not_covered(pd.concat([slides(sensor, AXES, OFFSETS, mixed), fast], ignore_index=True), sensor)
-    assert told == [
+    both = pd.concat([slides(sensor, AXES, OFFSETS, mixed), fast], ignore_index=True)
+    assert not_covered(both, sensor) == [
         "2 slides of test-fast are faster than any calibration slide (9 to 4 mm/s): their speed is extrapolated"
     ]
 
@@ -83,15 +81,13 @@ def test_check_says_and_draws_it(tmp_path: Path, capsys: pytest.CaptureFixture[s
     for place in ("sensor.toml", "slides"):
         (tmp_path / place).symlink_to(SAMPLE / place)
     table = pd.read_csv(SAMPLE / "manifest.csv")
-    few = table[
-        (table["split"] == "calibration") & (table["direction_deg"] == 0.0) & (table["speed_mm_s"] > 3)
-    ]
+    few = table.query("split == 'calibration' and direction_deg == 0 and speed_mm_s > 3")
     few.to_csv(tmp_path / "manifest.csv", index=False)
     picture = tmp_path / "coverage.svg"
     assert softslide.main(["check", str(tmp_path), "--picture", str(picture)]) == 0
-    told = capsys.readouterr().out
-    assert "not covered: directions without a slide: 0 to 0 deg" in told
-    assert "not covered: all calibration slides move at" in told
+    said = capsys.readouterr().out
+    assert "not covered: directions without a slide: 0 to 0 deg" in said
+    assert "not covered: all calibration slides move at" in said
     assert "direction and speed" in picture.read_text()
     assert softslide.main(["check", str(tmp_path), "--picture", "coverage.doc"]) == 2
     assert "--picture" in capsys.readouterr().err

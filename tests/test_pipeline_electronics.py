@@ -45,7 +45,7 @@ def test_the_spectrum_has_the_data_sheet_s_density_and_bandwidth():
     for axis, bandwidth in enumerate((400, 400, 300)):
         near = power[np.abs(frequency - bandwidth) <= 12, axis].mean()
         assert near / low[axis] == pytest.approx(0.5, rel=0.06)
-    # The test tells the bandwidths apart: z is below a half at 400 Hz.
+    # The bandwidths differ: z is below a half at 400 Hz.
     assert power[np.abs(frequency - 400) <= 12, 2].mean() / low[2] < 0.42
 
 
@@ -59,18 +59,13 @@ def test_the_low_pass_halves_the_power_at_the_bandwidth(bandwidth, rate):
 
 def test_noise_is_stationary_from_the_first_sample():
     boards = 20_000
-    many = replace(
-        NOISY,
-        volts_per_g=np.repeat(IDEAL.volts_per_g, boards, 0),
-        zero_v=np.zeros((boards, 3)),
-        noise_g_rthz=np.full((boards, 3), NOISE_G_RTHZ["MMA7361L"]),
-        mains_v=np.zeros((3 * boards, 4)),
-        bandwidth_hz=(400.0, 50.0, 300.0),
-    )
+    each = {"volts_per_g": IDEAL.volts_per_g, "zero_v": np.full((1, 3), 1.65), "mains_v": np.zeros((3, 4))}
+    each["noise_g_rthz"] = NOISY.noise_g_rthz
+    parts = {name: np.repeat(one, boards, 0) for name, one in each.items()}
+    many = replace(NOISY, bandwidth_hz=(400.0, 50.0, 300.0), **parts)
     tilted = upright(6, boards)
     tilted[:, 1] = 0.5
-    # Zero at 0 V would be clipped at the lower rail.
-    output = volts(tilted, replace(many, zero_v=np.full((boards, 3), 1.65)), random(2))
+    output = volts(tilted, many, random(2))
     by_axis = output.reshape(6, boards, 3)
     assert by_axis.mean(axis=1) == pytest.approx(np.tile([1.65, 2.05, 2.45], (6, 1)), abs=3e-4)
     spread = by_axis.std(axis=1)

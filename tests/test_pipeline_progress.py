@@ -7,9 +7,7 @@ import pytest
 from pipeline import progress
 
 
-def test_long_work_writes_a_line_now_and_then(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_long_work_writes_a_line_now_and_then(monkeypatch: pytest.MonkeyPatch, capsys) -> None:
     monkeypatch.setattr(progress, "LINE_S", 0.3)
     for _ in progress.progress_bar("solving", "line", range(10)):
         time.sleep(0.1)

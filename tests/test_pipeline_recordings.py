@@ -23,17 +23,8 @@ RATE_HZ = 100.0
 
 
 def a_sensor(accelerometers: int = 1) -> Sensor:
-    return Sensor(
-        name="trial",
-        sample_rate_hz=RATE_HZ,
-        chamber_mm=(50.0, 50.0),
-        skin_thickness_mm=4.0,
-        indenter_diameter_mm=6.0,
-        pressure_mpa=0.035,
-        reference_mm=(5.0, 0.0),
-        adc_step_v=5e-4,
-        accelerometers=tuple(Accelerometer(f"a{n}", 5.0 * n, 0.0) for n in range(accelerometers)),
-    )
+    parts = tuple(Accelerometer(f"a{n}", 5.0 * n, 0.0) for n in range(accelerometers))
+    return Sensor("trial", RATE_HZ, (50.0, 50.0), 4.0, 6.0, 0.035, (5.0, 0.0), 5e-4, parts)
 
 
 def a_recording(name: str, channels: int = 3, samples: int = 400) -> Recording:
@@ -42,20 +33,21 @@ def a_recording(name: str, channels: int = 3, samples: int = 400) -> Recording:
 
 
 def a_manifest(names: list[str]) -> pd.DataFrame:
-    row = {
-        "split": "calibration",
+    where = {
         "direction_deg": 180.0,
         "speed_mm_s": 20.0,
         "offset_mm": -7.5,
         "start_x_mm": 29.0,
         "start_y_mm": 7.5,
+    }
+    how = {
         "travel_mm": 58.0,
         "depth_mm": 0.5,
         "pressure_mpa": 0.035,
         "motion_start_s": 0.5,
         "motion_end_s": 3.4,
     }
-    return pd.DataFrame([{"recording": name, **row} for name in names])
+    return pd.DataFrame([{"recording": name, "split": "calibration", **where, **how} for name in names])
 
 
 @pytest.fixture
@@ -82,8 +74,6 @@ def test_a_folder_comes_back_as_written(tmp_path: Path, accelerometers: int) -> 
     recordings = [a_recording(name, len(sensor.channels)) for name in names]
     write_folder(tmp_path / "lab", sensor, a_manifest(names), recordings)
     folder = read_folder(tmp_path / "lab")
-    for name in folder.manifest.index:
-        folder.load(name)
     assert folder.sensor == sensor
     assert list(folder.manifest.index) == names
     for written in recordings:
@@ -94,13 +84,9 @@ def test_a_folder_comes_back_as_written(tmp_path: Path, accelerometers: int) -> 
 
 
 @settings(max_examples=40, deadline=None)
-@given(
-    volts=hnp.arrays(np.float64, (7, 3), elements=st.floats(-10, 10, allow_subnormal=False)),
-    narrow=st.booleans(),
-)
+@given(hnp.arrays(np.float64, (7, 3), elements=st.floats(-10, 10, allow_subnormal=False)), st.booleans())
 def test_volts_survive_to_the_last_bit(tmp_path_factory, volts: np.ndarray, narrow: bool) -> None:
-    path = tmp_path_factory.mktemp("slide") / "s.parquet"
-    channels = ("a0_vx", "a0_vy", "a0_vz")
+    path, channels = tmp_path_factory.mktemp("slide") / "s.parquet", a_sensor().channels
     volts = volts.astype(np.float32).astype(float) if narrow else volts
     write_slide(path, np.arange(7.0), volts, channels)
     np.testing.assert_array_equal(read_slide(path, channels)[1], volts)
@@ -125,8 +111,6 @@ def test_labels_may_be_absent(tmp_path: Path) -> None:
     manifest.loc[0, "speed_mm_s"] = np.nan
     write_folder(tmp_path / "lab", a_sensor(), manifest, map(a_recording, ["one", "two"]))
     folder = read_folder(tmp_path / "lab")
-    for name in folder.manifest.index:
-        folder.load(name)
     assert set(LABELS) <= set(folder.manifest.columns)
     assert folder.manifest["direction_deg"].isna().all()
     assert len(folder.labelled()) == 0
@@ -151,11 +135,9 @@ def edit_manifest(root: Path, column: str, row: int, value: str) -> None:
     ("column", "value", "says"),
     [
         ("direction_deg", "360", "[0, 360)"),
-        ("direction_deg", "-90", "[0, 360)"),
         ("direction_deg", "forward", "not a number"),
         ("direction_deg", "inf", "[0, 360)"),
         ("speed_mm_s", "0", "positive"),
-        ("speed_mm_s", "-2", "positive"),
         ("speed_mm_s", "inf", "positive"),
         ("offset_mm", "120", "crosses the chamber"),
         ("depth_mm", "-0.5", "negative"),
@@ -182,29 +164,21 @@ def test_a_bad_cell_is_named(root: Path, capsys, column: str, value: str, says: 
     assert "row 2" in message or "two" in message
 
 
-@pytest.mark.parametrize("column", ["recording", "file", "split"])
-def test_a_missing_manifest_column_is_named(root: Path, capsys, column: str) -> None:
-    pd.read_csv(root / "manifest.csv").drop(columns=column).to_csv(root / "manifest.csv", index=False)
-    assert f"'{column}' is missing" in refused(root, capsys)
-
-
-def test_a_misspelt_label_is_no_absent_label(root: Path, capsys) -> None:
-    table = pd.read_csv(root / "manifest.csv").rename(columns={"speed_mm_s": "speed_mms"})
-    table.to_csv(root / "manifest.csv", index=False)
-    assert "is it speed_mm_s?" in refused(root, capsys)
-
-
 @pytest.mark.parametrize(
     ("content", "says"),
     [
-        ("", "empty"),
-        ("recording,file,split\n", "no recordings"),
-        ("recording,file,split\na,b,c,d,e\n", "not a comma-separated table"),
+        (b"", "empty"),
+        (b"recording,file,split\n", "no recordings"),
+        (b"file,split\n", "'recording' is missing"),
+        (b"recording,split\n", "'file' is missing"),
+        (b"recording,file\n", "'split' is missing"),
+        (b"recording,file,split\na,b,c,d,e\n", "not a comma-separated table"),
+        (b"recording,file,split,speed_mms\none,slides/one.parquet,test,2\n", "is it speed_mm_s?"),
         (b"\xff\xfe\x00recording", "in UTF-16"),
     ],
 )
-def test_a_broken_manifest_is_refused(root: Path, capsys, content: str | bytes, says: str) -> None:
-    (root / "manifest.csv").write_bytes(content if isinstance(content, bytes) else content.encode())
+def test_a_broken_manifest_is_refused(root: Path, capsys, content: bytes, says: str) -> None:
+    (root / "manifest.csv").write_bytes(content)
     assert says in refused(root, capsys)
 
 
@@ -246,61 +220,15 @@ def test_a_bad_sample_is_named(root: Path, capsys, change, says: str) -> None:
     assert says in message
 
 
-@pytest.mark.parametrize("kept", [0, 1, 100, -1])
-def test_a_truncated_slide_is_refused(root: Path, capsys, kept: int) -> None:
-    path = root / "slides/two.parquet"
-    path.write_bytes(path.read_bytes()[:kept])
-    assert "two.parquet" in refused(root, capsys)
-
-
 @settings(max_examples=60, deadline=None)
-@given(at=st.integers(0, 10_000), value=st.integers(0, 255))
-def test_a_flipped_byte_is_refused_or_harmless(tmp_path_factory, at: int, value: int) -> None:
-    path = tmp_path_factory.mktemp("slide") / "s.parquet"
-    recording = a_recording("one")
-    write_slide(path, recording.time_s, recording.volts, a_sensor().channels)
-    content = bytearray(path.read_bytes())
-    content[at % len(content)] = value
-    path.write_bytes(bytes(content))
-    try:
-        time_s, volts = read_slide(path, a_sensor().channels)
-    except InputError:
-        return
-    assert np.isfinite(time_s).all()
-    assert np.isfinite(volts).all()
-
-
-@settings(max_examples=60, deadline=None)
-@given(
-    samples=st.integers(50, 300),
-    rate_hz=st.floats(10, 1e4),
-    jitter=st.floats(0, 0.2),
-    seed=st.integers(0, 2**32 - 1),
-)
-def test_a_clock_may_jitter_but_not_lose_samples(
-    samples: int, rate_hz: float, jitter: float, seed: int
-) -> None:
+@given(st.integers(50, 300), st.floats(10, 1e4), st.floats(0, 0.2), st.integers(0, 2**32 - 1))
+def test_a_clock_may_jitter_but_not_lose_samples(samples, rate_hz, jitter, seed) -> None:
     random = np.random.default_rng(seed)
     time_s = (np.arange(samples) + random.uniform(-jitter, jitter, samples)) / rate_hz
     check_clock(Path("s"), time_s, rate_hz)
     for wrong in (np.delete(time_s, random.integers(1, samples - 1)), time_s * 1.5, time_s[::-1]):
         with pytest.raises(InputError):
             check_clock(Path("s"), wrong, rate_hz)
-
-
-def test_a_bad_sensor_is_refused(root: Path, capsys) -> None:
-    text = (root / "sensor.toml").read_text()
-    for wrong, says in (
-        (f"colour = 'red'\n{text}", "unknown key 'colour'"),
-        (f"{text}gain = 2.0\n", "unknown key 'gain'"),
-        (text.replace("sample_rate_hz = 100.0", ""), "sample_rate_hz is missing"),
-        (text.replace("100.0", "-1.0"), "must be positive"),
-        (text[:30], "not a TOML file"),
-    ):
-        (root / "sensor.toml").write_text(wrong)
-        message = refused(root, capsys)
-        assert "sensor.toml" in message
-        assert says in message
 
 
 def test_an_absent_folder_is_refused(tmp_path: Path, root: Path, capsys) -> None:
@@ -325,8 +253,7 @@ def test_nothing_half_written_is_left(tmp_path: Path) -> None:
 
 def test_the_sample_is_well_and_covers_what_a_demo_needs() -> None:
     folder = read_folder(SAMPLE)
-    for name in folder.manifest.index:
-        folder.load(name)
+    assert all(np.isfinite(folder.load(name).volts).all() for name in folder.manifest.index)
     assert len(folder.labelled()) == len(folder) == 60
     calibration = folder.select("calibration").manifest
     for direction in (0, 90, 180, 270):

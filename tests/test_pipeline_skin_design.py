@@ -3,8 +3,8 @@
 from pathlib import Path
 
 import pytest
+from front_door import refused
 
-import softslide
 from features.errors import InputError
 from pipeline.atlas.atlas import DEFAULT_SENSOR
 from pipeline.atlas.solve import Grid, coarse, solve_atlas
@@ -59,15 +59,11 @@ def test_mesh_fills_the_skin_but_for_its_boards(tmp_path, places, size):
         ([(22.0, 0.0)], "", "'a0' at (22, 0) is not within the chamber"),
         ([(0.0, 0.0), (6.0, 3.0)], "", "'a0' and 'a1' overlap"),
         ([(5.0, 0.0)], "[board]\nthickness_mm = 3.9\n", "thickness_mm is 3.9 in a skin of 4"),
-        ([(5.0, 0.0)], "[board]\nthickness_mm = -1.0\n", "thickness_mm is -1.0; it must be positive"),
-        ([(5.0, 0.0)], "[board]\nsize_mm = [10.0]\n", "size_mm holds 1, not 2; write two values"),
         ([(5.0, 0.0)], "[skin]\nfriction = 2.0\n", "friction is 2.0"),
         ([(5.0, 0.0)], "[skin]\nyoungs_modulus_mpa = 0.0\n", "must be positive"),
         ([(5.0, 0.0)], "[skin]\nheight_mm = [6.0, 5.0]\n", "must be positive and rise"),
         ([(5.0, 0.0)], "[skin]\nheight_mm = []\n", "give one level"),
-        ([(5.0, 0.0)], "[skin]\ncolour = 1\n", "unknown key 'colour'"),
         ([(5.0, 0.0)], "[mesh]\nsize_mm = 0.1\n", "size_mm is 0.1"),
-        ([(5.0, 0.0)], "[mesh]\nlayers = 1.5\n", "layers is 1.5; write a whole number"),
         ([(5.0, 0.0)], "[mesh]\nlayers = 9\n", "layers is 9"),
     ],
 )
@@ -81,21 +77,14 @@ def test_a_bad_design_is_one_line(tmp_path, places, extra, words):
 
 
 def test_a_pressure_beyond_the_skin_s_limit_is_refused(tmp_path, capsys):
-    path = design(
-        tmp_path, (5.0, 0.0), extra="[skin]\neffective_pressure_mpa = [0.035]\n[mesh]\nsize_mm = 5.0\n"
-    )
-    out = tmp_path / "a.npz"
-    assert softslide.main(["simulate", "--sensor", str(path), "--out", str(out)]) == 2
-    line = capsys.readouterr().err.strip()
+    coarse_mesh, out = "[mesh]\nsize_mm = 5.0\n", tmp_path / "a.npz"
+    path = design(tmp_path, (5.0, 0.0), extra=f"[skin]\neffective_pressure_mpa = [0.035]\n{coarse_mesh}")
+    line = refused(capsys, "simulate", "--sensor", path, "--out", out)
     assert "effective_pressure_mpa 0.035 is beyond the skin's limit" in line
-    assert len(line.splitlines()) == 1
     assert not out.exists()
+    path = design(tmp_path, (5.0, 0.0), extra=f"[skin]\nheight_mm = [30.0]\n{coarse_mesh}")
     with pytest.raises(InputError, match=r"height_mm 30 is beyond"):
-        solve_atlas(
-            read_sensor(
-                design(tmp_path, (5.0, 0.0), extra="[skin]\nheight_mm = [30.0]\n[mesh]\nsize_mm = 5.0\n")
-            )
-        )
+        solve_atlas(read_sensor(path))
 
 
 def test_coarse_is_the_same_design_of_larger_elements():

@@ -25,10 +25,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Folder:
         noise = np.random.default_rng(n).normal(0.0, 0.005, (1000, 3))
         recordings.append(Recording(f"r{n}", np.arange(1000) / 1000.0, 1.65 + 0.8 * static + noise))
         laser = height if pressure == sensor.pressure_mpa else np.nan
-        rows.append(
-            {"recording": f"r{n}", "split": "calibration", "pressure_mpa": pressure, "skin_height_mm": laser}
-        )
-    return write_folder(tmp_path_factory.mktemp("heights") / "skin", sensor, pd.DataFrame(rows), recordings)
+        rows.append((f"r{n}", "calibration", pressure, laser))
+    manifest = pd.DataFrame(rows, columns=["recording", "split", "pressure_mpa", "skin_height_mm"])
+    return write_folder(tmp_path_factory.mktemp("heights") / "skin", sensor, manifest, recordings)
 
 
 def rows_of(folder: Folder) -> list[dict]:
@@ -45,14 +44,11 @@ def test_one_reading_of_a_laser_makes_the_solved_design_right_at_other_pressures
         assert not abs(row["atlas_mm"] / height - 1) < 0.1
 
 
-def test_without_a_laser_nothing_is_fitted(folder: Folder) -> None:
-    bare = Folder(folder.root, folder.sensor, folder.manifest.assign(skin_height_mm=np.nan))
-    assert all(np.isnan(row["fitted_mm"]) and not row["used"] for row in rows_of(bare))
-
-
-def test_recordings_for_reporting_fit_nothing(folder: Folder) -> None:
-    reported = Folder(folder.root, folder.sensor, folder.manifest.assign(split="test"))
-    assert all(np.isnan(row["fitted_mm"]) for row in rows_of(reported))
+@pytest.mark.parametrize("change", [{"skin_height_mm": np.nan}, {"split": "test"}])
+def test_without_a_laser_or_in_a_test_nothing_is_fitted(folder: Folder, change: dict) -> None:
+    other = Folder(folder.root, folder.sensor, folder.manifest.assign(**change))
+    assert all(np.isnan(row["fitted_mm"]) for row in rows_of(other))
+    assert not any(row["used"] for row in rows_of(other))
 
 
 def test_check_says_a_line_for_each_pressure(folder: Folder, capsys: pytest.CaptureFixture[str]) -> None:

@@ -21,7 +21,7 @@ def test_formula_is_a_parabola_s_height():
     assert height_by_formula(np.sin(np.arctan(slope)), place, half) == pytest.approx(height)
     with pytest.raises(InputError, match="centre"):
         height_by_formula(0.1, 0.0, half)
-    with pytest.raises(InputError, match="no tilt"):
+    with pytest.raises(InputError, match="not a tilt"):
         height_by_formula(1.2, 5.0, half)
 
 

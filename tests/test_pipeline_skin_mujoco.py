@@ -10,8 +10,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from square_skin import square_skin
 
-from pipeline.sensor import Accelerometer, Sensor
 from pipeline.skin.lines import Line
 from pipeline.skin.mesh import skin_mesh
 from pipeline.skin.solved_line import gravity, solve_line
@@ -38,10 +38,8 @@ class Flex:
         places = np.array([(x, y) for y in ticks for x in ticks])
         rim = (np.abs(places) == HALF_MM).any(axis=1)
         board = (np.abs(places - [BOARD_X_MM, 0.0]) <= BOARD_HALF_MM).all(axis=1)
-        names = [
-            "world" if r else "board" if b else f"n{i}"
-            for i, (r, b) in enumerate(zip(rim, board, strict=True))
-        ]
+        each = enumerate(zip(rim, board, strict=True))
+        names = ["world" if r else "board" if b else f"n{i}" for i, (r, b) in each]
         local = np.where(board[:, None], places - [BOARD_X_MM, 0.0], np.where(rim[:, None], places, 0.0))
         vertices = np.column_stack([local, np.where(rim, THICKNESS_MM / 2, 0.0)])
         corner = np.array([j * n + i for j in range(n - 1) for i in range(n - 1)])
@@ -120,8 +118,8 @@ def test_a_slide_over_a_mujoco_flex_is_alike():
         flex.step(AIR_MPA)
         theirs.append(flex.tilt_g - at_rest)
 
-    parts = (Accelerometer("a0", BOARD_X_MM, 0.0),)
-    design = Sensor("s", 1000.0, (50.0, 50.0), THICKNESS_MM, 2 * RADIUS_MM, 0.035, (5.0, 0.0), 5e-4, parts)
+    design = square_skin((BOARD_X_MM, 0.0), size_mm=2.5)
+    assert (design.skin_thickness_mm, design.indenter_diameter_mm) == (THICKNESS_MM, 2 * RADIUS_MM)
     design = replace(design, skin=replace(design.skin, friction=0.0))
     skin = Skin(skin_mesh(design), Material(YOUNGS_MPA / 3, 2.0, 0.0, RADIUS_MM))
     inflated = skin.inflate(AIR_MPA)

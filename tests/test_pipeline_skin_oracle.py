@@ -5,9 +5,9 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from scipy.sparse.linalg import spsolve
+from square_skin import square_skin
 
 from experiments.studies.felupe_path import felupe_path
-from pipeline.sensor import Accelerometer, MeshSize, Sensor
 from pipeline.skin.mesh import skin_mesh
 from pipeline.skin.solved_line import gravity
 from pipeline.skin.solver import Skin
@@ -19,9 +19,7 @@ PRESSURE_MPA = 6e-4
 
 
 def skin_with(friction: float) -> Skin:
-    parts = (Accelerometer("a0", 5.0, 0.0),)
-    design = Sensor("s", 1000.0, (50.0, 50.0), 4.0, 6.0, 0.035, (5.0, 0.0), 5e-4, parts, mesh=MeshSize(5.0))
-    return Skin(skin_mesh(design), Material(0.07 / 3, 2.0, friction, 3.0))
+    return Skin(skin_mesh(square_skin()), Material(0.07 / 3, 2.0, friction, 3.0))
 
 
 def volts_of(skin: Skin, places: np.ndarray) -> np.ndarray:

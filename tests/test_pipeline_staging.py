@@ -1,4 +1,4 @@
-"""An output appears whole or not at all, whenever its process is killed, and whoever writes it beside."""
+"""An output appears whole or not at all, whenever its process is killed, and whoever else writes it."""
 
 import itertools
 import shutil
@@ -35,6 +35,16 @@ for _ in range(times):
         (scratch / "one").write_text(text)
         (scratch / "two").write_text(text)
 """
+
+
+def python(code: str, *before: str, check: bool = False) -> subprocess.CompletedProcess:
+    command = [
+        *before,
+        sys.executable,
+        "-c",
+        "from pathlib import Path; from pipeline.staging import *\n" + code,
+    ]
+    return subprocess.run(command, cwd=HERE, capture_output=True, text=True, check=check, timeout=PATIENCE_S)
 
 
 def writer(out: Path, text: str, times: int = 1, number: int = 0) -> subprocess.Popen:
@@ -110,22 +120,13 @@ def test_what_looks_like_a_leftover_of_another_output_stays(tmp_path: Path) -> N
 
 def test_one_process_at_a_time_works_on_an_output(tmp_path: Path) -> None:
     work, out = tmp_path / ".out.work", tmp_path / "out"
-    other = "from pathlib import Path; from pipeline.staging import alone\n"
-    other += f"with alone(Path({str(work)!r}), Path('out')): pass"
+    other = f"with alone(Path({str(work)!r}), Path('out')): pass"
     with alone(work, out):
         (work / "done").write_text("")
-        refused = subprocess.run(
-            [sys.executable, "-c", other],
-            cwd=HERE,
-            capture_output=True,
-            text=True,
-            check=False,
-            timeout=PATIENCE_S,
-        )
-        assert "InputError: out: another call is at work on it" in refused.stderr
+        assert "InputError: out: another call is at work on it" in python(other).stderr
     assert (work / "done").exists()
     (work / "done").unlink()
-    subprocess.run([sys.executable, "-c", other], cwd=HERE, check=True, timeout=PATIENCE_S)
+    python(other, check=True)
     assert not work.exists()
 
 
@@ -152,12 +153,8 @@ def test_a_place_that_cannot_be_written_is_found_before_the_work(tmp_path: Path)
         check_replaceable(Path("/"), {"model.onnx"})
     if not sys.platform.startswith("linux") or not shutil.which("unshare"):
         pytest.skip("no disk that is read alone can be mounted here")
-    asked = "from pathlib import Path; from pipeline.staging import check_replaceable\n"
-    asked += f"check_replaceable(Path({str(tmp_path)!r}) / 'out')"
     mount = ["unshare", "-rm", "sh", "-c", 'mount -t tmpfs -o ro small "$0" && exec "$@"', str(tmp_path)]
-    done = subprocess.run(
-        [*mount, sys.executable, "-c", asked], cwd=HERE, capture_output=True, text=True, check=False
-    )
+    done = python(f"check_replaceable(Path({str(tmp_path)!r}) / 'out')", *mount)
     if "mount" in done.stderr:
         pytest.skip("no disk can be mounted here")
     assert "cannot be written; name another folder" in done.stderr

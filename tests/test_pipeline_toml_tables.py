@@ -150,7 +150,7 @@ def test_the_bounds_themselves_are_read(tmp_path: Path) -> None:
     assert read_toml(written(tmp_path, text))["high"] == 2**63 - 1
 
 
-def test_what_is_no_file_is_refused_without_waiting(tmp_path: Path) -> None:
+def test_what_is_not_a_file_is_refused_without_waiting(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe.toml")
     (tmp_path / "bytes.toml").write_bytes(b"\xff\xfe")
     for name, says in (
@@ -159,6 +159,5 @@ def test_what_is_no_file_is_refused_without_waiting(tmp_path: Path) -> None:
         ("none.toml", "no such file; name another"),
         ("bytes.toml", "not a TOML file"),
     ):
-        with pytest.raises(InputError) as error:
+        with pytest.raises(InputError, match=f"{tmp_path / name}: {says}"):
             read_toml(tmp_path / name, "name another")
-        assert f"{tmp_path / name}: {says}" in str(error.value)

@@ -14,6 +14,10 @@ RATE_HZ = 500.0
 HALF_MM = 18.0  # a slide begins and ends this far from the foot of its perpendicular
 REST_S = 1.0
 NOISE_V = 0.004
+COLUMNS = [
+    *("recording", "split", "direction_deg", "speed_mm_s", "offset_mm", "start_x_mm", "start_y_mm"),
+    *("travel_mm", "depth_mm", "pressure_mpa", "motion_start_s", "motion_end_s"),
+]
 
 
 def bump_sensor(boards: int = 2) -> Sensor:
@@ -80,20 +84,8 @@ def bump_folder(root: Path, sensor: Sensor, splits: dict[str, list[tuple[float, 
             volts = slide_volts(sensor, direction_deg, offset_mm, speed_mm_s, seed=len(rows))
             recordings.append(Recording(name, np.arange(len(volts)) / RATE_HZ, volts))
             cos, sin = math.cos(math.radians(direction_deg)), math.sin(math.radians(direction_deg))
-            rows.append(
-                {
-                    "recording": name,
-                    "split": split,
-                    "direction_deg": direction_deg,
-                    "speed_mm_s": speed_mm_s,
-                    "offset_mm": offset_mm,
-                    "start_x_mm": -HALF_MM * cos - offset_mm * sin,
-                    "start_y_mm": -HALF_MM * sin + offset_mm * cos,
-                    "travel_mm": 2 * HALF_MM,
-                    "depth_mm": 0.5,
-                    "pressure_mpa": 0.035,
-                    "motion_start_s": REST_S,
-                    "motion_end_s": REST_S + 2 * HALF_MM / speed_mm_s,
-                }
-            )
-    return write_folder(root, sensor, pd.DataFrame(rows), recordings)
+            start = (-HALF_MM * cos - offset_mm * sin, -HALF_MM * sin + offset_mm * cos)
+            moments = (REST_S, REST_S + 2 * HALF_MM / speed_mm_s)
+            how = (2 * HALF_MM, 0.5, 0.035)
+            rows.append((name, split, direction_deg, speed_mm_s, offset_mm, *start, *how, *moments))
+    return write_folder(root, sensor, pd.DataFrame(rows, columns=COLUMNS), recordings)

@@ -10,21 +10,10 @@ from features.base_motion import BaseMotion
 from pipeline.sensor import Base, Sensor
 
 BASE = Base(sensitivity_v_per_g=0.5, zero_g_v=1.5)
-_TURN, _LEAN = np.deg2rad(25.0), np.deg2rad(8.0)
+_SIN, _COS = np.sin(np.deg2rad([25.0, 8.0])), np.cos(np.deg2rad([25.0, 8.0]))
 # The base's accelerometer is turned about z, and tilted.
-MOUNTED = np.array(
-    [
-        [np.cos(_TURN), -np.sin(_TURN), 0.0],
-        [np.sin(_TURN), np.cos(_TURN), 0.0],
-        [0.0, 0.0, 1.0],
-    ]
-) @ np.array(
-    [
-        [np.cos(_LEAN), 0.0, np.sin(_LEAN)],
-        [0.0, 1.0, 0.0],
-        [-np.sin(_LEAN), 0.0, np.cos(_LEAN)],
-    ]
-)
+_TURNED = np.array([[_COS[0], -_SIN[0], 0.0], [_SIN[0], _COS[0], 0.0], [0.0, 0.0, 1.0]])
+MOUNTED = _TURNED @ np.array([[_COS[1], 0.0, _SIN[1]], [0.0, 1.0, 0.0], [-_SIN[1], 0.0, _COS[1]]])
 
 
 def felt_g(roll_deg: np.ndarray, pitch_deg: np.ndarray) -> np.ndarray:
@@ -50,20 +39,12 @@ def on_a_robot(volts: np.ndarray, sensor: Sensor, felt: np.ndarray, seed: int | 
 
 def exact_motion(sensor: Sensor) -> BaseMotion:
     """How the outputs of a sensor without static tilt follow the base's."""
-    gains = np.vstack(
-        [a.sensitivity_v_per_g / BASE.sensitivity_v_per_g * MOUNTED.T for a in sensor.accelerometers]
-    )
-    up = np.array([0.0, 0.0, 1.0])
-    return BaseMotion(
-        gains=tuple(map(tuple, gains.tolist())),
-        base_v=tuple((BASE.zero_g_v + BASE.sensitivity_v_per_g * MOUNTED @ up).tolist()),
-        static_v=tuple(
-            v
-            for a in sensor.accelerometers
-            for v in (a.zero_g_v, a.zero_g_v, a.zero_g_v + a.sensitivity_v_per_g)
-        ),
-        gravity_v=tuple(v for a in sensor.accelerometers for v in (0.0, 0.0, a.sensitivity_v_per_g)),
-    )
+    parts = sensor.accelerometers
+    gains = np.vstack([a.sensitivity_v_per_g / BASE.sensitivity_v_per_g * MOUNTED.T for a in parts])
+    base_v = BASE.zero_g_v + BASE.sensitivity_v_per_g * MOUNTED[:, 2]
+    gravity_v = tuple(v for a in parts for v in (0.0, 0.0, a.sensitivity_v_per_g))
+    static_v = tuple(a.zero_g_v + v for a in parts for v in (0.0, 0.0, a.sensitivity_v_per_g))
+    return BaseMotion(tuple(map(tuple, gains.tolist())), tuple(base_v.tolist()), static_v, gravity_v)
 
 
 def wandering(
@@ -76,11 +57,9 @@ def wandering(
     generator, t = np.random.default_rng(seed), np.arange(samples) / rate_hz
 
     def smooth(shortest_s: float, longest_s: float) -> np.ndarray:
-        parts = zip(
-            generator.uniform(shortest_s, longest_s, 4), generator.uniform(0.0, 2 * np.pi, 4), strict=True
-        )
+        periods, phases = generator.uniform(shortest_s, longest_s, 4), generator.uniform(0.0, 2 * np.pi, 4)
         begun = np.clip(t - 0.5, 0.0, 1.0)
-        return begun * np.sum([np.sin(2 * np.pi * t / period + phase) for period, phase in parts], axis=0) / 4
+        return begun * np.sin(2 * np.pi * t / periods[:, None] + phases[:, None]).sum(axis=0) / 4
 
     felt = felt_g(tilt_deg * smooth(3.0, 30.0), tilt_deg * smooth(3.0, 30.0))
     return felt + shake_g * np.stack([smooth(0.3, 3.0) for _ in range(3)], axis=1)
