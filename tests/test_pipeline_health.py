@@ -40,11 +40,15 @@ def injured(sound, tmp_path: Path, change: Change, only: int | None = None) -> l
     return examine(write_folder(tmp_path / "lab", folder.sensor, manifest, copies))
 
 
-def volts_changed(function: Callable[[np.ndarray], np.ndarray]) -> Change:
+def volts_changed(function: Callable[[np.ndarray], np.ndarray], channels: object = slice(None)) -> Change:
     def change(recording: Recording, row: pd.Series) -> None:
-        recording.volts[:] = function(recording.volts)
+        recording.volts[:, channels] = function(recording.volts[:, channels])
 
     return change
+
+
+def wired_wrong_way(n: int) -> Change:
+    return volts_changed(lambda v: 3.3 - v, n)
 
 
 def labels_changed(**labels) -> Change:
@@ -53,6 +57,11 @@ def labels_changed(**labels) -> Change:
             row[name] = value(row) if callable(value) else value
 
     return change
+
+
+BACKWARD = {"direction_deg": lambda r: (r.direction_deg + 180) % 360}
+PLACES = ("offset_mm", "start_x_mm", "start_y_mm")
+MIRRORED = {name: lambda r, name=name: -r[name] for name in PLACES}
 
 
 def with_tone(volts: np.ndarray, hz: float, amplitude_v: float) -> np.ndarray:
@@ -84,24 +93,17 @@ def test_a_clipped_output_is_found(sound, tmp_path: Path, function, channel: str
     assert channel in {f.channel for f in findings if f.kind == "clipped" and f.recording == sound[1][3].name}
 
 
-def with_column(n: int, function: Callable[[np.ndarray], np.ndarray]) -> Change:
-    def change(recording: Recording, row: pd.Series) -> None:
-        recording.volts[:, n] = function(recording.volts[:, n])
-
-    return change
-
-
 @pytest.mark.parametrize(
     ("change", "kind", "channel"),
     [
-        (with_column(1, lambda v: 3.3 - v), "inverted", "a0_vy"),
-        (with_column(0, lambda v: 3.3 - v), "inverted", "a0_vx"),
-        (with_column(2, lambda v: 3.3 - v), "inverted", "a0_vz"),
+        (wired_wrong_way(0), "inverted", "a0_vx"),
+        (wired_wrong_way(1), "inverted", "a0_vy"),
+        (wired_wrong_way(2), "inverted", "a0_vz"),
         (volts_changed(lambda v: v[:, [1, 0, 2]]), "swapped", "a0_vx"),
         (volts_changed(lambda v: v[:, [2, 1, 0]]), "swapped", "a0_vx"),
-        (with_column(1, lambda v: np.full_like(v, 1.65)), "dead", "a0_vy"),
+        (volts_changed(lambda v: np.full_like(v, 1.65), 1), "dead", "a0_vy"),
         (
-            with_column(0, lambda v: np.random.default_rng(len(v)).normal(1.65, 0.006, len(v))),
+            volts_changed(lambda v: np.random.default_rng(len(v)).normal(1.65, 0.006, len(v)), 0),
             "dead",
             "a0_vx",
         ),
@@ -116,16 +118,8 @@ def test_a_wrong_wire_is_found(sound, tmp_path: Path, change: Change, kind: str,
 @pytest.mark.parametrize(
     ("change", "kind"),
     [
-        (labels_changed(direction_deg=lambda r: (r.direction_deg + 180) % 360), "label against signal"),
-        (
-            labels_changed(
-                direction_deg=lambda r: (r.direction_deg + 180) % 360,
-                offset_mm=lambda r: -r.offset_mm,
-                start_x_mm=lambda r: -r.start_x_mm,
-                start_y_mm=lambda r: -r.start_y_mm,
-            ),
-            "label against signal",
-        ),
+        (labels_changed(**BACKWARD), "label against signal"),
+        (labels_changed(**BACKWARD, **MIRRORED), "label against signal"),
         (labels_changed(offset_mm=lambda r: -r.offset_mm), "labels"),
         (labels_changed(speed_mm_s=lambda r: 2 * r.speed_mm_s), "labels"),
         (labels_changed(motion_start_s=0.2), "no rest"),
@@ -143,7 +137,7 @@ def test_a_wrong_wire_is_found(sound, tmp_path: Path, change: Change, kind: str,
 )
 def test_an_injury_of_one_slide_is_found_there(sound, tmp_path: Path, change: Change, kind: str) -> None:
     folder, recordings = sound
-    # A slide off the sensor's axis, so that a change of its sign tells.
+    # A slide off the sensor's axis, so that a change of its sign shows.
     row = folder.manifest.reset_index()
     only = int(row[(row.offset_mm.abs() > 5) & (row.direction_deg % 90 == 0)].index[0])
     findings = [f for f in injured(sound, tmp_path, change, only) if f.recording]
@@ -186,11 +180,10 @@ def test_equal_variances_are_found_and_real_ones_pass(sound, tmp_path: Path) -> 
     assert not equal(injured(sound, tmp_path, real))
 
 
-def test_a_line_that_is_taught_and_asked_is_found(sound, tmp_path: Path) -> None:
+def test_a_line_of_both_calibration_and_test_is_found(sound, tmp_path: Path) -> None:
     split = iter(["calibration", "test"] * 8)
-    findings = injured(
-        sound, tmp_path, labels_changed(split=lambda r: next(split), offset_mm=2.5, direction_deg=0.0)
-    )
+    one_line = labels_changed(split=lambda r: next(split), offset_mm=2.5, direction_deg=0.0)
+    findings = injured(sound, tmp_path, one_line)
     assert len([f for f in findings if f.kind == "leakage"]) == 8
 
 
@@ -208,7 +201,7 @@ def test_the_report_is_json_and_errors_exit_with_2(sound, tmp_path: Path, capsys
     assert report["errors"] == 0
     assert report["warnings"] == len(report["findings"])
     assert {"level", "kind", "recording", "channel", "figure", "limit", "text"} == set(report["findings"][0])
-    injured(sound, tmp_path, with_column(1, lambda v: 3.3 - v))
+    injured(sound, tmp_path, wired_wrong_way(1))
     assert softslide.main(["check", str(tmp_path / "lab")]) == 2
     out, err = capsys.readouterr()
     assert "error: inverted: a0_vy" in out
@@ -217,7 +210,7 @@ def test_the_report_is_json_and_errors_exit_with_2(sound, tmp_path: Path, capsys
 
 
 @pytest.mark.parametrize("bench", ["bench-a", "bench-d"])
-@pytest.mark.skipif(not BENCH.is_dir(), reason="the shared recordings are not beside this checkout")
+@pytest.mark.skipif(not BENCH.is_dir(), reason="the shared recordings are not next to this checkout")
 def test_the_bench_recordings_have_no_errors(bench: str) -> None:
     assert [f.line() for f in examine(read_folder(BENCH / bench)) if f.level == "error"] == []
 
@@ -245,9 +238,8 @@ def test_any_rate_is_judged(sound, tmp_path: Path, rate_hz: float) -> None:
     noise = [np.random.default_rng(n).normal([1.65, 1.65, 2.45], 0.006, (count, 3)) for n in range(6)]
     slides = [Recording(f"r{n}", np.arange(count) / rate_hz, volts) for n, volts in enumerate(noise)]
     manifest = pd.DataFrame({"recording": [s.name for s in slides], "split": "calibration"})
-    assert [
-        f for f in examine(write_folder(tmp_path / "lab", sensor, manifest, slides)) if f.level == "error"
-    ] == []
+    findings = examine(write_folder(tmp_path / "lab", sensor, manifest, slides))
+    assert [f for f in findings if f.level == "error"] == []
 
 
 @pytest.mark.parametrize(
@@ -259,9 +251,7 @@ def test_any_rate_is_judged(sound, tmp_path: Path, rate_hz: float) -> None:
         (lambda v: v / 3.3 * 4096, "counts of 12 bits"),
     ],
 )
-def test_outputs_in_another_unit_are_one_error_that_names_it(
-    sound, tmp_path: Path, function, unit: str
-) -> None:
+def test_outputs_in_another_unit_are_one_error_that_names_it(sound, tmp_path, function, unit) -> None:
     findings = injured(sound, tmp_path, volts_changed(function))
     (found,) = [f for f in findings if f.kind == "unit"]
     assert found.level == "error"
@@ -270,33 +260,31 @@ def test_outputs_in_another_unit_are_one_error_that_names_it(
 
 
 @pytest.mark.parametrize(("factor", "unit"), [(0.1, "cm/s"), (0.001, "m/s"), (60.0, "mm/min")])
-def test_speeds_in_another_unit_are_one_error_that_names_it(
-    sound, tmp_path: Path, factor: float, unit: str
-) -> None:
-    labels = {"speed_mm_s": lambda row: factor * row["speed_mm_s"]}
-    errors = [f for f in injured(sound, tmp_path, labels_changed(**labels)) if f.level == "error"]
+def test_speeds_in_another_unit_are_one_error_that_names_it(sound, tmp_path, factor, unit) -> None:
+    change = labels_changed(speed_mm_s=lambda row: factor * row["speed_mm_s"])
+    errors = [f for f in injured(sound, tmp_path, change) if f.level == "error"]
     assert [f.kind for f in errors] == ["speed"]
     assert f"look like {unit}:" in errors[0].text
 
 
 def test_speeds_that_do_not_cross_the_chamber_are_a_warning(sound, tmp_path: Path) -> None:
-    labels = {"speed_mm_s": lambda row: row["speed_mm_s"] / 10, "travel_mm": np.nan}
-    findings = injured(sound, tmp_path, labels_changed(**labels))
+    change = labels_changed(speed_mm_s=lambda row: row["speed_mm_s"] / 10, travel_mm=np.nan)
+    findings = injured(sound, tmp_path, change)
     assert ["cm/s" in f.text for f in findings if (f.level, f.kind) == ("warning", "speed")] == [True]
 
 
 def test_every_broken_recording_is_found_in_one_pass(sound, tmp_path: Path, capsys) -> None:
     folder, recordings = sound
-    lab = tmp_path / "lab"
-    write_folder(lab, folder.sensor, folder.manifest.iloc[:4], recordings[:4])
-    names = [recording.name for recording in recordings[:3]]
-    (lab / "slides" / f"{names[0]}.parquet").unlink()
-    (lab / "slides" / f"{names[1]}.parquet").write_bytes(b"PAR1 broken")
-    (lab / "slides" / f"{names[2]}.parquet").write_bytes(b"")
-    assert softslide.main(["check", str(lab), "--json"]) == 2
-    told = json.loads(capsys.readouterr().out)
-    assert {f["recording"] for f in told["findings"] if f["kind"] == "unreadable"} == set(names)
-    assert told["recordings"] == 4
+    write_folder(tmp_path / "lab", folder.sensor, folder.manifest.iloc[:4], recordings[:4])
+    files = [tmp_path / "lab" / "slides" / f"{recording.name}.parquet" for recording in recordings[:3]]
+    files[0].unlink()
+    files[1].write_bytes(b"PAR1 broken")
+    files[2].write_bytes(b"")
+    assert softslide.main(["check", str(tmp_path / "lab"), "--json"]) == 2
+    report = json.loads(capsys.readouterr().out)
+    unreadable = {f["recording"] for f in report["findings"] if f["kind"] == "unreadable"}
+    assert unreadable == {file.stem for file in files}
+    assert report["recordings"] == 4
 
 
 @pytest.mark.parametrize("name", ["sensor.toml", "manifest.csv"])
@@ -305,6 +293,6 @@ def test_json_is_printed_of_a_folder_that_cannot_be_read(sound, tmp_path: Path, 
     write_folder(tmp_path / "lab", folder.sensor, folder.manifest.iloc[:1], recordings[:1])
     (tmp_path / "lab" / name).write_bytes(b"\xff\xfe")
     assert softslide.main(["check", str(tmp_path / "lab"), "--json"]) == 2
-    told = capsys.readouterr()
-    assert [f["kind"] for f in json.loads(told.out)["findings"]] == ["unreadable"]
-    assert len(told.err.splitlines()) == 1
+    out, err = capsys.readouterr()
+    assert [f["kind"] for f in json.loads(out)["findings"]] == ["unreadable"]
+    assert len(err.splitlines()) == 1

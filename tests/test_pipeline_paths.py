@@ -1,4 +1,4 @@
-"""Synthetic paths: the truth beside the volts is so, and the volts are what the atlas says of it."""
+"""Synthetic paths: the truth next to the volts is so, and the volts are what the atlas says of it."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from front_door import refused
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -37,17 +38,6 @@ def drawn(kind: str, seed: int) -> ContactPath:
     return draw_path(0, ATLAS, SENSOR, Distribution(), np.random.default_rng(seed), kind=kind)
 
 
-def straight(
-    travel: float, speed: np.ndarray | float, depth: np.ndarray | float = 0.5, **changes
-) -> ContactPath:
-    """Along x at y = 7.25 mm from x = -29 mm."""
-    steps = round(travel / STEP_MM)
-    course = Course((-29.0, 7.25), STEP_MM, np.zeros(steps), np.broadcast_to(depth, steps + 1))
-    timing = Timing(np.broadcast_to(speed, steps + 1))
-    plain = {"kind": "line", "shape": "line", "law": "constant", "indenter_mm": 6.0, "friction_mm": 0.3}
-    return ContactPath(course, timing, HEIGHT, 0.035, **(plain | changes))
-
-
 def exact_specimen():
     specimen = ideal_specimen(SENSOR)
     return replace(specimen, electronics=replace(specimen.electronics, adc_step_v=0.0))
@@ -59,7 +49,9 @@ def test_a_straight_path_at_one_speed_is_a_slide() -> None:
     slide = Slide(0.0, 7.25, (-29.0, 7.25), Stroke(travel, speed, ramp), 0.5, 0.035, HEIGHT)
     knot = np.arange(round(travel / STEP_MM) + 1)
     to_end = STEP_MM * np.minimum(knot, knot[-1] - knot)
-    path = straight(travel, np.minimum(speed, np.sqrt(2 * speed / ramp * to_end)))
+    course = Course((-29.0, 7.25), STEP_MM, np.zeros(len(knot) - 1), np.full(len(knot), 0.5))
+    timing = Timing(np.minimum(speed, np.sqrt(2 * speed / ramp * to_end)))
+    path = ContactPath(course, timing, HEIGHT, 0.035, "line", "line", "constant", 6.0, friction_mm=0.3)
     one, other = (record(plan, exact_specimen(), ATLAS, np.random.default_rng(0)) for plan in (slide, path))
     assert path.motion_end_s == pytest.approx(slide.motion_start_s + slide.stroke.duration_s, abs=1e-6)
     assert len(one.volts) == len(other.volts)
@@ -132,9 +124,8 @@ def test_each_kind_is_what_it_is_called(seed: int) -> None:
     assert rests.sum() / 100 == pytest.approx(0.8, abs=0.02)
 
     _, back = truth_of("reverse")
-    assert back[["x_mm", "y_mm"]].iloc[0].to_numpy() == pytest.approx(
-        back[["x_mm", "y_mm"]].iloc[-1].to_numpy(), abs=0.1
-    )
+    ends = back[["x_mm", "y_mm"]].to_numpy()[[0, -1]]
+    assert ends[0] == pytest.approx(ends[1], abs=0.1)
     assert np.hypot(np.ptp(back["x_mm"]), np.ptp(back["y_mm"])) > 15
 
     for kind, end in (("touchdown", 0), ("lift", -1)):
@@ -180,14 +171,10 @@ def test_partial_contact_meets_the_atlas_and_the_untouched_skin() -> None:
     x, y = np.array([0.0, -8.0, 12.0]), np.array([0.0, 5.0, -10.0])
     shallowest = float(ATLAS.depth_mm[0])
     level = ATLAS.pressure_at(HEIGHT)
-    for depth in (shallowest, 0.5, 1.0):
+    for depth, below, within in ((shallowest, 0.0, 1e-12), (0.5, 0.0, 1e-12), (shallowest, 1e-6, 1e-6)):
         whole = ATLAS.friction_parts(x, y, depth, level)
-        assert partial_friction_parts(ATLAS, x, y, np.full(3, depth), HEIGHT) == pytest.approx(
-            whole, abs=1e-12
-        )
-    whole = ATLAS.friction_parts(x, y, shallowest, level)
-    just = partial_friction_parts(ATLAS, x, y, np.full(3, shallowest - 1e-6), HEIGHT)
-    assert just == pytest.approx(whole, abs=1e-6)
+        part = partial_friction_parts(ATLAS, x, y, np.full(3, depth - below), HEIGHT)
+        assert part == pytest.approx(whole, abs=within)
     touch = touch_depth_mm(x, y, HEIGHT, ATLAS)
     assert touch[0] == pytest.approx(-HEIGHT)
     assert (partial_friction_parts(ATLAS, x, y, touch, HEIGHT) == 0).all()
@@ -212,9 +199,7 @@ def test_partial_contact_is_near_the_skins_own_solver() -> None:
     for x, y in ((0.0, 0.0), (5.0, 6.0), (-8.0, 5.0), (12.0, -10.0), (2.0, -18.0)):
         centres = np.column_stack([np.full(len(depth), x), np.full(len(depth), y), face - depth])
         postures, _ = skin.slide(inflated, pressure, centres)
-        solved = np.array(
-            [channels(skin, posture, inflated)[:2] for posture in postures if posture is not None]
-        )
+        solved = np.array([channels(skin, p, inflated)[:2] for p in postures if p is not None])
         assert len(solved) == len(depth)
         parts = partial_friction_parts(ATLAS, np.full(len(depth), x), np.full(len(depth), y), depth, HEIGHT)
         law = parts[:, 0, :2] / np.linalg.norm(parts[-1, 0, :2])
@@ -224,7 +209,7 @@ def test_partial_contact_is_near_the_skins_own_solver() -> None:
 @pytest.mark.parametrize(("kind", "rms", "largest"), [("line", 0.005, 0.03), ("touchdown", 0.03, 0.12)])
 def test_a_path_read_from_the_atlas_is_near_the_solved_one(kind: str, rms: float, largest: float) -> None:
     """Apart by some thousandths of the largest tilt; touch-downs, whose atlas is a law, by a few times that."""
-    path = draw_path(0, ATLAS, SENSOR, Distribution(), np.random.default_rng(1), kind=kind)
+    path = drawn(kind, 1)
     time_s = np.arange(0, path.duration_s, 0.02)
     solved, speed = solved_response(SENSOR, path, ATLAS, time_s)
     read, same = path_response(path, ATLAS, time_s)
@@ -234,16 +219,15 @@ def test_a_path_read_from_the_atlas_is_near_the_solved_one(kind: str, rms: float
     assert np.abs(gap).max() < largest
 
 
-def test_a_folder_of_slides_and_paths(tmp_path: Path) -> None:
+def test_a_folder_of_slides_and_paths(tmp_path: Path, capsys) -> None:
     """Splits, labels and truth are the contract's; the slides' bytes are those of a folder without paths."""
     for name, options in (("both", ["--slides", "2", "--paths", "10"]), ("lines", ["--slides", "2"])):
         assert softslide.main(["synthesize", *options, "--seed", "4", "--out", str(tmp_path / name)]) == 0
     synthesize(None, None, 0, 4, tmp_path / "again", paths=10)
     both, lines, again = (tmp_path / name for name in ("both", "lines", "again"))
     for slide in ("s00000", "s00001"):
-        assert (both / f"slides/{slide}.parquet").read_bytes() == (
-            lines / f"slides/{slide}.parquet"
-        ).read_bytes()
+        one, same = (folder / f"slides/{slide}.parquet" for folder in (both, lines))
+        assert one.read_bytes() == same.read_bytes()
         assert not (both / f"slides/{slide}.truth.csv").exists()
     for file in again.glob("slides/*"):
         assert file.read_bytes() == (both / "slides" / file.name).read_bytes()
@@ -262,31 +246,26 @@ def test_a_folder_of_slides_and_paths(tmp_path: Path) -> None:
         assert np.diff(truth["time_s"]) == pytest.approx(0.01)
         assert truth["time_s"].iloc[-1] == pytest.approx(recording.time_s[-1], abs=0.011)
     assert folder.load("s00000").truth is None
-    for bad in (["--slides", "0"], ["--slides", "3", "--paths", "-1"], ["--slides", "3", "--solved"]):
-        assert softslide.main(["synthesize", *bad, "--out", str(tmp_path / "none")]) == 2
+    for bad in ("--slides 0", "--slides 3 --paths -1", "--slides 3 --solved"):
+        refused(capsys, "synthesize", *bad.split(), "--out", tmp_path / "none")
     assert not (tmp_path / "none").exists()
 
 
 @pytest.mark.parametrize(
-    ("column", "change", "message"),
+    ("change", "message"),
     [
-        ("x_mm", lambda v: v.drop(columns="x_mm"), "column 'x_mm' is missing"),
-        ("contact", lambda v: v.assign(contact=2), "row 1, contact is neither 0 nor 1"),
-        (
-            "time_s",
-            lambda v: v.assign(time_s=v["time_s"].where(v.index < 5, v["time_s"] + 1)),
-            "row 6, time_s",
-        ),
-        ("vy_mm_s", lambda v: v.assign(vy_mm_s=-v["vy_mm_s"]), "vy_mm_s = .* where y_mm changes by"),
-        ("depth_mm", lambda v: v.assign(depth_mm="deep"), "row 1, column depth_mm is no finite number"),
-        ("time_s", lambda v: v[:2], "2 rows"),
+        (lambda v: v.drop(columns="x_mm"), "column 'x_mm' is missing"),
+        (lambda v: v.assign(contact=2), "row 1, contact is neither 0 nor 1"),
+        (lambda v: v.assign(time_s=v["time_s"].where(v.index < 5, v["time_s"] + 1)), "row 6, time_s"),
+        (lambda v: v.assign(vy_mm_s=-v["vy_mm_s"]), "vy_mm_s = .* where y_mm changes by"),
+        (lambda v: v.assign(depth_mm="deep"), "row 1, column depth_mm is not a finite number"),
+        (lambda v: v[:2], "2 rows"),
     ],
 )
-def test_truth_that_cannot_be_is_refused(tmp_path: Path, column: str, change, message: str) -> None:
+def test_truth_that_cannot_be_is_refused(tmp_path: Path, change, message: str) -> None:
     time = np.arange(200) / 100
-    good = pd.DataFrame(
-        {"time_s": time, "x_mm": 3 * time, "y_mm": -2 * time, "vx_mm_s": 3.0, "vy_mm_s": -2.0, "contact": 1}
-    )
+    places = {"time_s": time, "x_mm": 3 * time, "y_mm": -2 * time}
+    good = pd.DataFrame({**places, "vx_mm_s": 3.0, "vy_mm_s": -2.0, "contact": 1})
     path = tmp_path / "one.truth.csv"
     good.to_csv(path, index=False)
     assert len(read_truth(path)) == 200

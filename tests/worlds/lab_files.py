@@ -23,9 +23,8 @@ OUTPUTS = ("a0_vx", "a0_vy", "a0_vz")
 
 
 def a_sensor() -> Sensor:
-    return Sensor(
-        "trial", RATE_HZ, (50.0, 50.0), 4.0, 6.0, 0.035, (5.0, 0.0), 0.0, (Accelerometer("a0", 5.0, 0.0),)
-    )
+    parts = (Accelerometer("a0", 5.0, 0.0),)
+    return Sensor("trial", RATE_HZ, (50.0, 50.0), 4.0, 6.0, 0.035, (5.0, 0.0), 0.0, parts)
 
 
 def slide(seed: int, samples: int = 250) -> tuple[np.ndarray, np.ndarray]:
@@ -86,12 +85,9 @@ def _csv_for_each_axis(folder: Path, name: str, time_s: np.ndarray, volts: np.nd
 
 
 def _stamped_csv(folder: Path, name: str, time_s: np.ndarray, volts: np.ndarray) -> None:
-    stamps = pd.Timestamp("2026-03-01T09:00:00") + pd.to_timedelta(
-        (time_s * 1e9).round().astype(int), unit="ns"
-    )
-    _table(time_s, volts).assign(t=stamps.strftime("%Y-%m-%dT%H:%M:%S.%fZ")).to_csv(
-        folder / f"{name}.csv", index=False
-    )
+    since = pd.to_timedelta((time_s * 1e9).round().astype(int), unit="ns")
+    stamps = (pd.Timestamp("2026-03-01T09:00:00") + since).strftime("%Y-%m-%dT%H:%M:%S.%fZ")
+    _table(time_s, volts).assign(t=stamps).to_csv(folder / f"{name}.csv", index=False)
 
 
 def _workbook(folder: Path, name: str, time_s: np.ndarray, volts: np.ndarray) -> None:
@@ -150,19 +146,9 @@ def _vectors(store, volts: np.ndarray, time_s: np.ndarray, kind: str, ros1: bool
         else:
             still = types["geometry_msgs/msg/Vector3"](x=0.0, y=0.0, z=0.0)
             turn = types["geometry_msgs/msg/Quaternion"](x=0.0, y=0.0, z=0.0, w=1.0)
-            none = np.zeros(9)
-            yield (
-                ns,
-                types[kind](
-                    header=header,
-                    orientation=turn,
-                    orientation_covariance=none,
-                    angular_velocity=still,
-                    angular_velocity_covariance=none,
-                    linear_acceleration=vector,
-                    linear_acceleration_covariance=none,
-                ),
-            )
+            parts = {"orientation": turn, "angular_velocity": still, "linear_acceleration": vector}
+            spreads = {f"{part}_covariance": np.zeros(9) for part in parts}
+            yield ns, types[kind](header=header, **parts, **spreads)
 
 
 VOLTS, IMU = "geometry_msgs/msg/Vector3Stamped", "sensor_msgs/msg/Imu"
@@ -214,48 +200,31 @@ _ACCELERATION = tuple(f"/skin.linear_acceleration.{axis}" for axis in "xyz")
 _STAMP = 'column = "header.stamp"'
 _MATRIX = ("daq.v:0", "daq.v:1", "daq.v:2")
 
+_XYZ = ("x", "y", "z")
+_EUROPEAN = (
+    '[csv]\ndelimiter = ";"\ndecimal = ","\nheader_lines = 2\nunits_row = true\nencoding = "latin-1"\n'
+)
+_SHEET = '[xlsx]\nsheet = "slide"\nheader_lines = 1\nunits_row = true\n'
+_TDMS = ("daq/x", "daq/y", "daq/z")
+_EACH_AXIS = "(?P<recording>[a-z]+)_(?P<part>[xyz])"
+_STAMPED = 'column = "t"\nunit = "timestamp"'
+_IMU = {"time": _STAMP, "channel": 'unit = "m/s2"', "tolerance_v": 1e-12}
+
 FORMATS: dict[str, Format] = {
-    "csv": Format(_csv, "csv", ".csv", ("x", "y", "z")),
-    "european csv": Format(
-        _european_csv,
-        "csv",
-        ".txt",
-        ("x", "y", "z"),
-        tables='[csv]\ndelimiter = ";"\ndecimal = ","\nheader_lines = 2\n'
-        'units_row = true\nencoding = "latin-1"\n',
-    ),
-    "csv for each axis": Format(
-        _csv_for_each_axis, "csv", ".csv", ("V", "V", "V"), pattern="(?P<recording>[a-z]+)_(?P<part>[xyz])"
-    ),
-    "csv with timestamps": Format(
-        _stamped_csv, "csv", ".csv", ("x", "y", "z"), time='column = "t"\nunit = "timestamp"'
-    ),
-    "xlsx": Format(
-        _workbook,
-        "xlsx",
-        ".xlsx",
-        ("x", "y", "z"),
-        tables='[xlsx]\nsheet = "slide"\nheader_lines = 1\nunits_row = true\n',
-        tolerance_v=1e-15,  # openpyxl writes 16 digits
-    ),
-    "parquet": Format(_parquet, "parquet", ".parquet", ("x", "y", "z")),
+    "csv": Format(_csv, "csv", ".csv", _XYZ),
+    "european csv": Format(_european_csv, "csv", ".txt", _XYZ, tables=_EUROPEAN),
+    "csv for each axis": Format(_csv_for_each_axis, "csv", ".csv", ("V", "V", "V"), pattern=_EACH_AXIS),
+    "csv with timestamps": Format(_stamped_csv, "csv", ".csv", _XYZ, time=_STAMPED),
+    # openpyxl writes 16 digits.
+    "xlsx": Format(_workbook, "xlsx", ".xlsx", _XYZ, tables=_SHEET, tolerance_v=1e-15),
+    "parquet": Format(_parquet, "parquet", ".parquet", _XYZ),
     "hdf5": Format(_hdf5, "hdf5", ".h5", ("daq/v:0", "daq/v:1", "daq/v:2"), time='column = "daq/t"'),
-    "tdms": Format(_tdms, "tdms", ".tdms", ("daq/x", "daq/y", "daq/z"), time='column = "daq/t"'),
-    "tdms waveform": Format(
-        _tdms, "tdms", ".tdms", ("daq/x", "daq/y", "daq/z"), time='column = "wf_increment"'
-    ),
+    "tdms": Format(_tdms, "tdms", ".tdms", _TDMS, time='column = "daq/t"'),
+    "tdms waveform": Format(_tdms, "tdms", ".tdms", _TDMS, time='column = "wf_increment"'),
     "mat": Format(_mat, "mat", ".mat", _MATRIX),
     "mat 7.3": Format(_mat_73, "mat", ".mat", _MATRIX),
     "ros 1": Format(_bag1, "ros", ".bag", _VECTOR, time=_STAMP),
     "ros 2": Format(_bag2(StoragePlugin.SQLITE3, VOLTS), "ros", "", _VECTOR, time=_STAMP),
     "mcap": Format(_mcap, "ros", ".mcap", _VECTOR, time='column = "received"'),
-    "ros 2 imu": Format(
-        _bag2(StoragePlugin.MCAP, IMU),
-        "ros",
-        "",
-        _ACCELERATION,
-        time=_STAMP,
-        channel='unit = "m/s2"',
-        tolerance_v=1e-12,
-    ),
+    "ros 2 imu": Format(_bag2(StoragePlugin.MCAP, IMU), "ros", "", _ACCELERATION, **_IMU),
 }
