@@ -12,10 +12,11 @@ import softslide
 from features.errors import InputError
 from pipeline.atlas.atlas import DEFAULT_ATLAS, DEFAULT_SENSOR, Atlas, check_atlas, read_atlas, write_atlas
 from pipeline.atlas.solve import Grid, solve_atlas
-from pipeline.sensor import Accelerometer, MeshSize, design_hash, read_sensor
+from pipeline.sensor import Accelerometer, MeshSize, design_hash, read_sensor, write_sensor
 from pipeline.skin.lines import Line, join_families
 from pipeline.skin.solved_line import gravity, skin_of, solve_line
 
+NOWHERE = "pigeon://loft"
 QUICK = Grid(depth_mm=(0.5,), line_mm=6.0, steps_per_line=5)
 
 
@@ -176,22 +177,6 @@ def test_a_solved_atlas_answers_between_its_lines_as_the_solver_does(quick):
     assert np.ptp(on_line[:, 0]) > 0.2
 
 
-def write_quick_sensor(path):
-    """The design of `quick_sensor` as a file."""
-    text = DEFAULT_SENSOR.read_text()
-    path.write_text(text.replace("[5.0, 7.0, 9.6]", "[6.0]").replace("size_mm = 2.5", "size_mm = 5.0"))
-
-
-@pytest.mark.long
-def test_simulate_asks_the_scheduler_that_is_named(tmp_path, capsys):
-    pytest.importorskip("distributed")
-    sensor, out = tmp_path / "sensor.toml", tmp_path / "a.npz"
-    write_quick_sensor(sensor)
-    command = ["simulate", "--sensor", sensor, "--out", out, "--coarse", "--scheduler", "pigeon://loft"]
-    assert "--scheduler pigeon://loft: no Dask scheduler answers" in refused(capsys, *command)
-    assert not out.exists()
-
-
 @pytest.mark.parametrize(
     ("workers", "backend"),
     [
@@ -202,7 +187,7 @@ def test_simulate_asks_the_scheduler_that_is_named(tmp_path, capsys):
 )
 def test_simulate_writes_the_same_atlas_however_it_is_run(workers, backend, tmp_path, capsys):
     sensor, out = tmp_path / "sensor.toml", tmp_path / "a.npz"
-    write_quick_sensor(sensor)
+    write_sensor(sensor, quick_sensor())
     command = ["simulate", "--sensor", str(sensor), "--out", str(out), "--coarse", "--depth", "0.5"]
     assert softslide.main([*command, "--workers", str(workers), "--backend", backend]) == 0
     said = capsys.readouterr().err
@@ -222,6 +207,7 @@ def test_simulate_writes_the_same_atlas_however_it_is_run(workers, backend, tmp_
         ("--workers 0", "at least one"),
         ("--depth 0.5 0.2", "--depth 0.5 0.2: depth_mm"),
         ("--out .", "a folder"),
+        pytest.param(f"--scheduler {NOWHERE}", f"--scheduler {NOWHERE}: no Dask", marks=pytest.mark.long),
     ],
 )
 def test_simulate_refuses_bad_arguments_in_one_line(arguments, words, tmp_path, capsys):
