@@ -107,7 +107,7 @@ def _over_heights(heights: HeightCalibration, summary: dict[str, float]) -> str:
     if "heldout_residual_map_a_height" in summary:
         shared, apart = (summary[f"heldout_residual_map_{name}"] for name in ("over_heights", "a_height"))
         line += f", which leaves {shared:.1%} of held-out lines (a map of each height {apart:.1%})"
-    tells = not math.isnan(heights.told(np.array(heights.static_v)))
+    tells = not math.isnan(heights.estimate(np.array(heights.static_v)))
     return f"{line}; " + (
         "the static output tells the height"
         if tells

@@ -68,7 +68,7 @@ class HeightCalibration:
         """(K, K, C) V/mm: the splines of H."""
         return decoded(self.coefficients, (self.knots, self.knots, len(self.static_v)), self.scale_v)
 
-    def told(self, static_v: np.ndarray) -> float:
+    def estimate(self, static_v: np.ndarray) -> float:
         """The height in mm from a static output (C,) V, within the calibration's range; NaN where it shows none:
         another mounting, or a skin outside the range."""
         weight = 1.0 / np.square(self.static_sd_v)

@@ -112,7 +112,7 @@ def _read_parquet(path: Path, columns: Sequence[str], missing: str) -> np.ndarra
         return np.column_stack([np.asarray(table[name], dtype=float) for name in columns])
     except InputError:
         raise
-    # A damaged file may hold any type of column, and texts that are none.
+    # A damaged file may hold any type of column, and texts that are not text.
     except (pa.ArrowException, OSError, ValueError, TypeError, OverflowError, MemoryError) as error:
         reason = " ".join(str(error).split())[:120]
         what = (

@@ -160,15 +160,15 @@ def told(slides: list[CalibrationSlide]) -> HeightCalibration:
 def test_the_static_output_tells_the_height_of_this_mounting(told: HeightCalibration) -> None:
     at = np.array([1.7, 1.65])
     for height_mm in (6.0, 7.3, 8.0):
-        assert told.told(at + height_mm * np.array(STATIC_V_PER_MM)) == pytest.approx(height_mm, abs=1e-6)
-    assert told.told(at + 8.1 * np.array(STATIC_V_PER_MM)) == pytest.approx(8.0)
-    assert math.isnan(told.told(at + 9.5 * np.array(STATIC_V_PER_MM)))
+        assert told.estimate(at + height_mm * np.array(STATIC_V_PER_MM)) == pytest.approx(height_mm, abs=1e-6)
+    assert told.estimate(at + 8.1 * np.array(STATIC_V_PER_MM)) == pytest.approx(8.0)
+    assert math.isnan(told.estimate(at + 9.5 * np.array(STATIC_V_PER_MM)))
     # Half a degree of another mounting.
-    assert math.isnan(told.told(at + 7.3 * np.array(STATIC_V_PER_MM) + [0.0, 0.007]))
+    assert math.isnan(told.estimate(at + 7.3 * np.array(STATIC_V_PER_MM) + [0.0, 0.007]))
 
 
 def test_a_static_output_that_does_not_change_tells_no_height(told: HeightCalibration) -> None:
-    assert math.isnan(replace(told, static_v_per_mm=(1e-5, 0.0)).told(np.array(told.static_v)))
+    assert math.isnan(replace(told, static_v_per_mm=(1e-5, 0.0)).estimate(np.array(told.static_v)))
 
 
 def test_gains_scale_the_change_with_height(told: HeightCalibration) -> None:

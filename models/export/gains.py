@@ -108,7 +108,7 @@ def labelled_contacts(
     untimed = moving.manifest.index[moving.manifest.get(UNTIMED, pd.Series(False, moving.manifest.index))]
     slides = calibration_slides(moving, conditioning, frozenset(map(str, untimed)))
     if heights is not None:
-        slides = [replace(slide, height_mm=heights.told(slide.static_v)) for slide in slides]
+        slides = [replace(slide, height_mm=heights.estimate(slide.static_v)) for slide in slides]
     presses = {
         name: press
         for name in map(str, folder.manifest.index[standing])
@@ -133,5 +133,5 @@ def _press(
     if len(rest) < LEAST_REST_BLOCKS or not len(pressed):
         return None
     place, static_v = (float(row.start_x_mm), float(row.start_y_mm)), rest.mean(axis=0)
-    height_mm = math.nan if heights is None else heights.told(static_v)
+    height_mm = math.nan if heights is None else heights.estimate(static_v)
     return Press(place, float(row.depth_mm), pressed.mean(axis=0) - static_v, height_mm)

@@ -125,7 +125,7 @@ def calibrated_map(
         len(untimed),
         _left_out(onsets, found.slides) | left_out,
         heights,
-        {} if heights is None else {s.recording: heights.told(s.static_v) for s in found.slides},
+        {} if heights is None else {s.recording: heights.estimate(s.static_v) for s in found.slides},
     )
 
 

@@ -1,4 +1,4 @@
-"""A graph as generated C, compiled and run as a process of its own, beside ONNX Runtime."""
+"""A graph as generated C, compiled and run as a process of its own, against ONNX Runtime."""
 
 import copy
 import shutil

@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-# Much longer than either takes, since other tests run beside.
+# Much longer than either takes, since other tests run too.
 PATIENCE_S = 120
 
 

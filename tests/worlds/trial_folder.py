@@ -36,7 +36,7 @@ def a_slide(name: str, amplitude_v: float) -> Recording:
 
 
 def a_folder(root: Path, **rows: dict) -> Folder:
-    """Recordings named as the keyword arguments, each labelled as LABELS unless told otherwise."""
+    """Recordings named as the keyword arguments, each labelled as LABELS unless given otherwise."""
     manifest = pd.DataFrame(
         [{"recording": name, "split": "test", **LABELS, **row} for name, row in rows.items()]
     )

@@ -24,7 +24,7 @@ const DEVICE = [
   ["turn", "deg", 1, "turn_deg"],
 ];
 
-// What is told of an estimate that is not valid, by its reason.
+// What is shown of an estimate that is not valid, by its reason.
 const REASONS = {
   no_contact: "nothing touches the skin",
   unknown_zero: "the static output is not known yet: leave the skin alone",

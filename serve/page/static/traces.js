@@ -120,7 +120,7 @@ export function extremes(rows, first, most) {
   return found;
 }
 
-// Outside of the line, with its tip at the extreme; outlined, so that it is told from other lines.
+// Outside of the line, with its tip at the extreme; outlined, so that it stands out from other lines.
 function triangle(context, x, y, sign, colour, outline) {
   const away = -sign;
   context.beginPath();
@@ -153,7 +153,7 @@ function inVolts(board) {
   return (board.unit ?? "V") === "V";
 }
 
-// Digits after the point that numbers need to be told apart by `step`.
+// Digits after the point that numbers need to differ by `step`.
 function digitsOf(step) {
   return Math.max(0, -Math.floor(Math.log10(step)));
 }

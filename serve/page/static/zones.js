@@ -7,7 +7,7 @@ const DEAD_BAND = 0.1;
 // At least, in V: a frame's noise is 1.1 to 1.4 mV.
 const LEAST_V = 0.003;
 
-// Of each sensing element the signs [x, y] of its outputs in this slide, 0 while they are not told.
+// Of each sensing element the signs [x, y] of its outputs in this slide, 0 while they are not known.
 export class Zones {
   constructor(boards) {
     this.boards = boards;
@@ -37,7 +37,7 @@ export class Zones {
   }
 
   text() {
-    const told = this.lit().map(({ board, x, y }) => `${board.name} ${number(1 + (x > 0) + 2 * (y > 0))}`);
-    return told.length ? `zone: ${told.join(", ")}` : "";
+    const zones = this.lit().map(({ board, x, y }) => `${board.name} ${number(1 + (x > 0) + 2 * (y > 0))}`);
+    return zones.length ? `zone: ${zones.join(", ")}` : "";
   }
 }
