@@ -5,7 +5,17 @@ from dataclasses import asdict
 
 import numpy as np
 import pytest
-from tracked_map import BLOCK_S, TWO_BOARDS, followed, line, noisy_map, tracker, tracks_of, volts_along
+from tracked_map import (
+    BLOCK_S,
+    TWO_BOARDS,
+    followed,
+    in_row,
+    line,
+    noisy_map,
+    tracker,
+    tracks_of,
+    volts_along,
+)
 
 from features.contact.calibration import ContactCalibration
 from features.contact.hypotheses import (
@@ -121,34 +131,61 @@ def test_prediction_moves_along_an_arc() -> None:
 
 
 @pytest.mark.parametrize("speed_mm_s", [1.0, 4.0, 11.0])
-def test_a_straight_slide_is_followed(speed_mm_s: float) -> None:
-    path = line(speed_mm_s)
+def test_a_straight_slide_is_followed_by_a_small_bank_until_its_release(speed_mm_s: float) -> None:
+    path = np.concatenate([line(speed_mm_s), np.tile([[60.0, 6.0]], (60, 1))])
     tracks = followed(noisy_map(), path)
-    inside = np.abs(path[:, 0]) < 12
-    late = [t for t, is_late in zip(tracks, inside & (path[:, 0] > -5), strict=True) if is_late]
-    places = path[inside & (path[:, 0] > -5)]
-    assert all(t is not None for t in late)
-    gaps = np.array([t.mean[:2] - p for t, p in zip(late, places, strict=True) if t is not None])
-    speeds = np.array([np.hypot(*t.mean[2:]) for t in late if t is not None])
-    assert np.median(np.hypot(*gaps.T)) < 0.3
+    late = [(tracks[n], place) for n, place in enumerate(path) if -5 < place[0] < 12]
+    gaps = [np.hypot(*(t.mean[:2] - place)) for t, place in late if t is not None]
+    speeds = np.array([np.hypot(*t.mean[2:]) for t, _ in late if t is not None])
+    assert len(gaps) == len(late)
+    assert np.median(gaps) < 0.3
     assert np.median(np.abs(speeds / speed_mm_s - 1)) < 0.05
+    children = 7 + 12 + 2  # manoeuvres of one parent, restarts of a slow one
+    most = TrackingConfig().most + TrackingConfig().parents * children
+    assert max(t.hypotheses for t, _ in late if t is not None) <= most
+    assert tracks[-1] is None
 
 
-def test_a_contact_that_turns_back_is_followed() -> None:
-    out = np.arange(-29.0, 6.0, 0.06)
-    x = np.concatenate([out, out[::-1]])
-    tracks = followed(noisy_map(), np.stack([x, np.full_like(x, 7.0)], axis=1))
-    back = tracks[len(out) + 120]
-    assert back is not None
-    assert back.mean[2] == pytest.approx(-3.0, abs=0.5)
-    assert back.mean[:2] == pytest.approx([x[len(out) + 120], 7.0], abs=0.6)
+OUT_MM = np.arange(-29.0, 6.0, 0.06)
+TURN_RAD = np.arange(0.0, 2 * np.pi, 3.0 * BLOCK_S / 8.0)  # 3 mm/s along a radius of 8 mm
+ROUND_MM = 8.0 * np.stack([np.sin(TURN_RAD), 1 - np.cos(TURN_RAD)], axis=1) - [0.0, 4.0]
+
+
+@pytest.mark.parametrize(
+    ("path", "late", "speed_x"),
+    [
+        pytest.param(
+            in_row(np.concatenate([OUT_MM, OUT_MM[::-1]]), 7.0),
+            range(len(OUT_MM) + 60, len(OUT_MM) + 121),
+            -3.0,
+            id="back",
+        ),
+        pytest.param(
+            in_row(np.concatenate([OUT_MM, np.full(100, OUT_MM[-1])])),
+            range(len(OUT_MM), len(OUT_MM) + 100),
+            0.0,
+            id="stop",
+        ),
+        pytest.param(
+            np.concatenate([in_row(OUT_MM[OUT_MM < 0], -4.0), ROUND_MM]), range(-630, -1), 3.0, id="circle"
+        ),
+    ],
+)
+def test_a_contact_that_manoeuvres_is_followed(path: np.ndarray, late: range, speed_x: float) -> None:
+    """Back along its line, to a stop, and once around a circle."""
+    tracks = followed(noisy_map(), path)
+    found = [(t, path[n]) for n in late if (t := tracks[n]) is not None]
+    assert len(found) == len(late)
+    assert np.median([np.hypot(*(t.mean[:2] - place)) for t, place in found]) < 0.5
+    track, place = found[-1]
+    assert track.mean[2:] == pytest.approx([speed_x, 0.0], abs=0.5 if speed_x else 0.1)
+    assert track.mean[:2] == pytest.approx(place, abs=0.5)
 
 
 def test_a_contact_that_is_lifted_from_rest_stays_in_its_place() -> None:
     """Its output falls along one direction, as that of a slide over the skin's fold can."""
     out = np.arange(-29.0, 6.0, 0.08)
-    x = np.concatenate([out, np.full(110, out[-1])])
-    path = np.stack([x, np.full_like(x, 6.0)], axis=1)
+    path = in_row(np.concatenate([out, np.full(110, out[-1])]))
     volts = volts_along(noisy_map(), path)
     volts[-60:] *= np.linspace(1.0, 0.05, 60)[:, None]
     tracks = [t for t in tracks_of(noisy_map(), volts)[-40:-15] if t is not None]
@@ -158,32 +195,9 @@ def test_a_contact_that_is_lifted_from_rest_stays_in_its_place() -> None:
     assert np.hypot(*(places - path[-1]).T).max() < 1.0
 
 
-def test_a_contact_that_stops_is_at_rest() -> None:
-    out = np.arange(-29.0, 4.0, 0.06)
-    x = np.concatenate([out, np.full(100, out[-1])])
-    tracks = followed(noisy_map(), np.stack([x, np.full_like(x, 6.0)], axis=1))
-    last = tracks[-1]
-    assert last is not None
-    assert np.hypot(*last.mean[2:]) < 0.15
-    assert last.mean[:2] == pytest.approx([out[-1], 6.0], abs=0.5)
-
-
-def test_a_circle_is_followed() -> None:
-    """In over the rim, then once around a circle of 8 mm radius."""
-    speed, radius = 3.0, 8.0
-    into = np.arange(-29.0, 0.0, speed * BLOCK_S)
-    turn = np.arange(0.0, 2 * np.pi, speed * BLOCK_S / radius)
-    path = np.concatenate(
-        [
-            np.stack([into, np.full_like(into, -4.0)], axis=1),
-            np.stack([radius * np.sin(turn), radius * (1 - np.cos(turn)) - 4.0], axis=1),
-        ]
-    )
-    tracks = followed(noisy_map(), path)
-    late = range(len(into) + len(turn) // 4, len(path) - 1)
-    gaps = [np.hypot(*(t.mean[:2] - path[n])) for n in late if (t := tracks[n]) is not None]
-    assert len(gaps) == len(late)
-    assert np.median(gaps) < 0.5
+def test_noise_alone_starts_nothing() -> None:
+    still = tracker(noisy_map())
+    assert all(still.push(v, False) is None for v in np.random.default_rng(2).normal(0.0, 1e-3, (500, 2)))
 
 
 def test_two_accelerometers_are_sharper_than_one_and_do_without_one() -> None:
@@ -202,41 +216,14 @@ def test_two_accelerometers_are_sharper_than_one_and_do_without_one() -> None:
     assert error(tracks) < 1.0
 
 
-def test_a_release_ends_the_track() -> None:
-    path = np.concatenate([line(4.0), np.tile([[60.0, 6.0]], (60, 1))])
-    tracks = followed(noisy_map(), path)
-    assert tracks[len(path) // 2] is not None
-    assert tracks[-1] is None
+NUMBERS = [{"knots": 3}, {"scale_v": 0.0}, {"half_mm": float("nan")}, {"noise_v": (1e-3,)}]
+ARRAYS = [
+    *({"coefficients": base64.b64encode(b"\x00" * 10).decode()}, {"coefficients": "not base64!"}),
+    *({"inflation_v_per_mm": (0.01, 0.02, 0.03)}, {"inflation_v_per_mm": (0.01, float("nan"))}),
+]
 
 
-def test_the_bank_stays_small() -> None:
-    config = TrackingConfig()
-    tracks = followed(noisy_map(), line(2.0))
-    late = [t.hypotheses for t in tracks[len(tracks) // 2 :] if t is not None]
-    children = 7 + 12 + 2  # manoeuvres of one parent, restarts of a slow one
-    assert max(late) <= config.most + config.parents * children
-
-
-def test_noise_alone_starts_nothing() -> None:
-    response = noisy_map()
-    still = tracker(response)
-    noise = np.random.default_rng(2).normal(0.0, 1e-3, (500, response.channels))
-    assert all(still.push(v, False) is None for v in noise)
-
-
-@pytest.mark.parametrize(
-    "change",
-    [
-        {"knots": 3},
-        {"scale_v": 0.0},
-        {"half_mm": float("nan")},
-        {"noise_v": (1e-3,)},
-        {"coefficients": base64.b64encode(b"\x00" * 10).decode()},
-        {"coefficients": "not base64!"},
-        {"inflation_v_per_mm": (0.01, 0.02, 0.03)},
-        {"inflation_v_per_mm": (0.01, float("nan"))},
-    ],
-)
+@pytest.mark.parametrize("change", [*NUMBERS, *ARRAYS])
 def test_a_calibration_that_does_not_fit_is_refused(change: dict[str, object]) -> None:
     whole = asdict(contact_calibration(noisy_map()))
     with pytest.raises(ValueError, match=r".+"):
@@ -256,7 +243,7 @@ def test_the_smooth_signal_predicts_what_it_is_made_for() -> None:
 
 
 def test_a_press_rests_and_a_drift_goes_on_changing() -> None:
-    """Along one direction both: the time for which the amplitude changes tells them apart."""
+    """Along one direction both: the time for which the amplitude changes separates them."""
     noise, step_s = np.full(2, 1e-3), 0.04
     along, rise_s, seconds = np.array([0.12, -0.05]), 1.0, 6.0
     time_s = step_s * np.arange(round(seconds / step_s))
@@ -275,26 +262,22 @@ def test_a_press_rests_and_a_drift_goes_on_changing() -> None:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_a_slow_lift_is_no_turn(seed: int) -> None:
-    """The output of a contact that is lifted while it goes straight on fits a bent path too: none may be told then."""
+def test_a_slow_lift_is_not_a_turn(seed: int) -> None:
+    """What a contact shows that is lifted while it goes straight on fits a bent path too: no turn may be seen then."""
     response, speed = noisy_map(), 2.0
     path = line(speed, half_mm=29.0)[: round(38.0 / speed / BLOCK_S)]
     noise = np.random.default_rng(seed).normal(0.0, response.noise_v, (len(path), response.channels))
     gain = np.clip(1.0 - path[:, 0] / 9.0, 0.0, 1.0)[:, None]
     volts = noise + gain * (volts_along(response, path, seed) - noise)
     tracks = tracks_of(response, volts)
-    told = [
-        abs(np.degrees(np.arctan2(t.mean[3], t.mean[2])))
-        for t, x_mm in zip(tracks, path[:, 0], strict=True)
-        if x_mm > 0.0 and t is not None and t.partial < 0.3 and t.certain > 0.97
-    ]
-    assert np.mean(np.array([*told, 0.0]) > 20.0) < 0.1
+    late = [t for t, x_mm in zip(tracks, path[:, 0], strict=True) if x_mm > 0.0 and t is not None]
+    means = [t.mean for t in late if t.partial < 0.3 and t.certain > 0.97]
+    turns = [abs(np.degrees(np.arctan2(mean[3], mean[2]))) for mean in means]
+    assert np.mean(np.array([*turns, 0.0]) > 20.0) < 0.1
 
 
 @pytest.mark.parametrize("channels", [2, 4])
-def test_a_wave_of_four_channels_keeps_its_direction_and_a_slide_over_two_boards_does_not(
-    channels: int,
-) -> None:
+def test_a_wave_of_four_channels_keeps_its_direction_and_a_slide_does_not(channels: int) -> None:
     """Of two channels a slide over the board may come back along the direction that it came on."""
     response = noisy_map(places=TWO_BOARDS[: channels // 2])
     noise, random = np.full(channels, 1e-3), np.random.default_rng(7)
@@ -315,15 +298,13 @@ def test_a_wave_of_four_channels_keeps_its_direction_and_a_slide_over_two_boards
         assert not smooth.one_way
 
 
-def test_a_slide_is_told_and_a_wave_seldom() -> None:
+def test_a_slide_is_valid_and_a_wave_seldom() -> None:
     """A wave along one direction may be a press that comes and goes, or a slide forth and back over the board."""
     response, limits = noisy_map(), TrackLimits()
 
-    def told(tracks: list[Track | None]) -> float:
-        judgements = [
-            judged(t, 0.0, SlideState.SLIDE, (0.0, 0.0), 0.5, limits) for t in tracks if t is not None
-        ]
-        return float(np.mean([j.valid for j in judgements]))
+    def share_valid(tracks: list[Track | None]) -> float:
+        found = [judged(t, 0.0, SlideState.SLIDE, (0.0, 0.0), 0.5, limits) for t in tracks if t is not None]
+        return float(np.mean([j.valid for j in found]))
 
     waves = []
     for frequency_hz, along_y in ((0.1, 0.5), (0.2, 0.5), (0.2, -0.3), (0.4, 1.0)):
@@ -331,21 +312,19 @@ def test_a_slide_is_told_and_a_wave_seldom() -> None:
         wave = 0.15 * np.stack([np.sin(phase), along_y * np.sin(phase)], axis=1)
         wave = wave + np.random.default_rng(3).normal(0.0, 1e-3, wave.shape)
         tracked = tracker(response)
-        waves.append(told([tracked.push(v, n > 10) for n, v in enumerate(wave)]))
+        waves.append(share_valid([tracked.push(v, n > 10) for n, v in enumerate(wave)]))
     slide = followed(response, line(3.0))
     assert np.median([t.evidence for t in slide if t is not None]) > 2.0
-    assert told(slide) > 0.6
+    assert share_valid(slide) > 0.6
     assert np.mean(waves) < 0.1
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_no_signal_makes_the_tracker_fail(seed: int) -> None:
-    """Jumps, walks and steps far beyond any contact: every track that is told is finite."""
+    """Jumps, walks and steps far beyond any contact: every track is finite."""
     generator = np.random.default_rng(seed)
     tracked = tracker(noisy_map())
-    walk = (
-        np.cumsum(generator.normal(0.0, 0.05, (400, 2)), axis=0) + (generator.random((400, 1)) < 0.02) * 2.0
-    )
-    for volts in walk:
+    walk = np.cumsum(generator.normal(0.0, 0.05, (400, 2)), axis=0)
+    for volts in walk + (generator.random((400, 1)) < 0.02) * 2.0:
         track = tracked.push(volts, True)
         assert track is None or np.isfinite(track.mean).all()

@@ -36,12 +36,7 @@ def estimated(x_mm: float, y_mm: float, heading_deg: float, speed_mm_s: float = 
     )
 
 
-@given(
-    st.floats(-0.9, 0.9),
-    st.floats(-0.9, 0.9),
-    st.floats(0, 360),
-    st.floats(0.0, 60.0),
-)
+@given(st.floats(-0.9, 0.9), st.floats(-0.9, 0.9), st.floats(0, 360), st.floats(0.0, 60.0))
 def test_a_contact_on_any_line_goes_on_to_the_border_and_no_further(
     x: float, y: float, heading_deg: float, way_mm: float
 ) -> None:
@@ -64,14 +59,10 @@ def test_a_contact_on_any_line_goes_on_to_the_border_and_no_further(
     assert after[2:11] == before[2:11]
 
 
-def test_what_comes_in_or_passes_beside_the_skin_is_left_alone() -> None:
-    for place in (estimated(-27.0, 3.0, 0.0), estimated(30.0, 23.0, 0.0), estimated(24.0, 30.0, 170.0)):
-        assert held_at_rim(place, CHAMBER_MM, BALL_MM) is place
-
-
-def test_without_a_place_or_a_motion_nothing_is_held() -> None:
-    for unknown in (estimated(math.nan, math.nan, 0.0), estimated(40.0, 0.0, 0.0, speed_mm_s=0.0)):
-        assert held_at_rim(unknown, CHAMBER_MM, BALL_MM) is unknown
+def test_what_comes_in_passes_by_or_has_no_place_or_motion_is_left_alone() -> None:
+    passing = (estimated(-27.0, 3.0, 0.0), estimated(30.0, 23.0, 0.0), estimated(24.0, 30.0, 170.0))
+    for one in (*passing, estimated(math.nan, math.nan, 0.0), estimated(40.0, 0.0, 0.0, speed_mm_s=0.0)):
+        assert held_at_rim(one, CHAMBER_MM, BALL_MM) is one
 
 
 def test_a_ball_or_depth_that_is_not_known_leaves_at_the_rim() -> None:

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from tracked_map import BLOCK_S, TWO_BOARDS, line, noisy_map, tracker, volts_along
+from tracked_map import BLOCK_S, TWO_BOARDS, line, noisy_map, touched, tracker, volts_along
 
 from features.contact.hypotheses import GAIN, Hypotheses, started, update
 from features.contact.manoeuvres import Manoeuvres, branched
@@ -13,8 +13,7 @@ FIRST_ALONE = np.array([True, True, False, False])
 
 
 def followed(tracked: ContactTracker, volts: np.ndarray, usable: np.ndarray | None = None) -> list[Track]:
-    level = [np.abs(volts[max(0, n - 4) : n + 1, :2].mean(axis=0)).max() for n in range(len(volts))]
-    tracks = [tracked.push(v, bool(top > 0.005), usable) for v, top in zip(volts, level, strict=True)]
+    tracks = [tracked.push(v, bool(t), usable) for v, t in zip(volts, touched(volts[:, :2]), strict=True)]
     return [track for track in tracks if track is not None]
 
 

@@ -38,12 +38,7 @@ def waves(amplitude_g: float, channels: tuple[float, ...]) -> np.ndarray:
     return amplitude_g * np.sin(phase)[:, None] * np.array(channels)
 
 
-@given(
-    lean=st.floats(0.0, 0.6),
-    leans_towards=st.floats(0.0, 6.2),
-    angle=st.floats(-0.7, 0.7),
-    towards=st.floats(0.0, 6.2),
-)
+@given(st.floats(0.0, 0.6), st.floats(0.0, 6.2), st.floats(-0.7, 0.7), st.floats(0.0, 6.2))
 def test_a_tilt_of_any_size_keeps_it(lean: float, leans_towards: float, angle: float, towards: float) -> None:
     (static,) = turned(np.array([lean]), leans_towards, np.array([0.0, 0.0, 1.0]))
     watch = watched(turned(angle * np.linspace(0.0, 1.0, BLOCKS), towards, static), static)
@@ -52,14 +47,17 @@ def test_a_tilt_of_any_size_keeps_it(lean: float, leans_towards: float, angle: f
     assert watch.kept
 
 
+UPRIGHT = np.array([0.05, 0.0, 1.0])
+ALONG_X = (1.0, 0.0, 0.0)
+
+
 @pytest.mark.parametrize(("amplitude_g", "kept"), [(0.03, True), (0.25, False)])
 def test_a_wave_of_which_v_z_knows_nothing_is_found_where_a_tilt_would_show(
     amplitude_g: float, kept: bool
 ) -> None:
-    """V_z of an upright accelerometer falls by half the square of V_x: a weak wave tells nothing."""
-    static = np.array([0.05, 0.0, 1.0])
-    assert watched(static + waves(amplitude_g, (1.0, 0.0, 0.0)), static).kept is kept
-    assert watched(turned(waves(amplitude_g, (1.0,))[:, 0], 0.0, static), static).kept
+    """V_z of an upright accelerometer falls by half the square of V_x: a weak wave shows nothing."""
+    assert watched(UPRIGHT + waves(amplitude_g, ALONG_X), UPRIGHT).kept is kept
+    assert watched(turned(waves(amplitude_g, (1.0,))[:, 0], 0.0, UPRIGHT), UPRIGHT).kept
 
 
 def test_v_z_may_swing_with_the_pressure_and_its_static_value_be_off() -> None:
@@ -72,43 +70,39 @@ def test_v_z_may_swing_with_the_pressure_and_its_static_value_be_off() -> None:
 @pytest.mark.parametrize("off", [(0.0625, 0.0), (0.0, -0.0625), (-0.05, 0.05)])
 def test_a_tilt_keeps_it_where_the_zeros_have_drifted(off: tuple[float, float]) -> None:
     """By 50 mV: static V_x and V_y are then not what gravity shows."""
-    static = np.array([0.09, 0.0, 0.995])
+    static, shift = np.array([0.09, 0.0, 0.995]), np.array([*off, 0.0])
     tilts = turned(waves(0.35, (1.0,))[:, 0], 0.8, static)
-    shift = np.array([*off, 0.0])
     assert watched(tilts + shift, static + shift).kept
 
 
 def test_the_evidence_of_several_accelerometers_adds_up() -> None:
-    static = np.array([0.05, 0.0, 1.0])
-    wave = static + waves(0.15, (1.0, 0.0, 0.0))
-    one = watched(wave, static)
-    pair = watched(np.tile(wave, 2), np.tile(static, 2))
+    wave = UPRIGHT + waves(0.15, ALONG_X)
+    one = watched(wave, UPRIGHT)
+    pair = watched(np.tile(wave, 2), np.tile(UPRIGHT, 2))
     assert pair.against_g2 == pytest.approx(2 * one.against_g2)
     assert pair.change_g == pytest.approx(one.change_g)
 
 
 def test_it_is_forgotten_and_begins_anew() -> None:
-    static = np.array([0.05, 0.0, 1.0])
-    watch = watched(static + waves(0.3, (1.0, 0.0, 0.0)), static)
+    wave = UPRIGHT + waves(0.3, ALONG_X)
+    watch, other = watched(wave, UPRIGHT), watched(wave, UPRIGHT)
     assert not watch.kept
     for _ in range(round(4 * MEMORY_S / BLOCK_S)):
-        watch.push(1.65 + 0.8 * static, np.zeros(3), np.ones(1, dtype=bool))
+        watch.push(1.65 + 0.8 * UPRIGHT, np.zeros(3), np.ones(1, dtype=bool))
     assert watch.kept
-    watch = watched(static + waves(0.3, (1.0, 0.0, 0.0)), static)
-    watch.begin()
-    assert watch.kept
+    other.begin()
+    assert other.kept
 
 
 def test_sensing_elements_of_another_kind_and_those_out_of_use_are_not_judged() -> None:
-    static, wave = np.array([0.05, 0.0, 1.0]), 0.8 * waves(0.5, (1.0, 0.0, 0.0))
     for accelerometers, usable in (([{"kind": "magnetometer"}], True), (ONE, False)):
         watch = GravityWatch(accelerometers, USUAL)
-        for change in wave:
-            watch.push(1.65 + 0.8 * static, change, np.array([usable]))
+        for change in 0.8 * waves(0.5, ALONG_X):
+            watch.push(1.65 + 0.8 * UPRIGHT, change, np.array([usable]))
         assert watch.kept
 
 
-def test_no_slide_of_the_folder_that_told_the_deviation_is_refused() -> None:
+def test_no_slide_of_the_folder_that_gave_the_deviation_is_refused() -> None:
     folder = read_folder(SAMPLE)
     moves_s = folder.manifest["motion_start_s"]
     slides = [(folder.load(str(name)), float(at)) for name, at in moves_s.items()]

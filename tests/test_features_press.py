@@ -1,6 +1,4 @@
-"""A press without motion: told apart from a tilt of the device and from a change of its pressure, or not told."""
-
-import math
+"""A press without motion: separated from a tilt of the device and from a change of its pressure, or not valid."""
 
 import numpy as np
 import pytest
@@ -15,14 +13,14 @@ from features.stream.tracker import SlideState
 from features.track_estimate import TrackLimits, judged
 
 ON_S, HELD_S = 0.4, 1.5
+RESPONSE = noisy_map(places=TWO_BOARDS)
 
 
 def grown(level_v: np.ndarray, seed: int = 0) -> np.ndarray:
     """Blocks (m, C) V that grow to a level within ON_S and keep it, with noise of 1 mV."""
     share = np.clip(np.arange(round((0.3 + ON_S + HELD_S) / BLOCK_S)) * BLOCK_S / ON_S - 0.3 / ON_S, 0.0, 1.0)
-    return share[:, None] * level_v + np.random.default_rng(seed).normal(
-        0.0, 1e-3, (len(share), len(level_v))
-    )
+    noise = np.random.default_rng(seed).normal(0.0, 1e-3, (len(share), len(level_v)))
+    return share[:, None] * level_v + noise
 
 
 def estimates(tracks: list[Track | None]) -> list[Estimate]:
@@ -40,9 +38,7 @@ def test_nothing_is_left_of_a_tilt_and_of_a_change_of_pressure(
     share = beyond_device(np.array(inflation))
     assert share @ share == pytest.approx(share, abs=1e-9)
     tilt = np.tile(amounts[:2], len(inflation) // 2)
-    assert share @ (tilt + amounts[2] * np.array(inflation)) == pytest.approx(
-        np.zeros(len(inflation)), abs=1e-6
-    )
+    assert np.abs(share @ (tilt + amounts[2] * np.array(inflation))).max() < 1e-6
 
 
 def test_one_accelerometer_leaves_nothing_and_each_further_one_more() -> None:
@@ -55,58 +51,41 @@ def test_one_accelerometer_leaves_nothing_and_each_further_one_more() -> None:
 
 
 @pytest.mark.parametrize("place", [(12.0, 9.0), (-11.0, 7.0), (10.0, -8.0)])
-def test_a_press_beside_both_boards_is_told_where_it_is(place: tuple[float, float]) -> None:
-    response = noisy_map(places=TWO_BOARDS)
-    found = [e for e in estimates(tracks_of(response, grown(pressed(response, place)), INFLATION)) if e.valid]
+def test_a_press_off_the_line_of_the_boards_is_found_where_it_is(place: tuple[float, float]) -> None:
+    found = [e for e in estimates(tracks_of(RESPONSE, grown(pressed(RESPONSE, place)), INFLATION)) if e.valid]
     assert len(found) > 0.3 * HELD_S / BLOCK_S
     for each in found:
         assert each.contact is Contact.PRESS
         assert np.hypot(each.x_mm - place[0], each.y_mm - place[1]) < 1.0
         assert each.x_lo_mm < place[0] < each.x_hi_mm or each.y_lo_mm < place[1] < each.y_hi_mm
         assert each.vx_mm_s == each.vy_mm_s == each.speed_mm_s == 0.0
-        unknown = (
-            each.direction_deg,
-            each.direction_lo_deg,
-            each.offset_mm,
-            each.offset_hi_mm,
-            each.depth_mm,
-        )
-        assert all(math.isnan(value) for value in unknown)
+        directions = (each.direction_deg, each.direction_lo_deg)
+        assert np.isnan([*directions, each.offset_mm, each.offset_hi_mm, each.depth_mm]).all()
 
 
-@pytest.mark.parametrize(
-    "level",
-    [
-        pytest.param(4 * np.array(INFLATION), id="pressure"),
-        pytest.param(
-            4 * np.array(INFLATION) + [0.0, 0.01, 0.0, -0.01], id="pressure, known within 8 degrees"
-        ),
-        pytest.param(np.array([0.1, 0.06, 0.1, 0.06]), id="tilt"),
-        pytest.param(np.array([0.1, 0.06, 0.1, 0.06]) + 3 * np.array(INFLATION), id="both"),
-    ],
-)
-def test_a_tilt_or_a_change_of_pressure_is_no_press(level: np.ndarray) -> None:
-    response = noisy_map(places=TWO_BOARDS)
+PRESSURE, TILT = np.array(INFLATION), np.array([0.1, 0.06, 0.1, 0.06])
+KNOWN_WITHIN_8_DEG = 4 * PRESSURE + [0.0, 0.01, 0.0, -0.01]
+
+
+@pytest.mark.parametrize("level", [4 * PRESSURE, KNOWN_WITHIN_8_DEG, TILT, TILT + 3 * PRESSURE], ids=str)
+def test_a_tilt_or_a_change_of_pressure_is_not_a_press(level: np.ndarray) -> None:
     for seed in range(3):
-        found = estimates(tracks_of(response, grown(level, seed), INFLATION))
-        assert not any(e.valid for e in found)
+        assert not any(e.valid for e in estimates(tracks_of(RESPONSE, grown(level, seed), INFLATION)))
 
 
-def test_a_press_between_the_boards_looks_like_a_fall_of_the_pressure_and_is_not_told() -> None:
-    response = noisy_map(places=TWO_BOARDS)
-    level = pressed(response, (0.0, 0.0))
-    assert np.abs(level @ INFLATION) == pytest.approx(
-        np.linalg.norm(level) * np.linalg.norm(INFLATION), rel=1e-2
-    )
-    found = tracks_of(response, grown(level), INFLATION)
+def test_a_press_between_the_boards_looks_like_a_fall_of_the_pressure_and_is_not_valid() -> None:
+    level = pressed(RESPONSE, (0.0, 0.0))
+    lengths = np.linalg.norm(level) * np.linalg.norm(INFLATION)
+    assert np.abs(level @ INFLATION) == pytest.approx(lengths, rel=1e-2)
+    found = tracks_of(RESPONSE, grown(level), INFLATION)
     assert not any(e.valid for e in estimates(found))
-    # It is followed there all the same: with other directions known it would be told.
-    along_y = tracks_of(response, grown(level), (0.0, 0.02, 0.0, -0.02))
+    # It is followed there all the same: with other directions known it would be valid.
+    along_y = tracks_of(RESPONSE, grown(level), (0.0, 0.02, 0.0, -0.02))
     assert any(e.valid for e in estimates(along_y))
 
 
 @pytest.mark.parametrize("inflation", [(), INFLATION[:2]])
-def test_without_what_the_pressure_does_or_with_one_board_no_press_is_told(
+def test_without_what_the_pressure_does_or_with_one_board_no_press_is_valid(
     inflation: tuple[float, ...],
 ) -> None:
     response = noisy_map(places=TWO_BOARDS if not inflation else TWO_BOARDS[1:])
@@ -117,15 +96,14 @@ def test_without_what_the_pressure_does_or_with_one_board_no_press_is_told(
 
 
 @pytest.mark.parametrize("seconds", [9.0, 30.0])
-def test_a_press_that_comes_on_slowly_is_not_told(seconds: float) -> None:
+def test_a_press_that_comes_on_slowly_is_not_valid(seconds: float) -> None:
     """A drift of single channels takes any direction, and goes on for longer than it takes to press something on. What
-    drifts on is small beside what has drifted, and is no press then either."""
-    response = noisy_map(places=TWO_BOARDS)
-    level = pressed(response, (12.0, 9.0))
+    drifts on is small next to what has drifted, and is not a press then either."""
+    level = pressed(RESPONSE, (12.0, 9.0))
     blocks = round(1.2 * seconds / BLOCK_S)
     share = np.clip(np.arange(blocks) * BLOCK_S / seconds, 0.0, 1.0)
     volts = share[:, None] * level + np.random.default_rng(2).normal(0.0, 1e-3, (blocks, 4))
-    found = estimates(tracks_of(response, volts, INFLATION))
+    found = estimates(tracks_of(RESPONSE, volts, INFLATION))
     late = found[round((PRESS_ON_S + 1.0) / BLOCK_S) :]
     assert late
     assert not any(e.valid and e.contact is Contact.PRESS for e in late)

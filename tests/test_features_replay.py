@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from tracked_map import line, noisy_map, tracker, volts_along
+from tracked_map import line, noisy_map, touched, tracker, volts_along
 
 from features.contact.replay import ReplayingTracker
 from features.contact.tracker import Track
@@ -11,6 +11,7 @@ from features.stream.faults import FROZEN_BLOCKS
 TWO_BOARDS = noisy_map(places=((-4.0, 0.0), (4.0, 0.0)))
 FIRST_ALONE = np.array([True, True, False, False])
 SPEED_MM_S = 6.0
+CLEAN = volts_along(TWO_BOARDS, line(SPEED_MM_S, half_mm=27.0))
 
 
 def replaying() -> ReplayingTracker:
@@ -19,7 +20,7 @@ def replaying() -> ReplayingTracker:
 
 def slide_that_loses_a_board(failed: int) -> np.ndarray:
     """Blocks (m, 4) V along a line; from block `failed` on the second board's output stands 0.4 V off."""
-    volts = volts_along(TWO_BOARDS, line(SPEED_MM_S, half_mm=27.0))
+    volts = CLEAN.copy()
     volts[failed:, 2:] = -0.4
     return volts
 
@@ -27,67 +28,59 @@ def slide_that_loses_a_board(failed: int) -> np.ndarray:
 def tracks(tracked, volts: np.ndarray, found: int) -> list[Track | None]:
     """The second board is left out from block `found` on."""
     usable = [np.ones(4, dtype=bool)] * found + [FIRST_ALONE] * (len(volts) - found)
-    level = np.array([np.abs(volts[max(0, n - 4) : n + 1, :2].mean(axis=0)).max() for n in range(len(volts))])
-    return [
-        tracked.push(block, bool(touched), use)
-        for block, touched, use in zip(volts, level > 0.005, usable, strict=True)
-    ]
+    blocks = zip(volts, touched(volts[:, :2]), usable, strict=True)
+    return [tracked.push(block, bool(touch), use) for block, touch, use in blocks]
 
 
 @pytest.mark.parametrize("failed", [130, 163, 240])
 def test_a_fault_found_late_costs_nothing_but_the_time_until_then(failed: int) -> None:
     volts = slide_that_loses_a_board(failed)
     found = failed + FROZEN_BLOCKS
-    told = tracks(replaying(), volts, found)[found]
+    replayed = tracks(replaying(), volts, found)[found]
     ideal = tracks(tracker(TWO_BOARDS), volts, failed)[found]
-    assert told is not None
+    assert replayed is not None
     assert ideal is not None
     # The copy is of up to 2 FROZEN_BLOCKS before, and the second board is left out since then.
-    assert told.mean[:2] == pytest.approx(ideal.mean[:2], abs=0.5)
-    assert told.mean[2:] == pytest.approx([SPEED_MM_S, 0.0], abs=1.5)
-    assert told.misfit < 2.0
+    assert replayed.mean[:2] == pytest.approx(ideal.mean[:2], abs=0.5)
+    assert replayed.mean[2:] == pytest.approx([SPEED_MM_S, 0.0], abs=1.5)
+    assert replayed.misfit < 2.0
 
 
 def test_without_replay_the_track_is_lost() -> None:
     """The same fault for a tracker that goes on from where the fault led it: what the replay is for."""
     failed = 163
     found = failed + FROZEN_BLOCKS
-    told = tracks(tracker(TWO_BOARDS), slide_that_loses_a_board(failed), found)[found]
-    assert told is not None
-    assert np.abs(told.mean[2:] - [SPEED_MM_S, 0.0]).max() > 3.0
+    lost = tracks(tracker(TWO_BOARDS), slide_that_loses_a_board(failed), found)[found]
+    assert lost is not None
+    assert np.abs(lost.mean[2:] - [SPEED_MM_S, 0.0]).max() > 3.0
 
 
 def test_after_a_fault_it_is_a_tracker_that_never_read_the_board_since_the_copy() -> None:
+    """Copies are made after each FROZEN_BLOCKS; the last but one before the fault was found is gone back to."""
     failed = 4 * FROZEN_BLOCKS + 7
     found = failed + FROZEN_BLOCKS
     volts = slide_that_loses_a_board(failed)
-    told = tracks(replaying(), volts, found)
-    # Copies are made after each FROZEN_BLOCKS; the last but one before the fault was found is gone back to.
     copied = (found - 1) // FROZEN_BLOCKS * FROZEN_BLOCKS - FROZEN_BLOCKS
     assert found - copied >= FROZEN_BLOCKS
-    ideal = tracks(tracker(TWO_BOARDS), volts, copied)
-    for mine, its in zip(told[found:], ideal[found:], strict=True):
-        assert (mine is None) == (its is None)
-        if mine is not None:
-            assert np.array_equal(mine.mean, its.mean)
+    expect_same(tracks(replaying(), volts, found)[found:], tracks(tracker(TWO_BOARDS), volts, copied)[found:])
 
 
 def test_without_a_fault_it_is_the_tracker_that_it_holds() -> None:
-    volts = volts_along(TWO_BOARDS, line(SPEED_MM_S, half_mm=27.0))
-    never = len(volts)
-    for mine, its in zip(
-        tracks(replaying(), volts, never), tracks(tracker(TWO_BOARDS), volts, never), strict=True
-    ):
+    never = len(CLEAN)
+    expect_same(tracks(replaying(), CLEAN, never), tracks(tracker(TWO_BOARDS), CLEAN, never))
+
+
+def expect_same(found: list[Track | None], wanted: list[Track | None]) -> None:
+    for mine, its in zip(found, wanted, strict=True):
         assert (mine is None) == (its is None)
-        if mine is not None:
+        if mine is not None and its is not None:
             assert np.array_equal(mine.mean, its.mean)
 
 
 def test_a_stream_begun_anew_goes_back_to_nothing_before() -> None:
     """A fault right after a reset must not bring back the contact of before it."""
     tracked = replaying()
-    volts = volts_along(TWO_BOARDS, line(SPEED_MM_S, half_mm=27.0))[:200]
-    tracks(tracked, volts, len(volts))
+    tracks(tracked, CLEAN[:200], 200)
     assert tracked.tracking
     tracked.reset()
     tracked.push(np.zeros(4), False, np.ones(4, dtype=bool))

@@ -1,4 +1,4 @@
-"""What the static output tells of the skin's height: a law for each thing that changes it."""
+"""What the static output shows of the skin's height: a law for each thing that changes it."""
 
 import math
 from dataclasses import asdict, replace
@@ -26,15 +26,14 @@ LEAN_V = 0.07
 RISE_V_PER_MM = 0.01
 
 
-def statics_of(boards: int) -> np.ndarray:
-    signs = np.array([-1.0, 1.0])[2 - boards :]
-    return np.concatenate([LEVEL + np.array([sign * LEAN_V, 0.0, 0.0]) for sign in signs])
-
-
 def rise_of(boards: int) -> np.ndarray:
     """(3 A,) V/mm"""
     signs = np.array([-1.0, 1.0])[2 - boards :]
     return np.concatenate([[sign * RISE_V_PER_MM, 0.0, 0.0] for sign in signs])
+
+
+def statics_of(boards: int) -> np.ndarray:
+    return np.tile(LEVEL, boards) + LEAN_V / RISE_V_PER_MM * rise_of(boards)
 
 
 def leaning(static_v: np.ndarray, x_deg: float, y_deg: float) -> np.ndarray:
@@ -47,10 +46,8 @@ def leaning(static_v: np.ndarray, x_deg: float, y_deg: float) -> np.ndarray:
 def scattered(boards: int, tilt_deg: float, count: int = 60) -> np.ndarray:
     """(n, 3 A) V: statics of slides, the device's tilt drawn anew for each."""
     random = np.random.default_rng(7)
-    tilts = tilt_deg * random.standard_normal((count, 2))
-    return [leaning(statics_of(boards), *tilt) for tilt in tilts] + random.normal(
-        0.0, 3e-4, (count, 3 * boards)
-    )
+    turned = [leaning(statics_of(boards), *(tilt_deg * random.standard_normal(2))) for _ in range(count)]
+    return np.array(turned) + random.normal(0.0, 3e-4, (count, 3 * boards))
 
 
 def calibration(boards: int, tilt_deg: float) -> ContactCalibration:
@@ -77,7 +74,7 @@ def test_two_accelerometers_notice_a_height_however_the_device_stands(tilt_deg: 
             assert height.is_other(static)
 
 
-def test_a_tilt_or_a_gain_common_to_all_is_no_height() -> None:
+def test_a_tilt_or_a_gain_common_to_all_is_not_a_height() -> None:
     height = judge(2, 0.0)
     for static in (leaning(statics_of(2), 4.0, 0.0), 1.65 + 1.05 * (statics_of(2) - 1.65)):
         assert abs(height.off_mm(static)) < LEAST_OFF_MM / 2
@@ -85,28 +82,25 @@ def test_a_tilt_or_a_gain_common_to_all_is_no_height() -> None:
 
 
 @pytest.mark.parametrize(("boards", "tilt_deg"), [(1, 0.0), (1, 1.0), (2, 0.0), (2, 1.0)])
-def test_a_static_output_that_scatters_as_in_the_calibration_is_no_height(
+def test_a_static_output_that_scatters_as_in_the_calibration_is_not_a_height(
     boards: int, tilt_deg: float
 ) -> None:
     height = judge(boards, tilt_deg)
     assert not any(height.is_other(static) for static in scattered(boards, tilt_deg, 400))
 
 
-def test_one_accelerometer_notices_a_height_where_its_tilt_does_not_scatter() -> None:
-    static = statics_of(1) + 0.6 * rise_of(1)
-    assert judge(1, 0.0).is_other(static)
-    assert not judge(1, 1.0).is_other(static)
-
-
-def test_one_accelerometer_takes_another_gain_or_mounting_for_no_height() -> None:
-    height = judge(1, 0.0)
+def test_one_accelerometer_notices_a_height_where_nothing_else_moves_its_output() -> None:
+    """A tilt that scatters in the calibration, another gain and another mounting are not a height."""
+    height, higher = judge(1, 0.0), statics_of(1) + 0.6 * rise_of(1)
+    assert height.is_other(higher)
+    assert not judge(1, 1.0).is_other(higher)
     assert not height.is_other(1.65 + 1.05 * (statics_of(1) - 1.65))
     remounted = leaning(statics_of(1), 1.0, 1.0)
     assert math.isnan(height.off_mm(remounted))
     assert not height.is_other(remounted)
 
 
-def test_heights_of_the_calibration_are_none_but_its_own() -> None:
+def test_heights_of_the_calibration_are_not_another() -> None:
     flat, scale_v = encoded(np.zeros((4, 4, 1)))
     heights = HeightCalibration(flat, scale_v, 4, 7.0, 6.0, 8.0, (0.0,), (0.0,), (1.0,))
     height = judge(2, 0.0, heights)
@@ -114,7 +108,7 @@ def test_heights_of_the_calibration_are_none_but_its_own() -> None:
     assert beyond == [True, False, False, True]
 
 
-def test_too_few_recordings_tell_no_scatter() -> None:
+def test_too_few_recordings_show_no_scatter() -> None:
     folder = read_folder(SAMPLE).select("calibration")
     some = replace(folder, manifest=folder.manifest.iloc[: LEAST_RECORDINGS - 1])
     assert static_scatter(some, Conditioning()) is None
@@ -131,26 +125,20 @@ def resting(boards: int, off_mm: float) -> np.ndarray:
     return volts + np.random.default_rng(3).normal(0.0, 2e-3, volts.shape)
 
 
-@pytest.fixture(scope="module")
-def bundle(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("bundle") / "model"
-    return write_small_bundle(folder, a_sensor(2), contact=calibration(2, 0.0))
-
-
-def test_no_estimate_is_valid_at_another_height(bundle: Path) -> None:
-    localizer = Localizer.load(bundle)
-    told = localizer.push(resting(2, 0.6))
-    assert not any(e.valid for e in told)
-    assert {e.reason for e in told if e.time_s > 1.1} == {Reason.SKIN_HEIGHT}
-    localizer.reset()
-    assert Reason.SKIN_HEIGHT not in {e.reason for e in localizer.push(resting(2, 0.0))}
-
-
-def test_an_old_card_does_not_look(tmp_path: Path) -> None:
-    old = replace(calibration(2, 0.0), static_v=(), static_covariance_v2=())
+def test_no_estimate_is_valid_at_another_height_and_an_old_card_does_not_look(tmp_path: Path) -> None:
+    contact = calibration(2, 0.0)
+    old = replace(contact, static_v=(), static_covariance_v2=())
+    new, before = (
+        Localizer.load(write_small_bundle(tmp_path / name, a_sensor(2), contact=each))
+        for name, each in (("new", contact), ("old", old))
+    )
+    found = new.push(resting(2, 0.6))
+    assert not any(e.valid for e in found)
+    assert {e.reason for e in found if e.time_s > 1.1} == {Reason.SKIN_HEIGHT}
+    new.reset()
+    assert Reason.SKIN_HEIGHT not in {e.reason for e in new.push(resting(2, 0.0))}
     assert rest_height(old, None, [], 1.0) is None
-    localizer = Localizer.load(write_small_bundle(tmp_path / "old", a_sensor(2), contact=old))
-    assert Reason.SKIN_HEIGHT not in {e.reason for e in localizer.push(resting(2, 0.6))}
+    assert Reason.SKIN_HEIGHT not in {e.reason for e in before.push(resting(2, 0.6))}
 
 
 @pytest.mark.parametrize(

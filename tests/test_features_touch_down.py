@@ -9,14 +9,12 @@ from dome_map import dome_map
 from features.contact.hypotheses import LocalErrors, update
 from features.contact.response_surface import ResponseSurface
 from features.contact.touch_down import TouchDownConfig, TouchDownTracker, at_touch_down
-from features.contact.tracker import Track
 
 BLOCK_S = 0.02
 RADIUS_MM, SPEED_MM_S = 6.0, 25.0
 RESPONSE = dome_map(2, floor_v=4e-3)
-SURFACE = ResponseSurface(
-    np.concatenate([RESPONSE.coefficients, RESPONSE.depth_slope[None]]), RESPONSE.half_mm, RESPONSE.spacing_mm
-)
+STACK = np.concatenate([RESPONSE.coefficients, RESPONSE.depth_slope[None]])
+SURFACE = ResponseSurface(STACK, RESPONSE.half_mm, RESPONSE.spacing_mm)
 USABLE = np.ones(6, dtype=bool)
 
 
@@ -36,11 +34,6 @@ def circle(count: int, gain: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
     return volts + 2e-3 * draw.standard_normal(volts.shape), np.hstack([place, velocity])[2::2]
 
 
-def followed(blocks: np.ndarray, usable: np.ndarray = USABLE) -> list[Track | None]:
-    one = tracker()
-    return [one.push(block, True, usable) for block in blocks]
-
-
 @pytest.mark.parametrize(("gain", "dead"), [(1.0, False), (1.15, False), (1.0, True)])
 def test_a_circle_is_followed_from_its_touch(gain: float, dead: bool) -> None:
     """On another day's gain too, and with one of two sensing elements."""
@@ -48,7 +41,8 @@ def test_a_circle_is_followed_from_its_touch(gain: float, dead: bool) -> None:
     usable = USABLE.copy()
     if dead:
         usable[3:], blocks[:, 3:] = False, 9.9
-    found = followed(blocks, usable)
+    one = tracker()
+    found = [one.push(block, True, usable) for block in blocks]
     assert found[1] is None
     late = [(track.mean, true) for track, true in zip(found[30:], truth[30:], strict=True) if track]
     assert len(late) == 50
@@ -61,8 +55,7 @@ def test_a_circle_is_followed_from_its_touch(gain: float, dead: bool) -> None:
 
 def test_a_lifted_contact_stays_where_it_was_before_its_last_block() -> None:
     """The last block may show a part of it."""
-    blocks, _ = circle(60)
-    one = tracker()
+    one, (blocks, _) = tracker(), circle(60)
     tracks = [one.push(block, True, USABLE) for block in blocks]
     one.push(0.4 * blocks[-1], True, USABLE)
     after = [one.push(np.zeros(6), touched, USABLE) for touched in (True, True, False, False)]
@@ -72,7 +65,7 @@ def test_a_lifted_contact_stays_where_it_was_before_its_last_block() -> None:
 
 
 def test_errors_of_place_and_gain_add_their_own_covariance() -> None:
-    """One linear update, beside the Kalman gain with the whole covariance of the measurement."""
+    """One linear update, against the Kalman gain with the whole covariance of the measurement."""
     level = SURFACE.at(np.array([2.0]), np.array([-1.0]))[0, 0, 0]
     variance, config = np.full(6, 1e-5), TouchDownConfig()
     before = at_touch_down(level, variance, SURFACE, (15.0, 15.0), 0.1, config).take(slice(0, 1))
@@ -87,7 +80,7 @@ def test_errors_of_place_and_gain_add_their_own_covariance() -> None:
     np.testing.assert_allclose(after.covariance[0, :2, :2], wanted, rtol=1e-6)
 
 
-def test_places_are_told_by_the_first_output_whatever_its_gain() -> None:
+def test_places_are_found_by_the_first_output_whatever_its_gain() -> None:
     config = replace(TouchDownConfig(), level_share=1.0)
     for place in ((8.0, -3.0), (-5.0, 10.0)):
         level = 1.1 * SURFACE.at(*np.array([place]).T)[0, 0, 0]

@@ -55,25 +55,20 @@ def test_a_window_holds_the_slides_mean(seconds: float) -> None:
     assert window.volts.mean(axis=1) == pytest.approx(wanted, abs=1e-6)
 
 
-def test_a_slide_after_a_slide_is_as_the_first() -> None:
+def test_a_slide_after_a_slide_is_as_the_first_and_still_stands_after_a_touch() -> None:
     slide = blocks(still(0.6), pass_over(1.5), still(0.8))
     alone, after = SlideTracker(CONDITIONING, 3), SlideTracker(CONDITIONING, 3)
     run(alone, slide)
     run(after, np.concatenate([slide] * 3))
+    final = after.final
     assert alone.final is not None
-    assert after.final is not None
-    assert after.final.elapsed_s == pytest.approx(alone.final.elapsed_s, abs=0.041)
-    assert after.final.volts == pytest.approx(alone.final.volts, abs=0.012)
-
-
-def test_after_a_touch_the_last_slide_still_stands() -> None:
-    tracker = SlideTracker(CONDITIONING, 3)
-    run(tracker, blocks(still(0.6), pass_over(1.5), still(0.8)))
-    final = tracker.final
+    assert final is not None
+    assert final.elapsed_s == pytest.approx(alone.final.elapsed_s, abs=0.041)
+    assert final.volts == pytest.approx(alone.final.volts, abs=0.012)
     down = np.linspace(0, 1, 60)[:, None] * np.array([0.1, 0.06, 0.0])
-    states = run(tracker, blocks(down, still(1.5, down[-1]), down[::-1], still(0.6), seed=1))
+    states = run(after, blocks(down, still(1.5, down[-1]), down[::-1], still(0.6), seed=1))
     assert states[-1] is SlideState.ENDED
-    assert tracker.final is final
+    assert after.final is final
 
 
 def turning(turn_deg: float, amplitude_v: float = 0.15) -> np.ndarray:
@@ -97,7 +92,7 @@ def test_a_slide_may_change_its_signal_by_little(turn_deg: float, amplitude_v: f
 
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("amplitude_v", [0.08, 0.15, 0.3])
-def test_what_changes_in_strength_alone_is_no_slide(amplitude_v: float, seed: int) -> None:
+def test_what_changes_in_strength_alone_is_not_a_slide(amplitude_v: float, seed: int) -> None:
     """Pressing and lifting at one place."""
     tracker = SlideTracker(CONDITIONING, 3)
     states = run(tracker, blocks(still(0.6), turning(0.0, amplitude_v), still(0.8), seed=seed))
@@ -110,9 +105,8 @@ def test_what_slides_on_from_where_it_was_pressed_leaves_the_zero_as_it_is() -> 
     tracker = SlideTracker(CONDITIONING, 3)
     run(tracker, blocks(still(1.0)))
     static = tracker.static.copy()
-    share = np.concatenate(
-        [np.linspace(0, 1, 600), np.ones(1200), 1 + np.linspace(0, 0.12, 1500), np.full(1500, 1.12)]
-    )
+    slid = 1 + 0.12 * np.clip(np.arange(3000) / 1500, 0.0, 1.0)
+    share = np.concatenate([np.linspace(0, 1, 600), np.ones(1200), slid])
     pressed = share[:, None] * np.array([0.03, 0.08, 0.0])
     states = run(tracker, blocks(still(1.0), pressed)[len(blocks(still(1.0))) :])
     assert states.count(SlideState.SLIDE) > 50
@@ -153,8 +147,13 @@ def test_one_of_two_accelerometers_may_fail_and_return() -> None:
     assert tracker.usable.tolist() == [True, True]
 
 
+def watching(judged: int) -> SignalWatch:
+    """Over three channels of 0 to 3.3 V, of which the first ones are judged."""
+    return SignalWatch(np.zeros(3), np.full(3, 3.3), np.arange(3) < judged)
+
+
 def test_a_short_loss_is_bridged_and_a_long_one_is_a_fault() -> None:
-    watch = SignalWatch(np.zeros(3), np.full(3, 3.3), np.array([True, True, False]))
+    watch = watching(2)
     good = stream(still(0.02))
     wanted = watch.push(good).mean
     lost = np.full((20, 3), np.nan)
@@ -166,8 +165,8 @@ def test_a_short_loss_is_bridged_and_a_long_one_is_a_fault() -> None:
     assert watch.push(good).healthy.all()
 
 
-def test_a_frozen_channel_is_told_from_a_quiet_stream() -> None:
-    watch = SignalWatch(np.zeros(3), np.full(3, 3.3), np.array([True, True, False]))
+def test_a_frozen_channel_is_known_from_a_quiet_stream() -> None:
+    watch = watching(2)
     for _ in range(3 * FROZEN_BLOCKS):
         assert watch.push(np.full((20, 3), 1.7)).healthy.all()
     frozen = stream(still(0.02))
@@ -187,7 +186,7 @@ def test_a_channel_is_clipped_where_two_blocks_end_alike() -> None:
         samples[:, 0] = np.minimum(samples[:, 0], limit_v)
         return np.round(samples / step_v) * step_v
 
-    watch = SignalWatch(np.zeros(3), np.full(3, 3.3), np.array([True, True, False]))
+    watch = watching(2)
     assert watch.push(noisy(1.65)).healthy.all()
     # Most of the samples, then all.
     assert [watch.push(noisy(1.703, 1.7)).healthy.all() for _ in range(4)] == [True, True, False, False]
@@ -199,7 +198,7 @@ def test_a_channel_is_clipped_where_two_blocks_end_alike() -> None:
         assert judged.healthy.all()
         assert judged.bridged.all()
     # A converter whose steps are the noise's size says the same often.
-    coarse = SignalWatch(np.zeros(3), np.full(3, 3.3), np.ones(3, dtype=bool))
+    coarse = watching(3)
     for _ in range(500):
         assert coarse.push(noisy(1.65, step_v=0.01)).healthy.all()
 
@@ -207,7 +206,7 @@ def test_a_channel_is_clipped_where_two_blocks_end_alike() -> None:
 @pytest.mark.parametrize("steps", [3.0, 10.0])
 def test_noise_is_never_taken_for_clipping(steps: float) -> None:
     """steps: standard deviation of the noise in steps of the converter."""
-    watch = SignalWatch(np.zeros(3), np.full(3, 3.3), np.ones(3, dtype=bool))
+    watch = watching(3)
     random = np.random.default_rng(5)
     for _ in range(20):
         noise = np.round(random.normal(0.0, steps, (1000, 20, 3))) * 5e-4
@@ -238,9 +237,8 @@ class Counting(StaticOutput):
 def test_the_short_way_of_a_long_rest_gives_the_same_numbers() -> None:
     conditioning = Conditioning(rest_blocks=60)
     rest = still(9.0, np.linspace(0.0, 0.006, 9000)[:, None])
-    means = blocks(
-        rest, pass_over(1.5) + 0.006, still(4.0, 0.006), pass_over(1.2), still(4.0), accelerometers=2
-    )
+    slides = (pass_over(1.5) + 0.006, still(4.0, 0.006), pass_over(1.2), still(4.0))
+    means = blocks(rest, *slides, accelerometers=2)
     healthy = np.ones((len(means), 2), bool)
     healthy[300:320, 1] = healthy[760:770] = False
     short, counting = SlideTracker(conditioning, 6), SlideTracker(conditioning, 6)

@@ -42,10 +42,8 @@ def test_a_straight_slides_intervals_hold_what_the_track_says(
     direction: float, turn: float, place: float, half: float, shared: float
 ) -> None:
     """The estimate stays the straight slide's; a track far off makes its intervals wide, one that agrees does not."""
-    straight, track = (
-        estimate(direction, 3.0, 1.0, 0.05),
-        estimate((direction + turn) % 360, 4.0, place, half),
-    )
+    straight = estimate(direction, 3.0, 1.0, 0.05)
+    track = estimate((direction + turn) % 360, 4.0, place, half)
     both = with_track(straight, track, shared)
     for name, unit in QUANTITIES:
         low, high = interval(both, name, unit)
@@ -58,20 +56,14 @@ def test_a_straight_slides_intervals_hold_what_the_track_says(
     assert both.direction_hi_deg >= straight.direction_deg + apart + shared * half - 1e-9
 
 
-def test_a_sharp_track_that_agrees_leaves_the_straight_slides_intervals() -> None:
-    straight = estimate(30.0, 3.0, 1.0, 0.5)
-    both = with_track(straight, estimate(30.0, 3.0, 1.0, 0.05), 0.5)
-    for name, unit in (("direction", "deg"), ("speed", "mm_s"), ("offset", "mm")):
-        assert interval(both, name, unit) == pytest.approx(interval(straight, name, unit))
-
-
-def test_a_blunt_track_from_a_touch_leaves_them_as_they_are() -> None:
-    straight = estimate(30.0, 20.0, 1.0, 0.5)
-    blunt = estimate(33.0, 21.0, 1.3, 5.0)
-    both = with_track(straight, blunt, TOUCH_LIMITS.shared)
-    for name, unit in (("direction", "deg"), ("speed", "mm_s"), ("offset", "mm")):
-        assert interval(both, name, unit) == interval(straight, name, unit)
-    # Along the line the place is as well known as the track knows it.
+def test_a_track_that_agrees_leaves_the_straight_slides_intervals() -> None:
+    """A sharp one, and a blunt one from a touch; along the line the place is as well known as the track knows it."""
+    sharp = estimate(30.0, 3.0, 1.0, 0.5), estimate(30.0, 3.0, 1.0, 0.05), 0.5
+    blunt = estimate(30.0, 20.0, 1.0, 0.5), estimate(33.0, 21.0, 1.3, 5.0), TOUCH_LIMITS.shared
+    for straight, track, shared in (sharp, blunt):
+        both = with_track(straight, track, shared)
+        for name, unit in (("direction", "deg"), ("speed", "mm_s"), ("offset", "mm")):
+            assert interval(both, name, unit) == pytest.approx(interval(straight, name, unit))
     assert both.x_hi_mm - both.x_mm > 4.0
 
 
@@ -92,25 +84,16 @@ def test_a_straight_slide_is_compared_where_it_was_when_the_track_was_clear(
         assert (apart(straight, track, since_s, limits) <= limits.agreement) == (off_mm < farthest_mm)
 
 
-@pytest.mark.parametrize(("channels", "way_mm", "told"), [(4, 10.0, True), (2, 10.0, False), (4, 2.0, False)])
-def test_a_lift_is_told_where_two_accelerometers_have_followed_the_contact(
-    channels: int, way_mm: float, told: bool
+@pytest.mark.parametrize(
+    ("channels", "way_mm", "valid"), [(4, 10.0, True), (2, 10.0, False), (4, 2.0, False)]
+)
+def test_a_lift_is_valid_where_two_accelerometers_have_followed_the_contact(
+    channels: int, way_mm: float, valid: bool
 ) -> None:
     """Place and gain are three numbers, an accelerometer shows two."""
-    lifting = Track(
-        np.array([3.0, 4.0, 2.0, 0.0]),
-        np.diag([0.01, 0.01, 0.01, 0.01]),
-        1.0,
-        1.0,
-        1.0,
-        0.6,
-        0.0,
-        0.02,
-        20,
-        way_mm,
-        evidence=10.0,
-        channels=channels,
-    )
+    mean, covariance = np.array([3.0, 4.0, 2.0, 0.0]), 0.01 * np.eye(4)
+    judgement = (1.0, 1.0, 1.0, 0.6, 0.0, 0.02, 20, way_mm)
+    lifting = Track(mean, covariance, *judgement, evidence=10.0, channels=channels)
     estimate = judged(lifting, 0.0, SlideState.SLIDE, (0.0, 0.0), 0.5, TrackLimits())
-    assert estimate.valid is told
-    assert estimate.contact is (Contact.SLIDE if told else Contact.PRESS)
+    assert estimate.valid is valid
+    assert estimate.contact is (Contact.SLIDE if valid else Contact.PRESS)

@@ -17,21 +17,17 @@ from features.contact.whole_path import LEAST_BLOCKS, PathConfig, WholePath, who
 
 BLOCK_S = 0.02
 RESPONSE = dome_map(2, floor_v=4e-3)
-SURFACE = ResponseSurface(
-    np.concatenate([RESPONSE.coefficients, RESPONSE.depth_slope[None]]), RESPONSE.half_mm, RESPONSE.spacing_mm
-)
+STACK = np.concatenate([RESPONSE.coefficients, RESPONSE.depth_slope[None]])
+SURFACE = ResponseSurface(STACK, RESPONSE.half_mm, RESPONSE.spacing_mm)
 CONFIG = PathConfig()
 
 
 def curve(seed: int, blocks: int = 20, splines: int = 7) -> Curve:
     draw = np.random.default_rng(seed)
+    basis = spline_basis(np.linspace(0.0, 1.0, 2 * blocks + 1), splines - 3)
+    start, log_speed = draw.normal(0.0, 3.0, 2), np.log(25.0) + draw.normal(0.0, 0.2, splines)
     return Curve(
-        spline_basis(np.linspace(0.0, 1.0, 2 * blocks + 1), splines - 3),
-        BLOCK_S / 2,
-        draw.normal(0.0, 3.0, 2),
-        np.log(25.0) + draw.normal(0.0, 0.2, splines),
-        draw.uniform(-3, 3) + draw.normal(0.0, 0.4, splines),
-        1.0,
+        basis, BLOCK_S / 2, start, log_speed, draw.uniform(-3, 3) + draw.normal(0.0, 0.4, splines), 1.0
     )
 
 
@@ -58,6 +54,17 @@ def winding(seed: int, turned: float = 0.0) -> np.ndarray:
     between = (velocity[1:] + velocity[:-1]) * BLOCK_S / 4
     place = np.concatenate([np.zeros((1, 2)), between.cumsum(axis=0)])
     return np.concatenate([place - place.mean(axis=0), velocity], axis=1)
+
+
+def apart_mm(path: WholePath, true: np.ndarray) -> np.ndarray:
+    """(m,) mm between the path and the true one, which has every half block."""
+    return np.hypot(*(path.mean - true[2::2])[:, :2].T)
+
+
+def turned_rad(path: WholePath, true: np.ndarray) -> np.ndarray:
+    """(m,): how far its heading is off."""
+    cross = path.mean[:, 2] * true[2::2, 3] - path.mean[:, 3] * true[2::2, 2]
+    return np.arcsin(cross / np.hypot(*path.mean[:, 2:].T) / np.hypot(*true[2::2, 2:].T))
 
 
 def found(each: Measured, config: PathConfig = CONFIG) -> WholePath:
@@ -88,9 +95,9 @@ def test_derivatives_of_the_motion_are_differences(seed: int) -> None:
 def test_a_curve_along_exact_places_passes_through_them() -> None:
     true = winding(3)
     along = curve_along(true[1::2, :2], BLOCK_S, 1.0, 2.0)
-    told = along.motion()[0][1::2]
-    assert np.hypot(*(told - true[1::2])[:, :2].T).max() < 0.25
-    assert np.abs(np.hypot(*told[:, 2:].T) / np.hypot(*true[1::2, 2:].T) - 1).max() < 0.1
+    fitted = along.motion()[0][1::2]
+    assert np.hypot(*(fitted - true[1::2])[:, :2].T).max() < 0.25
+    assert np.abs(np.hypot(*fitted[:, 2:].T) / np.hypot(*true[1::2, 2:].T) - 1).max() < 0.1
 
 
 def test_whitened_residuals_have_the_unit_covariance() -> None:
@@ -104,10 +111,10 @@ def test_whitened_residuals_have_the_unit_covariance() -> None:
 
 
 def test_first_places_are_the_best_of_all_sequences() -> None:
-    """Beside all sequences of three blocks on a small skin."""
+    """Against all sequences of three blocks on a small skin."""
     true = np.array([[0.0, 0.0], [0.6, 0.2], [1.1, 0.6]])
     small = measured(true, seed=4)._replace(half_mm=(1.0, 1.0))
-    told = first_places(small, SURFACE, CONFIG.local, CONFIG.step_mm)
+    fitted = first_places(small, SURFACE, CONFIG.local, CONFIG.step_mm)
     axis = np.arange(-1.0, 1.0 + GRID_MM / 2, GRID_MM)
     grid = np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=2).reshape(-1, 2)
     response = SURFACE.at(*grid.T)[:, :, 0]
@@ -118,7 +125,7 @@ def test_first_places_are_the_best_of_all_sequences() -> None:
     way = 0.5 * ((grid[:, None] - grid) ** 2).sum(2) / CONFIG.step_mm**2
     total = off[0][:, None, None] + way[:, :, None] + off[1][None, :, None] + way[None] + off[2]
     best = np.unravel_index(total.argmin(), total.shape)
-    np.testing.assert_allclose(told, grid[list(best)])
+    np.testing.assert_allclose(fitted, grid[list(best)])
 
 
 @pytest.mark.parametrize("gain", [1.0, 0.9])
@@ -127,9 +134,9 @@ def test_an_exact_path_is_found_again(gain: float) -> None:
     true = winding(1)
     exact = measured(true[1::2, :2], gain)._replace(variance=np.full(6, 1e-8))
     path = found(exact, replace(CONFIG, local=LocalErrors(0.02, 0.005), knot_mm=1.0))
-    assert np.hypot(*(path.mean - true[2::2])[:, :2].T).max() < 0.05
-    turned = np.angle(np.exp(1j * (np.arctan2(*path.mean[:, :1:-1].T) - np.arctan2(*true[2::2, :1:-1].T))))
-    assert np.degrees(np.abs(turned)).max() < 4.0
+    assert apart_mm(path, true).max() < 0.05
+    assert (path.mean[:, 2:] * true[2::2, 2:]).sum(axis=1).min() > 0.0
+    assert np.degrees(np.abs(turned_rad(path, true))).max() < 4.0
     assert path.gain == pytest.approx(gain, abs=0.02)
     assert path.misfit < 0.1
     assert path.way_mm == pytest.approx(np.hypot(*true[:, 2:].T).mean() * 60 * BLOCK_S, rel=0.02)
@@ -142,18 +149,16 @@ def test_intervals_hold_as_often_as_they_should() -> None:
         true = winding(seed)
         path = found(measured(true[1::2, :2], seed=seed))
         assert 0.7 < path.misfit < 1.4
-        for mean, covariance, each in zip(path.mean, path.covariance, true[2::2], strict=True):
-            off = mean[:2] - each[:2]
-            squares.append(off @ np.linalg.solve(covariance[:2, :2], off))
-        cross = path.mean[:, 2] * true[2::2, 3] - path.mean[:, 3] * true[2::2, 2]
-        headings += list(np.arcsin(cross / np.hypot(*path.mean[:, 2:].T) / np.hypot(*true[2::2, 2:].T)))
-    # The told standard deviations are 1.2 of the fit's: 2 / 1.2^2 on average where the splines hold the path.
+        off = (path.mean - true[2::2])[:, :2, None]
+        squares += list((off * np.linalg.solve(path.covariance[:, :2, :2], off)).sum(axis=(1, 2)))
+        headings += list(turned_rad(path, true))
+    # The standard deviations are 1.2 of the fit's: 2 / 1.2^2 on average where the splines hold the path.
     assert 0.8 < np.mean(squares) < 2.2
     assert np.degrees(np.median(np.abs(headings))) < 5.0
 
 
-def test_a_longer_contact_tells_its_middle_better_than_its_part() -> None:
-    """What comes after a moment tells of it."""
+def test_a_longer_contact_shows_its_middle_better_than_its_part() -> None:
+    """What comes after a moment shows it."""
     off: dict[int, list[float]] = {30: [], 60: []}
     for seed in range(8):
         true = winding(seed)
@@ -163,24 +168,21 @@ def test_a_longer_contact_tells_its_middle_better_than_its_part() -> None:
     assert np.median(off[60]) < 0.7 * np.median(off[30])
 
 
-def test_blocks_that_were_not_measured_are_bridged() -> None:
+def test_blocks_that_were_not_measured_are_bridged_and_what_is_too_short_has_no_path() -> None:
     true = winding(6)
     each = measured(true[1::2, :2], seed=6)
     each.volts[20:26] = np.nan
     path = found(each)
-    assert np.hypot(*(path.mean - true[2::2])[:, :2].T).max() < 1.0
+    assert apart_mm(path, true).max() < 1.0
     assert path.covariance[23, 0, 0] > 1.5 * path.covariance[35, 0, 0]
     assert 0.7 < path.misfit < 1.4
-
-
-def test_what_is_too_short_has_no_path() -> None:
-    true = winding(2)[1::2, :2]
-    assert whole_path(measured(true[: LEAST_BLOCKS - 1]), SURFACE, CONFIG) is None
-    assert whole_path(measured(true[:LEAST_BLOCKS]), SURFACE, CONFIG) is not None
+    short, enough = (measured(true[1::2, :2][:count]) for count in (LEAST_BLOCKS - 1, LEAST_BLOCKS))
+    assert whole_path(short, SURFACE, CONFIG) is None
+    assert whole_path(enough, SURFACE, CONFIG) is not None
 
 
 def test_the_prior_that_allows_least_is_taken_on_a_straight_line() -> None:
-    """Its heading is told better than by the prior that allows most alone."""
+    """Its heading is known better than by the prior that allows most alone."""
     time = np.arange(121) * BLOCK_S / 2
     true = np.stack([-10 + 15 * time, 2 + 5 * time], axis=1)
     each = measured(true[1::2], seed=5)

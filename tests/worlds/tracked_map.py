@@ -18,26 +18,15 @@ INFLATION = (-0.024, 0.0, 0.024, 0.0)
 
 def noisy_map(**changes) -> ResponseMap:
     response = bump_map(**changes)
-    channels = response.channels
-    return replace(
-        response, noise_v=np.full(channels, 1e-3), drift_v=np.full(channels, 5e-4), floor_v=5e-4, gain_sd=0.02
-    )
+    one = np.ones(response.channels)
+    return replace(response, noise_v=1e-3 * one, drift_v=5e-4 * one, floor_v=5e-4, gain_sd=0.02)
 
 
 def tracker(response: ResponseMap, inflation_v_per_mm: tuple[float, ...] = ()) -> ContactTracker:
     card = contact_calibration(response, inflation_v_per_mm)
-    return ContactTracker(
-        surface=card.surface(),
-        half_mm=(card.chamber_mm[0] / 2, card.chamber_mm[1] / 2),
-        block_s=BLOCK_S,
-        noise_v=np.array(card.noise_v),
-        floor_v=card.floor_v,
-        gain_sd=card.gain_sd,
-        trigger_v=0.005,
-        release_v=0.0035,
-        config=TrackingConfig(),
-        inflation_v_per_mm=inflation_v_per_mm,
-    )
+    half_mm, noise_v = (card.chamber_mm[0] / 2, card.chamber_mm[1] / 2), np.array(card.noise_v)
+    skin = (card.surface(), half_mm, BLOCK_S, noise_v, card.floor_v, card.gain_sd)
+    return ContactTracker(*skin, 0.005, 0.0035, TrackingConfig(), inflation_v_per_mm)
 
 
 def volts_along(response: ResponseMap, path_mm: np.ndarray, seed: int = 0) -> np.ndarray:
@@ -62,6 +51,12 @@ def pressed(response: ResponseMap, place_mm: tuple[float, float]) -> np.ndarray:
     return (response.response(x, y, 0.0) + response.response(x, y, np.pi))[0] / 2
 
 
+def touched(volts: np.ndarray) -> np.ndarray:
+    """(m,): whether the last blocks (m, C) V are a touch, of 5 mV."""
+    level = [np.abs(volts[max(0, n - 4) : n + 1].mean(axis=0)).max() for n in range(len(volts))]
+    return np.array(level) > 0.005
+
+
 def followed(response: ResponseMap, path_mm: np.ndarray, seed: int = 0) -> list[Track | None]:
     return tracks_of(response, volts_along(response, path_mm, seed))
 
@@ -69,12 +64,15 @@ def followed(response: ResponseMap, path_mm: np.ndarray, seed: int = 0) -> list[
 def tracks_of(
     response: ResponseMap, volts: np.ndarray, inflation_v_per_mm: tuple[float, ...] = ()
 ) -> list[Track | None]:
-    """What is told of blocks (m, C) V; 5 mV are a touch."""
+    """The tracks of blocks (m, C) V; 5 mV are a touch."""
     tracked = tracker(response, inflation_v_per_mm)
-    level = np.array([np.abs(volts[max(0, n - 4) : n + 1].mean(axis=0)).max() for n in range(len(volts))])
-    return [tracked.push(v, bool(touched)) for v, touched in zip(volts, level > 0.005, strict=True)]
+    return [tracked.push(v, bool(touch)) for v, touch in zip(volts, touched(volts), strict=True)]
 
 
 def line(speed_mm_s: float, y_mm: float = 6.0, half_mm: float = 29.0) -> np.ndarray:
-    x = np.arange(-half_mm, half_mm, speed_mm_s * BLOCK_S)
-    return np.stack([x, np.full_like(x, y_mm)], axis=1)
+    return in_row(np.arange(-half_mm, half_mm, speed_mm_s * BLOCK_S), y_mm)
+
+
+def in_row(x_mm: np.ndarray, y_mm: float = 6.0) -> np.ndarray:
+    """(m, 2) mm: places along x."""
+    return np.stack([x_mm, np.full_like(x_mm, y_mm)], axis=1)
