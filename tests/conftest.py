@@ -2,8 +2,13 @@
 
 import os
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
+from small_bundle import write_small_bundle
+from streams import a_sensor
+
+from serve.localizer import Localizer
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -21,3 +26,21 @@ def cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("SOFTSLIDE_CACHE", str(tmp_path_factory.mktemp("cache")))
         yield
+
+
+@pytest.fixture(scope="session")
+def bundle(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Of one accelerometer. Its offset depends on the window's volts, so that a wrong window shows."""
+    return write_small_bundle(tmp_path_factory.mktemp("one") / "b", a_sensor(), offset_mm_per_v=50.0)
+
+
+@pytest.fixture(scope="session")
+def two_boards(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The same of two."""
+    return write_small_bundle(tmp_path_factory.mktemp("two") / "b", a_sensor(2), offset_mm_per_v=50.0)
+
+
+@pytest.fixture(scope="session")
+def localizer(bundle: Path) -> Localizer:
+    """To be reset before use."""
+    return Localizer.load(bundle)

@@ -62,5 +62,5 @@ def test_javascript_gets_the_same_numbers(
     done = subprocess.run(
         ["node", "run_bundle.js", str(bundle)], cwd=packages, capture_output=True, check=True, timeout=60
     )
-    told = json.loads(done.stdout)
-    assert told["estimate"] == pytest.approx(told["golden"], rel=1e-5, abs=1e-5)
+    shown = json.loads(done.stdout)
+    assert shown["estimate"] == pytest.approx(shown["golden"], rel=1e-5, abs=1e-5)

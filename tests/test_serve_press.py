@@ -18,9 +18,8 @@ PLACE_MM = (12.0, 9.0)
 @pytest.fixture(scope="module")
 def localizer(tmp_path_factory: pytest.TempPathFactory) -> Localizer:
     plain = a_sensor(2)
-    boards = tuple(
-        replace(a, x_mm=x, y_mm=y) for a, (x, y) in zip(plain.accelerometers, TWO_BOARDS, strict=True)
-    )
+    placed = zip(plain.accelerometers, TWO_BOARDS, strict=True)
+    boards = tuple(replace(a, x_mm=x, y_mm=y) for a, (x, y) in placed)
     contact = contact_calibration(noisy_map(places=TWO_BOARDS), INFLATION)
     folder = tmp_path_factory.mktemp("bundle") / "model"
     return Localizer.load(write_small_bundle(folder, replace(plain, accelerometers=boards), contact=contact))
@@ -38,20 +37,16 @@ def held(level_v: np.ndarray) -> np.ndarray:
 def test_a_press_is_valid_as_long_as_it_is_held(localizer: Localizer) -> None:
     localizer.reset()
     found = localizer.push(held(pressed(noisy_map(places=TWO_BOARDS), PLACE_MM)))
-    told = [e for e in found if e.valid]
-    assert len(told) > 30
-    assert {e.contact for e in told} == {Contact.PRESS}
-    assert max(np.hypot(e.x_mm - PLACE_MM[0], e.y_mm - PLACE_MM[1]) for e in told) < 1.5
-    assert min(e.time_s for e in told) > 3.0
+    valid = [e for e in found if e.valid]
+    assert len(valid) > 30
+    assert {e.contact for e in valid} == {Contact.PRESS}
+    assert max(np.hypot(e.x_mm - PLACE_MM[0], e.y_mm - PLACE_MM[1]) for e in valid) < 1.5
+    assert min(e.time_s for e in valid) > 3.0
 
 
-def test_a_tilt_of_the_device_is_no_press(localizer: Localizer) -> None:
+def test_a_tilt_of_the_device_is_not_a_press(localizer: Localizer) -> None:
     localizer.reset()
     found = localizer.push(held(np.array([0.1, 0.06, 0.1, 0.06])))
     assert not any(e.valid for e in found)
-    assert {e.reason for e in found[-50:]} <= {
-        Reason.AMBIGUOUS,
-        Reason.TOO_EARLY,
-        Reason.NOT_THIS_SENSOR,
-        Reason.NO_CONTACT,
-    }
+    why = {Reason.AMBIGUOUS, Reason.TOO_EARLY, Reason.NOT_THIS_SENSOR, Reason.NO_CONTACT}
+    assert {e.reason for e in found[-50:]} <= why

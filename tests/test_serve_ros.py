@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from lab_files import IMU, _vectors
 from rosbags.typesys import Stores, get_typestore
-from small_bundle import write_small_bundle
-from streams import a_sensor, pass_over, still, stream
+from streams import pass_over, still, stream
 
 from features.errors import InputError
 from features.estimate import Estimate
@@ -27,47 +26,40 @@ def travelled(message: Any, kind: str) -> Any:
     return STORE.deserialize_cdr(STORE.serialize_cdr(message, kind), kind)
 
 
-def test_accelerations_give_the_estimates_of_their_volts(tmp_path: Path) -> None:
-    bundle = write_small_bundle(tmp_path / "bundle", a_sensor(), offset_mm_per_v=50.0)
-    localizer = Localizer.load(bundle)
+def test_accelerations_give_the_estimates_of_their_volts(localizer: Localizer) -> None:
     element = localizer.card.sensor["accelerometers"][0]
     acceleration = (VOLTS - element["zero_g_v"]) / element["sensitivity_v_per_g"] * STANDARD_GRAVITY
     time_s = np.arange(len(VOLTS)) / localizer.card.sample_rate_hz
     read = imu_reader("imu", localizer.card)
     chunks = [read(travelled(m, IMU)) for _, m in _vectors(STORE, acceleration, time_s, IMU, ros1=False)]
     np.testing.assert_allclose(np.concatenate([volts for volts, _ in chunks]), VOLTS, atol=1e-9)
+    localizer.reset()
     plain = localizer.push(VOLTS)
     localizer.reset()
-    told = [estimate for chunk in chunks for estimate in localizer.push(*chunk)]
-    assert len(told) == len(plain)
-    assert sum(estimate.valid for estimate in told) > 10
-    for a, b in zip(told, plain, strict=True):
+    found = [estimate for chunk in chunks for estimate in localizer.push(*chunk)]
+    assert len(found) == len(plain)
+    assert sum(estimate.valid for estimate in found) > 10
+    for a, b in zip(found, plain, strict=True):
         assert (a.valid, a.state, a.contact) == (b.valid, b.state, b.contact)
         assert a.direction_deg == pytest.approx(b.direction_deg, abs=1e-3, nan_ok=True)
         assert a.offset_mm == pytest.approx(b.offset_mm, abs=1e-3, nan_ok=True)
 
 
-def test_an_imu_is_one_accelerometer(tmp_path: Path) -> None:
-    card = Localizer.load(write_small_bundle(tmp_path / "two", a_sensor(2))).card
+def test_several_accelerometers_or_an_imu_without_acceleration_are_refused(
+    localizer: Localizer, two_boards: Path
+) -> None:
     with pytest.raises(InputError, match="an Imu is one accelerometer"):
-        imu_reader("imu", card)
-
-
-def test_an_imu_that_measures_no_acceleration_is_refused(tmp_path: Path) -> None:
-    read = imu_reader("imu", Localizer.load(write_small_bundle(tmp_path / "one", a_sensor())).card)
+        imu_reader("imu", Localizer.load(two_boards).card)
     (_, message), *_ = _vectors(STORE, np.zeros((1, 3)), np.zeros(1), IMU, ros1=False)
     message.linear_acceleration_covariance[0] = -1.0
     with pytest.raises(InputError, match="no acceleration"):
-        read(travelled(message, IMU))
+        imu_reader("imu", localizer.card)(travelled(message, IMU))
 
 
 def empty_twist() -> Any:
     types = STORE.types
-
-    def vector() -> Any:
-        return types["geometry_msgs/msg/Vector3"](x=0.0, y=0.0, z=0.0)
-
-    twist = types["geometry_msgs/msg/Twist"](linear=vector(), angular=vector())
+    linear, angular = (types["geometry_msgs/msg/Vector3"](x=0.0, y=0.0, z=0.0) for _ in range(2))
+    twist = types["geometry_msgs/msg/Twist"](linear=linear, angular=angular)
     stamp = types["builtin_interfaces/msg/Time"](sec=0, nanosec=0)
     header = types["std_msgs/msg/Header"](stamp=stamp, frame_id="skin")
     inner = types["geometry_msgs/msg/TwistWithCovariance"](twist=twist, covariance=np.zeros(36))
@@ -77,8 +69,8 @@ def empty_twist() -> Any:
 def along_y(**more: float) -> Estimate:
     """4 mm/s along y: speed within 0.4 mm/s, direction within 2 degrees."""
     bounds = {"direction_lo_deg": 88.0, "direction_hi_deg": 92.0, "speed_lo_mm_s": 3.6, "speed_hi_mm_s": 4.4}
-    told = {"direction_deg": 90.0, "speed_mm_s": 4.0, "vx_mm_s": 0.0, "vy_mm_s": 4.0, **bounds, **more}
-    return Estimate(0.0, SlideState.SLIDE, valid=True, **told)
+    values = {"direction_deg": 90.0, "speed_mm_s": 4.0, "vx_mm_s": 0.0, "vy_mm_s": 4.0, **bounds, **more}
+    return Estimate(0.0, SlideState.SLIDE, valid=True, **values)
 
 
 @pytest.mark.parametrize("own", [False, True])
@@ -96,6 +88,6 @@ def test_a_velocity_has_the_covariance_of_its_intervals(own: bool) -> None:
 
 
 def test_a_velocity_without_intervals_is_hardly_known() -> None:
-    told = along_y(speed_lo_mm_s=np.nan, direction_lo_deg=np.nan)
-    covariance = travelled(with_velocity(empty_twist(), told), TWIST).twist.covariance.reshape(6, 6)
+    velocity = along_y(speed_lo_mm_s=np.nan, direction_lo_deg=np.nan)
+    covariance = travelled(with_velocity(empty_twist(), velocity), TWIST).twist.covariance.reshape(6, 6)
     np.testing.assert_array_equal(covariance, UNKNOWN * np.eye(6))

@@ -1,6 +1,4 @@
-"""The sample clock: slots tell the stamps' time, whatever a clock does, and however the stream is cut."""
-
-from typing import Any
+"""The sample clock: slots keep the stamps' time, whatever a clock does, and however the stream is cut."""
 
 import numpy as np
 import pytest
@@ -8,46 +6,46 @@ import pytest
 from serve.sample_slots import SampleClock
 
 RATE_HZ = 1000.0
-# Samples by which a slot may be told late (a lost sample is only sure then) and early (jitter of what comes in time).
+# Samples by which a slot may be late (a lost sample is only sure then) and early (jitter of what comes in time).
 LATE, EARLY = 0.5, 2.0
 
 
 def placed(time_s: np.ndarray, longest: int = 140, chunk: int = 25) -> tuple[np.ndarray, np.ndarray]:
-    """The samples' numbers in slots, NaN where one was lost, and the time that each sample's slot tells."""
+    """The samples' numbers in slots, NaN where one was lost, and the time of each sample's slot."""
     clock = SampleClock(RATE_HZ, longest)
     slots: list[float] = []
-    told = np.full(len(time_s), np.nan)
+    slot_s = np.full(len(time_s), np.nan)
     numbers = np.arange(len(time_s), dtype=float)[:, None]
     for begin in range(0, len(time_s), chunk):
         for piece in clock.place(numbers[begin : begin + chunk], time_s[begin : begin + chunk]):
             for number in piece[:, 0]:
                 if np.isfinite(number):
-                    told[int(number)] = clock.start_s + len(slots) / RATE_HZ
+                    slot_s[int(number)] = clock.start_s + len(slots) / RATE_HZ
                 slots.append(float(number))
-    return np.array(slots), told
+    return np.array(slots), slot_s
 
 
 @pytest.mark.parametrize("percent", [-20.0, -10.0, -0.5, -0.05, 0.0, 0.05, 0.5, 10.0, 100.0])
 def test_slots_keep_the_time_of_a_clock_that_runs_fast_or_slow(percent: float) -> None:
     time_s = 70.0 + np.arange(20_000) / RATE_HZ / (1 + percent / 100)
-    slots, told = placed(time_s)
-    used = np.isfinite(told)
-    early = (told - time_s)[used] * RATE_HZ
+    slots, slot_s = placed(time_s)
+    used = np.isfinite(slot_s)
+    early = (slot_s - time_s)[used] * RATE_HZ
     assert early.max() < EARLY + 0.01
     assert early.min() > -LATE - 0.01
     # A slow clock's samples are further apart than slots: now and then one stays empty. A fast clock's are closer, and
     # one is left out.
-    seconds = time_s[-1] - time_s[0]
-    surplus = len(time_s) - seconds * RATE_HZ
+    wanted = (time_s[-1] - time_s[0]) * RATE_HZ
+    surplus = len(time_s) - wanted
     assert (~used).sum() == pytest.approx(max(0.0, surplus), abs=4)
     assert np.isnan(slots).sum() == pytest.approx(max(0.0, -surplus), abs=4)
-    assert len(slots) == pytest.approx(seconds * RATE_HZ, abs=4)
+    assert len(slots) == pytest.approx(wanted, abs=4)
 
 
 def test_lost_samples_leave_their_slots_empty() -> None:
     kept = np.sort(np.random.default_rng(0).permutation(5000)[:4700])
-    slots, told = placed(kept / RATE_HZ)
-    assert told == pytest.approx(kept / RATE_HZ, abs=1e-9)
+    slots, slot_s = placed(kept / RATE_HZ)
+    assert slot_s == pytest.approx(kept / RATE_HZ, abs=1e-9)
     assert np.isnan(slots).sum() == kept[-1] - kept[0] + 1 - len(kept)
 
 
@@ -55,58 +53,46 @@ def test_lost_samples_leave_their_slots_empty() -> None:
 def test_a_long_gap_and_a_clock_set_back_break_the_stream(jump_s: float) -> None:
     time_s = np.arange(2000) / RATE_HZ
     time_s[900:] += jump_s
-    slots, told = placed(time_s)
+    slots, slot_s = placed(time_s)
     assert np.isnan(slots[900 : 900 + 140]).all()
     assert len(slots) == 2000 + 140
-    assert told == pytest.approx(time_s, abs=1e-9)
-
-
-def jittered(samples: int, rate_hz: float) -> np.ndarray:
-    """Stamps with an error of 5 ms, s.d.; some run back."""
-    return np.arange(samples) / rate_hz + np.random.default_rng(0).normal(0.0, 0.005, samples)
-
-
-def packets(samples: int, rate_hz: float, size: int = 50) -> np.ndarray:
-    """One stamp for each packet, of its last sample."""
-    return (np.arange(samples) // size + 1) * size / rate_hz
-
-
-def delayed(samples: int, rate_hz: float) -> np.ndarray:
-    """Packets that come up to 20 ms late."""
-    late = np.random.default_rng(1).uniform(0.0, 0.02, samples // 50 + 1)
-    return packets(samples, rate_hz) + late[np.arange(samples) // 50]
-
-
-@pytest.mark.parametrize("rate_hz", [900.0, 1000.0, 1100.0])
-@pytest.mark.parametrize("stamps", [jittered, packets, delayed])
-def test_uneven_stamps_give_even_slots_at_the_true_rate(stamps: Any, rate_hz: float) -> None:
-    samples = 20_000
-    slots, told = placed(stamps(samples, rate_hz))
-    settled = np.isfinite(told) & (np.arange(samples) > 1000)
-    true_s = np.arange(samples) / rate_hz
-    # What is told is later or earlier than the truth by the same all along: a packet's wait, or the largest jitter.
-    error = (told - true_s)[settled]
-    assert np.ptp(error) < 0.035
-    rate = np.polyfit(true_s[settled], told[settled], 1)[0]
-    assert rate == pytest.approx(1.0, abs=0.001)
-    # At the nominal rate hardly a slot stays empty, or a sample is left out.
-    spare = abs(1.0 - rate_hz / RATE_HZ) * samples
-    assert np.isnan(slots).sum() + np.isnan(told).sum() < spare + 0.02 * samples
-
-
-def test_samples_lost_from_packets_are_found() -> None:
-    kept = np.delete(np.arange(10_000), slice(5010, 5040))
-    slots, told = placed(((kept // 50) + 1) * 50 / RATE_HZ)
-    assert np.isnan(slots).sum() == pytest.approx(30, abs=EARLY)
-    after = kept > 5400
-    before = told[2000] - kept[2000] / RATE_HZ
-    assert told[after] - kept[after] / RATE_HZ == pytest.approx(before, abs=EARLY / RATE_HZ)
+    assert slot_s == pytest.approx(time_s, abs=1e-9)
 
 
 @pytest.mark.parametrize("bad_s", [1e306, -1e306, 1e20])
 def test_a_time_beyond_all_bounds_breaks_the_stream_and_no_more(bad_s: float) -> None:
     time_s = np.arange(2000) / RATE_HZ
     time_s[900] = bad_s
-    slots, told = placed(time_s)
+    slots, slot_s = placed(time_s)
     assert len(slots) == 2000 + 2 * 140
-    assert told[901:] == pytest.approx(time_s[901:], abs=1e-9)
+    assert slot_s[901:] == pytest.approx(time_s[901:], abs=1e-9)
+
+
+@pytest.mark.parametrize("rate_hz", [900.0, 1000.0, 1100.0])
+@pytest.mark.parametrize(("packet", "late_s", "jitter_s"), [(1, 0.0, 0.005), (50, 0.0, 0.0), (50, 0.02, 0.0)])
+def test_uneven_stamps_give_even_slots_at_the_true_rate(
+    packet: int, late_s: float, jitter_s: float, rate_hz: float
+) -> None:
+    """Jitter of 5 ms, where stamps run back; one stamp a packet, of its last sample; packets up to 20 ms late."""
+    samples = 20_000
+    number, true_s = np.arange(samples) // packet, np.arange(samples) / rate_hz
+    time_s = (number + 1) * packet / rate_hz + np.random.default_rng(1).uniform(0.0, late_s, samples)[number]
+    slots, slot_s = placed(time_s + np.random.default_rng(0).normal(0.0, jitter_s, samples))
+    settled = np.isfinite(slot_s) & (np.arange(samples) > 1000)
+    # A slot is later or earlier than the truth by the same all along: a packet's wait, or the largest jitter.
+    error = (slot_s - true_s)[settled]
+    assert np.ptp(error) < 0.035
+    rate = np.polyfit(true_s[settled], slot_s[settled], 1)[0]
+    assert rate == pytest.approx(1.0, abs=0.001)
+    # At the nominal rate hardly a slot stays empty, or a sample is left out.
+    spare = abs(1.0 - rate_hz / RATE_HZ) * samples
+    assert np.isnan(slots).sum() + np.isnan(slot_s).sum() < spare + 0.02 * samples
+
+
+def test_samples_lost_from_packets_are_found() -> None:
+    kept = np.delete(np.arange(10_000), slice(5010, 5040))
+    slots, slot_s = placed(((kept // 50) + 1) * 50 / RATE_HZ)
+    assert np.isnan(slots).sum() == pytest.approx(30, abs=EARLY)
+    after = kept > 5400
+    before = slot_s[2000] - kept[2000] / RATE_HZ
+    assert slot_s[after] - kept[after] / RATE_HZ == pytest.approx(before, abs=EARLY / RATE_HZ)

@@ -6,11 +6,11 @@ import subprocess
 import sys
 import threading
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
-from small_bundle import write_small_bundle
-from streams import RATE_HZ, a_sensor, pass_over, still, stream
+from streams import RATE_HZ, pass_over, still, stream
 
 import softslide
 from serve.stream.age import MEMORY_S, SampleAge
@@ -21,13 +21,13 @@ HALF = round(1.1 * RATE_HZ)  # in mid-slide
 
 
 @pytest.fixture(scope="module")
-def serving(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
-    bundle = write_small_bundle(tmp_path_factory.mktemp("silence") / "b", a_sensor(), offset_mm_per_v=50.0)
+def serving(bundle: Path) -> list[str]:
     return [sys.executable, softslide.__file__, "serve", "--model", str(bundle), "--source", "-"]
 
 
 def start(serving: list[str]) -> subprocess.Popen:
-    return subprocess.Popen(serving, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
+    pipe = subprocess.PIPE
+    return subprocess.Popen(serving, stdin=pipe, stdout=pipe, stderr=subprocess.DEVNULL)
 
 
 def send(running: subprocess.Popen, lines: list[str]) -> None:

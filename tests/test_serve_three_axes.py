@@ -10,7 +10,8 @@ import pytest
 import torch
 from c_case import NEEDS_COMPILER, Case, compiled, difference
 from dome_map import dome_map
-from touched_skin import NOISE, RATE_HZ, SENSOR, UNIT, ZERO, recorded, write_skin
+from touched_bundle import at_rest, circle, on_the_circle, outputs
+from touched_skin import NOISE, RATE_HZ, SENSOR, UNIT, recorded, write_skin
 
 import softslide
 from features.angles import wrapped_deg
@@ -51,16 +52,10 @@ def bundle(skin: Folder, windows: LabelledWindows, tmp_path_factory: pytest.Temp
     torch.set_num_threads(1)
     conditioning = conditioning_for(skin, Conditioning())
     assert (conditioning.touch_axes, conditioning.onset) == ("xyz", "touch")
-    unit = UNIT * conditioning.scale
     block_v = NOISE * conditioning.scale / np.sqrt(conditioning.block_samples(RATE_HZ))
-    plain = dome_map()
-    response = replace(
-        plain,
-        coefficients=unit * plain.coefficients,
-        noise_v=np.full(3, block_v),
-        drift_v=np.full(3, block_v / 2),
-        floor_v=block_v,
-    )
+    coefficients = UNIT * conditioning.scale * dome_map().coefficients
+    noise = {"noise_v": np.full(3, block_v), "drift_v": np.full(3, block_v / 2), "floor_v": block_v}
+    response = replace(dome_map(), coefficients=coefficients, **noise)
     config = NetworkConfig(refinement=RefinementConfig(steps=STEPS))
     source = WindowSource(response, conditioning.block_s, SynthesisConfig(speed_mm_s=(10.0, 60.0)))
     proposal = train_proposal(source, config, TrainingConfig(steps=150, batch=64, rate=0.01, average=0.9))
@@ -89,9 +84,9 @@ def bundle(skin: Folder, windows: LabelledWindows, tmp_path_factory: pytest.Temp
 
 def test_a_stream_ends_in_the_slide_that_was_recorded(bundle: Path) -> None:
     for seed, line in enumerate([(33.0, 4.0, 25.0), (140.0, -6.0, 18.0), (290.0, 2.0, 35.0)]):
-        outputs, _ = recorded(*line, seed=100 + seed)
+        volts, _ = recorded(*line, seed=100 + seed)
         localizer = Localizer.load(bundle)
-        whole = localizer.push(outputs)
+        whole = localizer.push(volts)
         last = whole[-1]
         assert last.valid
         assert abs(wrapped_deg(last.direction_deg - line[0])) < 1.5
@@ -99,32 +94,20 @@ def test_a_stream_ends_in_the_slide_that_was_recorded(bundle: Path) -> None:
         assert last.speed_mm_s == pytest.approx(line[2], rel=0.03)
         # In what chunks the samples come makes no difference; drift by gravity has no meaning here.
         localizer.reset()
-        pieces = [e for n in range(0, len(outputs), 7) for e in localizer.push(outputs[n : n + 7])]
+        pieces = [e for n in range(0, len(volts), 7) for e in localizer.push(volts[n : n + 7])]
         assert [repr(e) for e in pieces] == [repr(e) for e in whole]
         assert np.isnan([last.gain, last.turn_deg]).all()
 
 
-def test_a_circle_is_followed_and_no_slide(bundle: Path) -> None:
-    angle = np.arange(0, 2 * np.pi, 25.0 / RATE_HZ / 7.0)
-    place = 7.0 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    rest = int(RATE_HZ)
-    outputs = np.zeros((2 * rest + len(angle), 3))
-    outputs[rest : rest + len(angle)] = UNIT * dome_map().response(*place.T, 0.0)
-    outputs += ZERO + NOISE * np.random.default_rng(3).standard_normal(outputs.shape)
-    estimates = Localizer.load(bundle).push(outputs)
-    live = [
-        e
-        for e in estimates
-        if e.valid and e.state is SlideState.SLIDE and e.time_s < 1 + len(angle) / RATE_HZ
-    ]
-    assert len(live) > 0.4 * len(angle) / RATE_HZ / 0.02
-    at = np.interp([e.time_s for e in live], 1.0 + np.arange(len(angle)) / RATE_HZ, angle)
-    off = [
-        np.hypot(e.x_mm - 7.0 * np.cos(a), e.y_mm - 7.0 * np.sin(a)) for e, a in zip(live, at, strict=True)
-    ]
-    turned = [abs(wrapped_deg(e.direction_deg - np.degrees(a) - 90.0)) for e, a in zip(live, at, strict=True)]
-    assert np.median(off) < 0.5
-    assert np.median(turned) < 6.0
+def test_a_circle_is_followed_and_is_not_a_slide(bundle: Path) -> None:
+    estimates = Localizer.load(bundle).push(outputs(at_rest(1.0), circle(), at_rest(1.0)))
+    long_s = len(circle()) / RATE_HZ
+    live = [e for e in estimates if e.valid and e.state is SlideState.SLIDE and e.time_s < 1 + long_s]
+    assert len(live) > 0.4 * long_s / 0.02
+    x, y, vx, vy = on_the_circle(np.array([e.time_s for e in live]) - 1.0).T
+    assert np.median(np.hypot([e.x_mm for e in live] - x, [e.y_mm for e in live] - y)) < 0.5
+    turned = wrapped_deg(np.array([e.direction_deg for e in live]) - np.degrees(np.arctan2(vy, vx)))
+    assert np.median(np.abs(turned)) < 6.0
     # The whole of it passes for no straight slide.
     assert not estimates[-1].valid
 
@@ -132,11 +115,10 @@ def test_a_circle_is_followed_and_no_slide(bundle: Path) -> None:
 def test_the_command_streams_a_file_of_it(
     bundle: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    outputs, _ = recorded(33.0, 4.0, 25.0, seed=100)
-    path = tmp_path / "one.csv"
-    time_s = np.arange(len(outputs)) / RATE_HZ
-    header = ",".join(["time_s", *SENSOR.channels])
-    np.savetxt(path, np.column_stack([time_s, outputs]), delimiter=",", header=header, comments="")
+    volts, _ = recorded(33.0, 4.0, 25.0, seed=100)
+    path, header = tmp_path / "one.csv", ",".join(["time_s", *SENSOR.channels])
+    table = np.column_stack([np.arange(len(volts)) / RATE_HZ, volts])
+    np.savetxt(path, table, delimiter=",", header=header, comments="")
     command = ["serve", "--model", str(bundle), "--source", str(path), "--fast"]
     assert softslide.main(command) == 0
     lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
@@ -146,10 +128,10 @@ def test_the_command_streams_a_file_of_it(
 
 @NEEDS_COMPILER
 def test_its_c_code_computes_the_same(bundle: Path, windows: LabelledWindows, tmp_path: Path) -> None:
-    told = export(bundle, "c", tmp_path / "c")
+    report = export(bundle, "c", tmp_path / "c")
     compiled(tmp_path / "c", "check")
     assert subprocess.run([tmp_path / "c" / "check"], check=False, timeout=60).returncode == 0
-    assert told["single_differs"] < PARITY or told["precision"] == "as trained"
+    assert report["single_differs"] < PARITY or report["precision"] == "as trained"
     card = read_card(bundle / "model.json")
     some = windows[np.arange(0, len(windows), 5)]
     case = Case(read_graph(bundle), graph_inputs("window", some.volts, some.elapsed_s))

@@ -1,4 +1,4 @@
-"""Estimates from whole contacts: of a recorded circle, through the command, and where there are none."""
+"""Estimates from whole contacts: of a recorded circle, through the command, and where there is no contact."""
 
 import json
 from pathlib import Path
@@ -6,17 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from small_bundle import write_small_bundle
-from touched_bundle import (
-    RADIUS_MM,
-    SPEED_MM_S,
-    at_rest,
-    circle,
-    outputs,
-    write_touched_bundle,
-)
+from touched_bundle import SPEED_MM_S, at_rest, circle, on_the_circle, outputs, write_touched_bundle
 from touched_skin import RATE_HZ, SENSOR
 
 import softslide
+from features.angles import wrapped_deg
 from features.errors import InputError
 from features.stream.tracker import SlideState
 from serve.localizer import Localizer
@@ -30,7 +24,7 @@ def bundle(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_a_circle_is_followed_from_its_first_block_to_its_last(bundle: Path) -> None:
-    """Two of them in one recording; what is no contact stays as it is."""
+    """Two of them in one recording; what is not a contact stays as it is."""
     one = circle()
     volts = outputs(at_rest(1.5), one, at_rest(1.5), one, at_rest(1.0))
     localizer = Localizer.load(bundle)
@@ -48,30 +42,20 @@ def test_a_circle_is_followed_from_its_first_block_to_its_last(bundle: Path) -> 
         if not 0.06 < since_s < contact_s - 0.04:
             continue
         valid += estimate.valid
-        angle = SPEED_MM_S / RADIUS_MM * since_s
-        assert estimate.x_mm == pytest.approx(RADIUS_MM * np.cos(angle), abs=0.4)
-        assert estimate.y_mm == pytest.approx(RADIUS_MM * np.sin(angle), abs=0.4)
+        x, y, vx, vy = on_the_circle(np.array([since_s]))[0]
+        assert (estimate.x_mm, estimate.y_mm) == pytest.approx((x, y), abs=0.4)
         assert estimate.speed_mm_s == pytest.approx(SPEED_MM_S, rel=0.1)
-        assert abs((estimate.direction_deg - np.degrees(angle) - 90 + 180) % 360 - 180) < 6.0
+        assert abs(wrapped_deg(estimate.direction_deg - float(np.degrees(np.arctan2(vy, vx))))) < 6.0
     assert valid > 0.95 * 2 * (contact_s - 0.1) / 0.02
 
 
-def test_a_long_contact_is_told_in_pieces_without_a_seam(bundle: Path) -> None:
+def test_a_long_contact_is_estimated_in_pieces_without_a_seam(bundle: Path) -> None:
     volts = outputs(at_rest(1.5), circle(6.0), at_rest(1.0))
     whole = [e for e in whole_contacts(Localizer.load(bundle), volts) if 1.6 < e.time_s < 11.9]
     assert all(estimate.valid for estimate in whole)
-    angle = SPEED_MM_S / RADIUS_MM * (np.array([e.time_s for e in whole]) - 1.5)
-    off = np.hypot(
-        [e.x_mm for e in whole] - RADIUS_MM * np.cos(angle),
-        [e.y_mm for e in whole] - RADIUS_MM * np.sin(angle),
-    )
-    assert off.max() < 0.5
+    x, y = on_the_circle(np.array([e.time_s for e in whole]) - 1.5)[:, :2].T
+    assert np.hypot([e.x_mm for e in whole] - x, [e.y_mm for e in whole] - y).max() < 0.5
     assert np.abs(np.diff([e.speed_mm_s for e in whole])).max() < 0.02 * SPEED_MM_S
-
-
-def test_a_press_is_no_path(bundle: Path) -> None:
-    volts = outputs(at_rest(1.5), np.tile(circle()[40], (200, 1)), at_rest(1.0))
-    assert not any(estimate.valid for estimate in whole_contacts(Localizer.load(bundle), volts))
 
 
 def test_a_recording_that_ends_or_fails_within_the_contact(bundle: Path) -> None:
@@ -85,28 +69,28 @@ def test_a_recording_that_ends_or_fails_within_the_contact(bundle: Path) -> None
     bridged = [e for e in whole if e.valid and e.time_s * RATE_HZ > len(volts) - 60]
     assert 0 < len(bridged) <= 6
     for estimate in bridged:
-        angle = SPEED_MM_S / RADIUS_MM * (estimate.time_s - 1.5)
-        assert estimate.x_lo_mm < RADIUS_MM * np.cos(angle) < estimate.x_hi_mm
-        assert estimate.y_lo_mm < RADIUS_MM * np.sin(angle) < estimate.y_hi_mm
+        x, y = on_the_circle(np.array([estimate.time_s - 1.5]))[0, :2]
+        assert estimate.x_lo_mm < x < estimate.x_hi_mm
+        assert estimate.y_lo_mm < y < estimate.y_hi_mm
     assert repr(whole[-1]) == repr(live[-1])
 
 
-def test_the_command_writes_what_the_function_tells(
+def test_the_command_writes_what_the_function_returns(
     bundle: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     volts, path = outputs(at_rest(1.5), circle(), at_rest(1.0)), tmp_path / "circle.csv"
-    table = np.column_stack([np.arange(len(volts)) / RATE_HZ, volts])
-    np.savetxt(
-        path, table, delimiter=",", header=",".join(["time_s", *SENSOR.channels]), comments="", fmt="%.17g"
-    )
+    table, header = np.column_stack([np.arange(len(volts)) / RATE_HZ, volts]), ["time_s", *SENSOR.channels]
+    np.savetxt(path, table, "%.17g", ",", header=",".join(header), comments="")
     assert softslide.main(["predict", "--model", str(bundle), "--whole-contact", str(path)]) == 0
     lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
-    told = [record(estimate) for estimate in whole_contacts(Localizer.load(bundle), volts)]
-    assert [{k: v for k, v in line.items() if k not in ("recording", "file")} for line in lines] == told
+    wanted = [record(estimate) for estimate in whole_contacts(Localizer.load(bundle), volts)]
+    assert [{k: v for k, v in line.items() if k not in ("recording", "file")} for line in lines] == wanted
     assert any(line["valid"] and line["state"] == SlideState.SLIDE for line in lines)
 
 
-def test_bundles_of_contacts_over_the_rim_are_refused(tmp_path: Path) -> None:
+def test_a_press_and_contacts_over_the_rim_are_not_paths(bundle: Path, tmp_path: Path) -> None:
+    volts = outputs(at_rest(1.5), np.tile(circle()[40], (200, 1)), at_rest(1.0))
+    assert not any(estimate.valid for estimate in whole_contacts(Localizer.load(bundle), volts))
     localizer = Localizer.load(write_small_bundle(tmp_path / "m", SENSOR))
     with pytest.raises(InputError, match="whole contacts"):
         whole_contacts(localizer, np.full((2000, 3), 1.65))

@@ -20,10 +20,7 @@ def write_touched_bundle(folder: Path) -> Path:
     block_v = NOISE * scale / 2  # a block has four samples
     plain = dome_map()
     response = replace(
-        plain,
-        coefficients=UNIT * scale * plain.coefficients,
-        noise_v=np.full(3, block_v),
-        floor_v=block_v,
+        plain, coefficients=UNIT * scale * plain.coefficients, noise_v=np.full(3, block_v), floor_v=block_v
     )
     return write_small_bundle(
         folder,
