@@ -3,26 +3,22 @@
 import os
 import shutil
 import subprocess
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
 from forked import Commands, commands
-from lab_files import FORMATS, write_lab
+from long_commands import SYNTHESIZE, TRAIN, a_simulation, an_evaluation, an_import
 from sender import PLAN, TIMES, free_port, sending
-from small_bundle import write_small_bundle
 from streams import a_sensor
-from trial_folder import SENSOR, a_folder
 
-from pipeline.atlas.atlas import DEFAULT_SENSOR
-from pipeline.recordings.folder import SAMPLE, read_folder
+from pipeline.recordings.folder import read_folder
 from pipeline.sensor import write_sensor
 
 # A mount that only the commands see, and no other rights than the tests' own.
 MOUNT = ("unshare", "-rm", "sh", "-c", 'mount -t tmpfs -o size=256m small "$0" && exec "$@"')
 PAGE = 4096  # bytes that a tmpfs gives at a time
-# More than a bundle of `interpolation`, 60 kB, and less than what is kept of its run, 240 kB, beside it.
 NO_SPACE = "No space left on device; free some space, or name a place that can be written"
 
 
@@ -36,8 +32,8 @@ class Disk:
 
     def free(self) -> int:
         """Bytes."""
-        told = os.statvfs(self.seen)
-        return told.f_bavail * told.f_frsize
+        status = os.statvfs(self.seen)
+        return status.f_bavail * status.f_frsize
 
     def leave(self, size: int) -> None:
         """Fills it up but for so many bytes."""
@@ -69,10 +65,6 @@ def disk(mounted: Disk) -> Disk:
     return mounted
 
 
-def words(*given: object) -> list[str]:
-    return [str(word) for word in given]
-
-
 def ran(disk: Disk, command: list[str], folder: Path) -> list[str]:
     """The lines that it said."""
     disk.softslide.start(command, folder)
@@ -85,27 +77,22 @@ def check(
     command: list[str],
     folder: Path,
     *,
+    out: str = "out",
     kept: Collection[str] = (),
-    given: Mapping[str, str] | None = None,
     tenths: Collection[int] = (3, 6, 9),
 ) -> None:
     """Runs it with all the space it needs, with none, with so many tenths of it, and again with all.
 
-    kept: what a call that broke off may leave for the next one. given: files that lie on the disk, name -> text.
+    out: its output on the disk. kept: what a call that broke off may leave for the next one.
     """
-
-    def cleared() -> None:
-        disk.empty()
-        for name, text in (given or {}).items():
-            (disk.seen / name).write_text(text)
-
-    cleared()
+    command = [*command, "--out", str(disk.place / out)]
+    disk.empty()
     before = disk.free()
     ran(disk, command, folder)
     assert disk.softslide.status == 0
     whole, used = disk.names(), before - disk.free()
     assert used
-    cleared()
+    disk.empty()
     for part in (0, *tenths):
         disk.leave(max(used * part // 10, PAGE) if part else 0)
         *_, last = said = ran(disk, command, folder)
@@ -113,7 +100,7 @@ def check(
         assert last.startswith(f"softslide {command[0]}: "), said
         assert last.endswith(NO_SPACE), said
         assert not [line for line in said if "Traceback" in line], said
-        assert disk.names() <= {*kept, *(given or {})}, said
+        assert disk.names() <= {*kept}, said
     (disk.seen / "ballast").unlink()
     ran(disk, command, folder)
     assert disk.softslide.status == 0
@@ -121,69 +108,52 @@ def check(
 
 
 def test_import(disk: Disk, tmp_path: Path) -> None:
-    write_lab(tmp_path / "lab", FORMATS["csv"], ("one", "two", "three"))
-    command = words("import", tmp_path / "lab" / "lab", "--map", tmp_path / "lab" / "map.toml")
-    check(disk, [*command, "--out", str(disk.place / "out")], tmp_path / "work", kept={".out.partial"})
+    check(disk, an_import(tmp_path, ("one", "two", "three")), tmp_path / "work", kept={".out.partial"})
 
 
 def test_synthesize(disk: Disk, tmp_path: Path) -> None:
-    command = words("synthesize", "--slides", 3, "--seed", 4, "--out", disk.place / "out")
-    check(disk, command, tmp_path / "work")
+    check(disk, SYNTHESIZE, tmp_path / "work")
 
 
 @pytest.mark.long
 def test_evaluate(disk: Disk, tmp_path: Path) -> None:
-    bundle = write_small_bundle(tmp_path / "bundle", SENSOR, offset_mm_per_v=50.0)
-    lab = a_folder(tmp_path / "lab", **{f"r{n}": {} for n in range(3)}).root
-    command = words("evaluate", "--model", bundle, "--recordings", lab, "--allow-untested")
-    out = ["--out", str(disk.place / "out")]
-    check(disk, [*command, *out], tmp_path / "work", kept={".out.work"}, tenths=(5,))
+    check(disk, an_evaluation(tmp_path, 3), tmp_path / "work", kept={".out.work"}, tenths=(5,))
 
 
 @pytest.mark.long
 def test_train(disk: Disk, tmp_path: Path) -> None:
-    command = words("train", "--recordings", SAMPLE, "--model", "interpolation", "--out", disk.place / "out")
-    check(disk, command, tmp_path / "work", tenths=(6,))
+    check(disk, TRAIN, tmp_path / "work", tenths=(6,))
 
 
 def test_a_full_store_costs_no_training(disk: Disk, tmp_path: Path) -> None:
     """It costs the run, in one line."""
-    command = words("train", "--recordings", SAMPLE, "--model", "interpolation", "--out")
     (tmp_path / "work.store").symlink_to(disk.place)
     disk.leave(0)
-    said = ran(disk, [*command, str(tmp_path / "bundle")], tmp_path / "work")
+    said = ran(disk, [*TRAIN, "--out", str(tmp_path / "bundle")], tmp_path / "work")
     assert disk.softslide.status == 0, said
     (line,) = [line for line in said if "run not logged" in line]
-    assert "No space left on device" in line
+    assert "no space left on device" in line.lower()
     assert (tmp_path / "bundle" / "model.onnx").exists()
 
 
 @pytest.mark.parametrize("to", ["ort", "c"])
-def test_export(disk: Disk, tmp_path: Path, to: str) -> None:
-    bundle = write_small_bundle(tmp_path / "bundle", SENSOR, offset_mm_per_v=50.0)
-    check(disk, words("export", "--model", bundle, "--to", to, "--out", disk.place / "out"), tmp_path / to)
+def test_export(disk: Disk, tmp_path: Path, bundle: Path, to: str) -> None:
+    check(disk, ["export", "--model", str(bundle), "--to", to], tmp_path / to)
 
 
 @pytest.mark.long
 def test_record(disk: Disk, tmp_path: Path) -> None:
     """A recording that was kept before stays."""
-    write_sensor(tmp_path / "sensor.toml", a_sensor())
-    plan = tmp_path / "plan.csv"
+    sensor, plan, port = tmp_path / "sensor.toml", tmp_path / "plan.csv", free_port()
+    write_sensor(sensor, a_sensor())
     plan.write_text(f"{PLAN}one,calibration,0,40,-5,-29,-5,8,0.5\ntwo,test,180,40,-5,29,5,8,0.5\n")
-    port = free_port()
-    command = words(
-        "record", "--source", f"udp://:{port}", "--plan", plan, "--sensor", tmp_path / "sensor.toml"
-    )
-    command += words("--out", disk.place / "out", "--yes", *TIMES)
+    command = ["record", "--source", f"udp://:{port}", "--plan", str(plan), "--sensor", str(sensor)]
     with sending(port):
-        check(disk, command, tmp_path / "work", kept={"out"}, tenths=(6,))
+        check(disk, [*command, "--yes", *TIMES], tmp_path / "work", kept={"out"}, tenths=(6,))
     assert len(read_folder(disk.seen / "out")) == 2
 
 
 @pytest.mark.long
 def test_simulate(disk: Disk, tmp_path: Path) -> None:
-    text = DEFAULT_SENSOR.read_text().replace("[5.0, 7.0, 9.6]", "[6.0]")
-    sensor = tmp_path / "sensor.toml"
-    sensor.write_text(text.replace("size_mm = 2.5", "size_mm = 5.0"))
-    command = words("simulate", "--sensor", sensor, "--coarse", "--depth", 0.5, "--out", disk.place / "a.npz")
-    check(disk, command, tmp_path / "work", kept={".a.npz.lines"}, tenths=(3,))
+    command, kept = a_simulation(tmp_path), {".a.npz.lines"}
+    check(disk, command, tmp_path / "work", out="a.npz", kept=kept, tenths=(3,))
