@@ -135,18 +135,6 @@ def test_after_a_loss_nothing_begins_until_rest_is_found() -> None:
     assert run(tracker, blocks(pass_over(1.5), still(0.6), seed=2))[-1] is SlideState.ENDED
 
 
-def test_one_of_two_accelerometers_may_fail_and_return() -> None:
-    tracker = SlideTracker(CONDITIONING, 6)
-    means = blocks(still(0.6), pass_over(1.5), still(1.2), accelerometers=2)
-    run(tracker, means[:60])
-    run(tracker, means[60:], np.array([True, False]))
-    assert tracker.usable.tolist() == [True, False]
-    assert tracker.final is not None
-    assert (tracker.final.volts[3:] == 0).all()
-    run(tracker, means)
-    assert tracker.usable.tolist() == [True, True]
-
-
 def watching(judged: int) -> SignalWatch:
     """Over three channels of 0 to 3.3 V, of which the first ones are judged."""
     return SignalWatch(np.zeros(3), np.full(3, 3.3), np.arange(3) < judged)

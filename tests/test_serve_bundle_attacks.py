@@ -16,7 +16,7 @@ import numpy as np
 import onnx
 import pytest
 from onnx import TensorProto, helper, numpy_helper
-from small_bundle import resigned
+from small_bundle import resigned, write_table
 from streams import pass_over, still, stream
 
 import softslide
@@ -175,6 +175,53 @@ def test_what_is_not_a_file_of_a_bounded_size_is_refused_at_once(mine: Path, nam
     begun = time.process_time()
     assert taken(mine) is None
     assert time.process_time() - begun < 2.0
+
+
+def damaged(bundle: Path, **changes: object) -> Path:
+    """The bundle with a changed card, whose hash fits it."""
+    write_table(bundle, json.loads((bundle / "model.json").read_text()) | changes)
+    return bundle
+
+
+OUTPUTS = ["direction_cos", "direction_sin", "log_speed", "offset_mm", "along_mm"]
+FIELDS = (
+    *({"format": "other"}, {"version": 2}, {"more": 1}, {"input": "features"}, {"sensor": {}}),
+    *({"sample_rate_hz": 10.0}, {"sample_rate_hz": -1}, {"reference_mm": [1.0]}, {"golden": 3}),
+    *({"conditioning": {"trigger_blocks": 2.5}}, {"conditioning": {"block_s": True}}),
+    *({"validity": {"speed_mm_s": ["0", "1"]}}, {"intervals": {"offset_mm": {"scale": "1", "floor": 0.0}}}),
+    *({"golden": {"inputs": {}, "estimate": []}}, {"graph_sha256": "0" * 64}),
+)
+NAMES = (
+    {"channels": ["a0_vx", "a0_vz", "a0_vy"]},
+    {"channels": [f"a{n}_v{axis}" for n in range(2) for axis in "xyz"]},
+    {"outputs": OUTPUTS[:4]},
+    {"outputs": [*OUTPUTS[:3], "log_speed", "along_mm"]},
+    {"outputs": [*OUTPUTS[:2], "depth_mm", *OUTPUTS[3:]]},
+)
+
+
+@pytest.mark.parametrize("changes", [*FIELDS, *NAMES], ids=str)
+def test_an_altered_card_is_refused(mine: Path, changes: dict) -> None:
+    assert taken(damaged(mine, **changes)) is None
+
+
+@pytest.mark.parametrize("size", [0, 1, 100, -1])
+@pytest.mark.parametrize("name", ["model.json", "model.onnx"])
+def test_a_truncated_bundle_is_refused(mine: Path, name: str, size: int) -> None:
+    # The card's last bytes are a brace and an end of line.
+    (mine / name).write_bytes((mine / name).read_bytes()[: size if size >= 0 else -2])
+    assert taken(mine) is None
+
+
+def test_another_graph_with_a_fitting_hash_and_a_missing_bundle_are_refused(
+    mine: Path, two_boards: Path
+) -> None:
+    (mine / "model.onnx").write_bytes((two_boards / "model.onnx").read_bytes())
+    card = json.loads((two_boards / "model.json").read_text())
+    with pytest.raises(InputError, match="its card says"):
+        Localizer.load(damaged(mine, graph_sha256=card["graph_sha256"]))
+    with pytest.raises(InputError, match="no such file"):
+        Localizer.load(mine / "nothing")
 
 
 def int64(values: list[int], name: str) -> onnx.TensorProto:

@@ -34,7 +34,9 @@ def held(level_v: np.ndarray) -> np.ndarray:
     return volts + np.random.default_rng(3).normal(0.0, 5e-3, volts.shape)
 
 
-def test_a_press_is_valid_as_long_as_it_is_held(localizer: Localizer) -> None:
+def test_a_press_is_valid_as_long_as_it_is_held_and_a_tilt_of_the_device_is_not_a_press(
+    localizer: Localizer,
+) -> None:
     localizer.reset()
     found = localizer.push(held(pressed(noisy_map(places=TWO_BOARDS), PLACE_MM)))
     valid = [e for e in found if e.valid]
@@ -42,9 +44,6 @@ def test_a_press_is_valid_as_long_as_it_is_held(localizer: Localizer) -> None:
     assert {e.contact for e in valid} == {Contact.PRESS}
     assert max(np.hypot(e.x_mm - PLACE_MM[0], e.y_mm - PLACE_MM[1]) for e in valid) < 1.5
     assert min(e.time_s for e in valid) > 3.0
-
-
-def test_a_tilt_of_the_device_is_not_a_press(localizer: Localizer) -> None:
     localizer.reset()
     found = localizer.push(held(np.array([0.1, 0.06, 0.1, 0.06])))
     assert not any(e.valid for e in found)

@@ -96,14 +96,10 @@ def test_no_slide_goes_another_way_for_long(streams: list[tuple[Slide, list[Esti
 
 def test_while_a_contact_pauses_its_speed_is_zero(streams: list[tuple[Slide, list[Estimate]]]) -> None:
     """Between the stop and the end of the slide the contact rests where it is."""
-    resting = [
-        estimate
-        for _, estimates in streams
-        for estimate in estimates
-        if estimate.contact is Contact.STOPPED and estimate.state is SlideState.SLIDE
-    ]
+    found = [e for _, estimates in streams for e in estimates if e.state is SlideState.SLIDE]
+    resting = [e.speed_mm_s for e in found if e.contact is Contact.STOPPED]
     assert len(resting) > 100
-    assert {estimate.speed_mm_s for estimate in resting} == {0.0}
+    assert {*resting} == {0.0}
 
 
 def test_a_slide_after_one_that_stopped_is_as_the_first(localizer: Localizer, specimen: Specimen) -> None:

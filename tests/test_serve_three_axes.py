@@ -1,6 +1,5 @@
 """A bundle for a magnetometer: its graph, its stream, its C code, and what does not apply to it."""
 
-import json
 import subprocess
 from dataclasses import replace
 from pathlib import Path
@@ -13,7 +12,6 @@ from dome_map import dome_map
 from touched_bundle import at_rest, circle, on_the_circle, outputs
 from touched_skin import NOISE, RATE_HZ, SENSOR, UNIT, recorded, write_skin
 
-import softslide
 from features.angles import wrapped_deg
 from features.card import Interval, Validity, read_card
 from features.stream.conditioning import Conditioning
@@ -110,20 +108,6 @@ def test_a_circle_is_followed_and_is_not_a_slide(bundle: Path) -> None:
     assert np.median(np.abs(turned)) < 6.0
     # The whole of it passes for no straight slide.
     assert not estimates[-1].valid
-
-
-def test_the_command_streams_a_file_of_it(
-    bundle: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    volts, _ = recorded(33.0, 4.0, 25.0, seed=100)
-    path, header = tmp_path / "one.csv", ",".join(["time_s", *SENSOR.channels])
-    table = np.column_stack([np.arange(len(volts)) / RATE_HZ, volts])
-    np.savetxt(path, table, delimiter=",", header=header, comments="")
-    command = ["serve", "--model", str(bundle), "--source", str(path), "--fast"]
-    assert softslide.main(command) == 0
-    lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
-    assert lines[-1]["valid"]
-    assert lines[-1]["direction_deg"] == pytest.approx(33.0, abs=1.5)
 
 
 @NEEDS_COMPILER
