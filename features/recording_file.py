@@ -69,7 +69,7 @@ def _read_csv(path: Path, columns: Sequence[str], missing: str) -> np.ndarray:
 def _broken_line(
     path: Path, lines: Sequence[str], columns: Sequence[str], places: Sequence[int]
 ) -> InputError:
-    """The error for the first cell that is no number, of a file that is known to have one."""
+    """The error for the first cell that is not a number, of a file that is known to have one."""
     try:
         for row, cells in enumerate(csv.reader(lines), 1):
             texts = (cells[place].strip() if place < len(cells) else "" for place in places)

@@ -21,7 +21,7 @@ from serve.graph_limits import MOST_BYTES, check_graph
 # Largest difference between two processors' arithmetic, relative or absolute. Graph and original differ by 4e-5
 # (experiments/LOG.md); more than 1e-3 is another graph.
 GOLDEN_TOLERANCE = 1e-3
-# Loading takes a tenth of a second, a window a few ms; what takes longer than this is no model to localize with.
+# Loading takes a tenth of a second, a window a few ms; what takes longer than this is not a model to localize with.
 LOADING_S = 20.0
 GRAPHS = ("model.onnx", "model.ort")
 T = TypeVar("T")

@@ -50,7 +50,7 @@ def checked_volts(
     place: opens an error's message.
 
     Raises:
-        InputError: a cell that is no finite number, too few samples, a gap in time, or another rate than `rate_hz`.
+        InputError: a cell that is not a finite number, too few samples, a gap in time, or another rate than `rate_hz`.
     """
     check_clock(place, finite(place, columns, values)[:, 0], rate_hz)
     return np.ascontiguousarray(values[:, 1:])

@@ -28,7 +28,7 @@ def sheet(imports: grimp.ImportGraph, room: str) -> dict[str, set[str]]:
 
 
 def circle(arrows: dict[str, set[str]]) -> list[str]:
-    """A circle of imports; empty where there is none."""
+    """A circle of imports; empty where there is no circle."""
     try:
         TopologicalSorter(arrows).prepare()
     except CycleError as error:

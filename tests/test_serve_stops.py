@@ -103,7 +103,7 @@ def test_while_a_contact_pauses_its_speed_is_zero(streams: list[tuple[Slide, lis
 
 
 def test_a_slide_after_one_that_stopped_is_as_the_first(localizer: Localizer, specimen: Specimen) -> None:
-    """The stop before is no part of it: it is followed live, and moves."""
+    """The stop before is not a part of it: it is followed live, and moves."""
     slide, recording = stopped_slide(specimen, 206, rest_after_s=3.0)
     localizer.reset()
     estimates = localizer.push(np.concatenate([recording.volts, recording.volts]))

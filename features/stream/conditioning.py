@@ -45,7 +45,7 @@ class Conditioning:
     still_peak_v: a stop on the skin is looked for only in slides that have reached this output in V: in weaker ones
         the noise hides the difference between a slow slide and a stop.
     least_blocks: blocks since the trigger before the first estimate.
-    touch_blocks: a signal that changes in shape only within this many blocks of the trigger (0.24 s) is no slide but
+    touch_blocks: a signal that changes in shape only within this many blocks of the trigger (0.24 s) is not a slide but
         a touch: something set down or lifted off, or a jump of the zero.
     longest_blocks: a slide that has not ended after so many blocks (5 min) is slower than any that a model knows, or
         a shifted zero; it is given up.

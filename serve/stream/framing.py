@@ -53,7 +53,7 @@ class Frames:
 class Lines:
     """Lines of comma-separated numbers. The first valid one decides whether a time comes before the volts.
 
-    strict: a line that is no sample is an error; otherwise it is skipped, as a lost sample.
+    strict: a line that is not a sample is an error; otherwise it is skipped, as a lost sample.
     midway: the stream may be joined in the middle of a line, which is then dropped: the rest of one could pass for
     a sample.
     """

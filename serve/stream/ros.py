@@ -26,7 +26,7 @@ def samples(topic: str, channels: int) -> Iterator[Chunk | tuple[()]]:
     """Chunks from a topic of std_msgs/Float64MultiArray, whose data are rows of the channels' volts.
 
     Raises:
-        InputError: rclpy is not installed, or a message is no whole number of rows.
+        InputError: rclpy is not installed, or a message is not a whole number of rows.
     """
 
     def read(message: Any) -> Chunk:

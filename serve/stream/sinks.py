@@ -53,7 +53,7 @@ class Lines:
 
 
 class Datagrams:
-    """UDP; a missing listener is no error."""
+    """UDP; a missing listener is not an error."""
 
     def __init__(self, host: str, port: int) -> None:
         try:

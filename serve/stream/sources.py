@@ -1,7 +1,7 @@
 """Sources of samples: a recording, standard input, UDP, a serial port, a ROS 2 topic.
 
 A source yields chunks (volts (n, C) V, time_s (n,) s or None), and () when nothing has come for WAIT_S, so that the
-reader can stop. The localizer judges the values; here only input that is no sample at all is refused.
+reader can stop. The localizer judges the values; here only input that is not a sample at all is refused.
 """
 
 import io
@@ -54,7 +54,7 @@ def is_live(name: str) -> bool:
 
 
 def open_live(name: str, columns: int, form: str) -> Source:
-    """A source of samples of so many columns (`Card.columns`) that is no file.
+    """A source of samples of so many columns (`Card.columns`) that is not a file.
 
     Raises:
         InputError: as `open_source`.
