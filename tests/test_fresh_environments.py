@@ -9,13 +9,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-import pandas as pd
 import pytest
+from a_device import write_device
 from lab_files import FORMATS, write_lab
-from small_bundle import write_small_bundle
 from test_front_door import CALLS
 
-from pipeline.recordings.folder import SAMPLE, read_folder
+from pipeline.recordings.folder import SAMPLE
 
 pytestmark = pytest.mark.long
 HERE = Path(__file__).parents[1]
@@ -35,14 +34,12 @@ class Environment:
 
     def run(self, *words: object, patience_s: float = PATIENCE_S) -> subprocess.CompletedProcess[str]:
         command = [str(self.softslide), *map(str, words)]
-        return subprocess.run(
-            command, cwd=self.lab, capture_output=True, text=True, timeout=patience_s, check=False
-        )
+        return subprocess.run(command, cwd=self.lab, capture_output=True, text=True, timeout=patience_s)
 
 
 @pytest.fixture(scope="module")
 def tree(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The tracked files alone, as they are now: building a package writes beside them."""
+    """The tracked files alone, as they are now: building a package writes next to them."""
     copy = tmp_path_factory.mktemp("tree") / "softslide"
     names = subprocess.run(["git", "ls-files", "-z"], cwd=HERE, capture_output=True, check=True).stdout
     for name in filter(None, names.decode().split("\0")):
@@ -54,14 +51,7 @@ def tree(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A bundle, a recording as CSV and as Parquet, and a lab's own files with their map."""
-    root = tmp_path_factory.mktemp("lab")
-    folder = read_folder(SAMPLE)
-    write_small_bundle(root / "bundle", folder.sensor)
-    fastest = folder.load(str(folder.manifest["speed_mm_s"].idxmax()))
-    table = pd.DataFrame(fastest.volts, columns=list(folder.sensor.channels))
-    table.insert(0, "time_s", fastest.time_s)
-    table.to_csv(root / "slide.csv", index=False)
-    table.to_parquet(root / "slide.parquet")
+    root = write_device(tmp_path_factory.mktemp("lab"))
     write_lab(root / "theirs", FORMATS["csv"], ("one", "two"))
     return root
 
@@ -83,11 +73,8 @@ def fresh(
 
 @pytest.mark.parametrize("command", sorted(CALLS))
 def test_it_works_or_names_its_extra(fresh: Environment, tmp_path: Path, command: str) -> None:
-    places = {
-        "BUNDLE": fresh.lab / "bundle",
-        "slide.parquet": fresh.lab / "slide.parquet",
-        "out": tmp_path / "out",
-    }
+    lab = fresh.lab
+    places = {"BUNDLE": lab / "bundle", "slide.parquet": lab / "slide.parquet", "out": tmp_path / "out"}
     try:
         done = fresh.run(command, *(places.get(w, w) for w in CALLS[command]), patience_s=AT_WORK_S)
     except subprocess.TimeoutExpired:
@@ -100,15 +87,11 @@ def test_it_works_or_names_its_extra(fresh: Environment, tmp_path: Path, command
 
 
 def test_what_an_extra_is_for_works(fresh: Environment, tmp_path: Path) -> None:
-    bundle, out = fresh.lab / "bundle", tmp_path
-    calls: list[list[object]] = [
-        ["predict", "--model", bundle, fresh.lab / "slide.csv"],
-        ["serve", "--model", bundle, "--source", fresh.lab / "slide.csv", "--fast"],
-    ]
+    bundle, slide, out = fresh.lab / "bundle", fresh.lab / "slide.csv", tmp_path
+    serve = ["serve", "--model", bundle, "--source", slide, "--fast"]
+    calls: list[list[object]] = [["predict", "--model", bundle, slide], serve]
     if "live" in fresh.extras:
-        calls.append(
-            ["serve", "--model", bundle, "--source", fresh.lab / "slide.csv", "--fast", "--page", "0"]
-        )
+        calls.append([*serve, "--page", "0"])
     if "io" in fresh.extras:
         theirs = fresh.lab / "theirs"
         calls += [

@@ -13,12 +13,11 @@ from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
-import pandas as pd
 import pytest
-from small_bundle import write_small_bundle
+from a_device import write_device
 
 import softslide
-from pipeline.recordings.folder import SAMPLE, read_folder
+from pipeline.recordings.folder import SAMPLE
 from pipeline.sensor import read_sensor
 
 HERE = Path(__file__).parents[1]
@@ -41,6 +40,10 @@ def test_packages_are_those_of_this_tree() -> None:
 
 def run(*arguments: object, absent: Sequence[str] = HEAVY) -> subprocess.CompletedProcess[str]:
     """The command in a process of its own where importing these fails, as on a device."""
+    return python("sys.exit(softslide.main(sys.argv[1:]))", *arguments, absent=absent)
+
+
+def python(code: str, *arguments: object, absent: Sequence[str] = HEAVY) -> subprocess.CompletedProcess[str]:
     script = f"""
 import sys
 
@@ -52,11 +55,10 @@ class Absent:
 sys.meta_path.insert(0, Absent())
 sys.path.insert(0, {str(HERE)!r})
 import softslide
-sys.exit(softslide.main(sys.argv[1:]))
+{code}
 """
-    return subprocess.run(
-        [sys.executable, "-c", script, *map(str, arguments)], capture_output=True, text=True, timeout=300
-    )
+    command = [sys.executable, "-c", script, *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=300)
 
 
 def test_the_runtime_imports_numpy_and_onnxruntime_alone() -> None:
@@ -66,27 +68,15 @@ def test_the_runtime_imports_numpy_and_onnxruntime_alone() -> None:
         for path in sorted((HERE / room).rglob("*.py"))
     ]
     assert "serve.localizer" in modules
-    script = f"import importlib, sys\nfor name in {modules!r}: importlib.import_module(name)\n" + (
-        f"sys.exit(', '.join(set({HEAVY!r}) & set(sys.modules)) or 0)"
-    )
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, cwd=HERE)
+    code = f"import importlib\nfor name in {modules!r}: importlib.import_module(name)\n"
+    done = python(f"{code}sys.exit(', '.join(set({HEAVY!r}) & set(sys.modules)) or 0)", absent=())
     assert done.stderr.strip() == ""
     assert done.returncode == 0
 
 
 @pytest.fixture(scope="module")
 def device(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A bundle, and one sample recording as Parquet and as CSV."""
-    root = tmp_path_factory.mktemp("device")
-    folder = read_folder(SAMPLE)
-    write_small_bundle(root / "bundle", folder.sensor)
-    fastest = str(folder.manifest["speed_mm_s"].idxmax())
-    recording = folder.load(fastest)
-    table = pd.DataFrame(recording.volts, columns=list(folder.sensor.channels))
-    table.insert(0, "time_s", recording.time_s)
-    table.to_csv(root / "slide.csv", index=False)
-    table.to_parquet(root / "slide.parquet")
-    return root
+    return write_device(tmp_path_factory.mktemp("device"))
 
 
 def test_a_device_predicts_from_csv(device: Path) -> None:
@@ -100,19 +90,15 @@ def test_a_device_predicts_from_csv(device: Path) -> None:
     assert first["valid"] is True
 
 
-def test_parquet_says_which_extra_it_needs(device: Path) -> None:
-    done = run("predict", "--model", device / "bundle", device / "slide.parquet")
-    assert done.returncode == 2
-    assert done.stderr.count("\n") == 1
-    assert "softslide[io]" in done.stderr
-
-
 def test_parquet_and_csv_predict_the_same(device: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    files = [str(device / "slide.csv"), str(device / "slide.parquet")]
-    assert softslide.main(["predict", "--model", str(device / "bundle"), *files]) == 0
+    assert predict(device, device / "slide.csv", device / "slide.parquet") == 0
     csv, parquet = (json.loads(line) for line in capsys.readouterr().out.splitlines())
     assert csv.pop("file") != parquet.pop("file")
     assert csv == parquet
+
+
+def predict(device: Path, *files: Path) -> int:
+    return softslide.main(["predict", "--model", str(device / "bundle"), *map(str, files)])
 
 
 def spoil(lines: list[str], row: int, cell: int, text: str) -> list[str]:
@@ -141,7 +127,7 @@ def test_a_bad_csv_is_refused_in_one_line(
 ) -> None:
     path = tmp_path / "bad.csv"
     path.write_text("".join(line + "\n" for line in change((device / "slide.csv").read_text().splitlines())))
-    assert softslide.main(["predict", "--model", str(device / "bundle"), str(path)]) == 2
+    assert predict(device, path) == 2
     out, err = capsys.readouterr()
     assert out == ""
     assert err.count("\n") == 1
@@ -149,64 +135,66 @@ def test_a_bad_csv_is_refused_in_one_line(
     assert says in err
 
 
-@pytest.mark.parametrize("name", ["none.csv", "slide.txt"])
-def test_a_file_that_cannot_be_read_is_refused(
-    device: Path, capsys: pytest.CaptureFixture[str], name: str
-) -> None:
+def test_a_file_that_cannot_be_read_is_refused(device: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (device / "slide.txt").write_text("x")
-    assert softslide.main(["predict", "--model", str(device / "bundle"), str(device / name)]) == 2
-    assert name in capsys.readouterr().err
+    for name in ("none.csv", "slide.txt"):
+        assert predict(device, device / name) == 2
+        assert name in capsys.readouterr().err
+
+
+def test_help_comes_without_opening_a_room() -> None:
+    code = """
+for command in sys.argv[1:]:
+    try:
+        softslide.main([command, "--help"])
+    except SystemExit as done:
+        assert not done.code
+"""
+    done = python(code, *COMMANDS)
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == ""
+    assert all(f"softslide {command}" in done.stdout for command in COMMANDS)
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_help_comes_without_opening_a_room(command: str) -> None:
-    done = run(command, "--help")
-    assert done.returncode == 0, done.stderr
-    assert done.stderr == ""
-    assert f"softslide {command}" in done.stdout
+def test_help_explains_every_option_and_is_read_as_it_is_written(command: str) -> None:
+    parser = SUBPARSERS[command]  # type: ignore[index]
+    for action in parser._actions:
+        assert action.help, action.dest
+        if action.default not in (None, False, "==SUPPRESS==") and action.option_strings:
+            assert "default" in parser._get_formatter()._expand_help(action), action.option_strings
+    shown = parser.format_help()
+    assert "%%" not in shown
+    assert f"    softslide {command} " in shown, "no example"
+    assert max(map(len, (parser.description or "").splitlines())) <= 88
 
 
-def test_every_option_of_every_command_is_explained() -> None:
-    for name, parser in SUBPARSERS.items():  # type: ignore[union-attr]
-        for action in parser._actions:
-            assert action.help, f"{name}: {action.dest}"
-            if action.default not in (None, False, "==SUPPRESS==") and action.option_strings:
-                shown = parser._get_formatter()._expand_help(action)
-                assert "default" in shown, f"{name} {action.option_strings}: {shown}"
-
-
-def test_help_is_read_as_it_is_written() -> None:
-    for name, parser in SUBPARSERS.items():  # type: ignore[union-attr]
-        shown = parser.format_help()
-        assert "%%" not in shown, name
-        assert f"    softslide {name} " in shown, f"{name} shows no example"
-        assert max(map(len, (parser.description or "").splitlines())) <= 88, name
-
-
-def test_the_version_is_told() -> None:
+def test_the_version_is_printed() -> None:
     done = run("--version")
-    assert done.returncode == 0
-    assert done.stdout == f"softslide {softslide.__version__}\n"
+    assert (done.returncode, done.stdout) == (0, f"softslide {softslide.__version__}\n")
 
 
+SENSOR = ("--sensor", SAMPLE / "sensor.toml")
+RECORDINGS = ("--recordings", SAMPLE)
+OUT = ("--out", "out")
 # A call of every command, complete but for the extras that it needs.
-CALLS = {
-    "check": [SAMPLE],
-    "import": [SAMPLE / "slides", "--map", SAMPLE / "sensor.toml", "--out", "out"],
-    "simulate": ["--sensor", SAMPLE / "sensor.toml", "--out", "out"],
-    "synthesize": ["--slides", 1, "--out", "out"],
-    "demo": ["--out", "out"],
-    "train": ["--recordings", SAMPLE, "--out", "out"],
-    "evaluate": ["--model", SAMPLE, "--recordings", SAMPLE, "--out", "out"],
-    "export": ["--model", SAMPLE, "--to", "ort", "--out", "out"],
-    "recalibrate": ["--model", SAMPLE, "--recordings", SAMPLE, "--out", "out"],
-    "article": ["--recordings", SAMPLE, "--out", "out"],
-    "compare": ["--recordings", SAMPLE, "--out", "out"],
-    "design": ["--sensor", SAMPLE / "sensor.toml", "--out", "out"],
-    "plan": ["--sensor", SAMPLE / "sensor.toml", "--out", "out"],
-    "record": ["--source", "udp://:9", "--plan", SAMPLE / "manifest.csv", "--out", "out"],
-    "predict": ["--model", "BUNDLE", "slide.parquet"],
-    "serve": ["--model", "BUNDLE", "--source", "-", "--page", "0"],
+CALLS: dict[str, tuple[object, ...]] = {
+    "check": (SAMPLE,),
+    "import": (SAMPLE / "slides", "--map", SAMPLE / "sensor.toml", *OUT),
+    "simulate": (*SENSOR, *OUT),
+    "synthesize": ("--slides", 1, *OUT),
+    "demo": OUT,
+    "train": (*RECORDINGS, *OUT),
+    "evaluate": ("--model", SAMPLE, *RECORDINGS, *OUT),
+    "export": ("--model", SAMPLE, "--to", "ort", *OUT),
+    "recalibrate": ("--model", SAMPLE, *RECORDINGS, *OUT),
+    "article": (*RECORDINGS, *OUT),
+    "compare": (*RECORDINGS, *OUT),
+    "design": (*SENSOR, *OUT),
+    "plan": (*SENSOR, *OUT),
+    "record": ("--source", "udp://:9", "--plan", SAMPLE / "manifest.csv", *OUT),
+    "predict": ("--model", "BUNDLE", "slide.parquet"),
+    "serve": ("--model", "BUNDLE", "--source", "-", "--page", "0"),
 }
 EXTRAS = {"check": "io", "import": "io", "synthesize": "io", "predict": "io", "record": "io", "serve": "live"}
 
@@ -229,26 +217,20 @@ def test_a_registered_bundle_needs_the_extra_that_has_the_registry(device: Path)
     assert done.stderr == "softslide predict needs softslide[train]: pip install 'softslide[train]'\n"
 
 
-def test_a_module_of_our_own_that_is_missing_is_no_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_module_of_our_own_that_is_missing_is_not_an_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pipeline.recordings.folder", None)
     monkeypatch.delitem(sys.modules, "pipeline.checks.findings", raising=False)
     with pytest.raises(ModuleNotFoundError, match=r"pipeline\.recordings"):
         softslide.main(["check", str(SAMPLE)])
 
 
-@pytest.mark.parametrize(
-    ("command", "word"),
-    [
-        (c, w)
-        for c, words in CALLS.items()
-        for w in words
-        if isinstance(w, Path) or w in ("BUNDLE", "slide.parquet")
-    ],
-)
+FROM_DEVICE = ("BUNDLE", "slide.parquet")
+GIVEN = [(c, w) for c, words in CALLS.items() for w in words if isinstance(w, Path) or w in FROM_DEVICE]
+
+
+@pytest.mark.parametrize(("command", "word"), GIVEN)
 def test_a_mistyped_path_is_refused_before_anything_heavy_is_imported(command: str, word: object) -> None:
-    words = [
-        "nowhere" if w == word else SAMPLE if w in ("BUNDLE", "slide.parquet") else w for w in CALLS[command]
-    ]
+    words = ["nowhere" if w == word else SAMPLE if w in FROM_DEVICE else w for w in CALLS[command]]
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     done = run(command, *words)
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
@@ -262,20 +244,19 @@ def test_a_mistyped_path_is_refused_before_anything_heavy_is_imported(command: s
 @pytest.mark.parametrize(
     ("words", "says"),
     [
-        (["synthesize", "--slides", "0"], "--slides 0: at least one is needed, or a path"),
-        (["synthesize", "--paths", "-1"], "--paths -1: it must not be negative"),
-        (["synthesize", "--slides", "1", "--seed", "-1"], "--seed -1: it must not be negative"),
-        (["simulate", "--jobs", "0"], "--jobs 0: at least one is needed"),
-        (["simulate", "--workers", "0"], "--jobs 0: at least one is needed"),
+        ("synthesize --slides 0", "--slides 0: at least one is needed, or a path"),
+        ("synthesize --paths -1", "--paths -1: it must not be negative"),
+        ("synthesize --slides 1 --seed -1", "--seed -1: it must not be negative"),
+        ("simulate --jobs 0", "--jobs 0: at least one is needed"),
+        ("simulate --workers 0", "--jobs 0: at least one is needed"),
     ],
 )
 def test_a_bad_value_is_named_by_its_option(
-    words: list[str], says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    words: str, says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    out = ["--out", str(tmp_path / "out")] if words[0] in ("synthesize", "simulate") else []
-    assert softslide.main([*words, *out]) == 2
+    assert softslide.main([*words.split(), "--out", str(tmp_path / "out")]) == 2
     *_, last = capsys.readouterr().err.splitlines()
-    assert last == f"softslide {words[0]}: {says}"
+    assert last == f"softslide {words.split()[0]}: {says}"
 
 
 def test_no_library_knows_an_option() -> None:
@@ -292,11 +273,10 @@ def test_no_library_knows_an_option() -> None:
 
 def test_ctrl_c_is_one_line_and_130(tmp_path: Path) -> None:
     command = [sys.executable, str(HERE / "softslide.py"), "synthesize", "--slides", "500"]
+    command += ["--out", str(tmp_path / "out")]
     # What is started in the background is deaf to Ctrl-C, and hands that on.
     heard = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)
-    with subprocess.Popen(
-        [*command, "--out", str(tmp_path / "out")], stderr=subprocess.PIPE, preexec_fn=heard
-    ) as running:
+    with subprocess.Popen(command, stderr=subprocess.PIPE, preexec_fn=heard) as running:
         while not list(tmp_path.iterdir()):
             time.sleep(0.05)
         running.send_signal(signal.SIGINT)
@@ -317,18 +297,12 @@ def test_bad_usage_is_2(arguments: list[str], capsys: pytest.CaptureFixture[str]
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /dev/full here")
 def test_a_full_disk_is_one_line() -> None:
+    command = [sys.executable, str(HERE / "softslide.py"), "import", "--sensor-template"]
     with open("/dev/full", "wb") as full:
-        done = subprocess.run(
-            [sys.executable, str(HERE / "softslide.py"), "import", "--sensor-template"],
-            stdout=full,
-            stderr=subprocess.PIPE,
-            check=False,
-            timeout=120,
-        )
+        done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, check=False, timeout=120)
     assert done.returncode == 1
-    assert done.stderr.decode().splitlines() == [
-        "softslide import: the output: No space left on device; free some space, or name a place that can be written"
-    ]
+    (line,) = done.stderr.decode().splitlines()
+    assert line.startswith("softslide import: the output: No space left on device; ")
 
 
 def test_the_template_of_a_sensor_is_a_sensor(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
@@ -338,7 +312,6 @@ def test_the_template_of_a_sensor_is_a_sensor(tmp_path: Path, capsys: pytest.Cap
 
 
 def test_check_needs_the_io_extra_alone() -> None:
-    done = run(
-        "check", SAMPLE, absent=("torch", "sklearn", "numba", "mlflow", "matplotlib", "joblib", "onnx")
-    )
+    others = ("torch", "sklearn", "numba", "mlflow", "matplotlib", "joblib", "onnx")
+    done = run("check", SAMPLE, absent=others)
     assert done.returncode == 0, done.stderr

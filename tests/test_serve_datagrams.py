@@ -50,19 +50,20 @@ def test_a_gap_in_the_numbers_is_empty_samples(
     assert (f"{lost} datagrams were lost" in said) == (lost > 0)
 
 
+STAMPED = (1, 5), b"0.1,1,2,3\n", 2
+LONG_GAP = (1, 90_000), b"1,2,3\n" * 400, 800 + datagrams.MOST_EMPTY
+
+
+@pytest.mark.parametrize(("numbers", "rows", "samples"), [STAMPED, LONG_GAP])
 def test_stamped_samples_need_nothing_made_up_and_a_long_gap_costs_little(
-    mouth: socket.socket, capsys: pytest.CaptureFixture
+    mouth: socket.socket, capsys: pytest.CaptureFixture, numbers: tuple[int, int], rows: bytes, samples: int
 ) -> None:
-    for numbers, row, made_up in (
-        ((1, 5), b"0.1,1,2,3\n", 0),
-        ((1, 90_000), b"1,2,3\n", datagrams.MOST_EMPTY),
-    ):
-        ear, place = listening()
-        for number in numbers:
-            mouth.sendto(f"#{number}\n".encode() + row * (400 if made_up else 1), place)
-        volts, _ = heard(ear, capsys)
-        assert ear.lost == numbers[1] - numbers[0] - 1
-        assert len(volts) == made_up + (800 if made_up else 2)
+    ear, place = listening()
+    for number in numbers:
+        mouth.sendto(f"#{number}\n".encode() + rows, place)
+    volts, _ = heard(ear, capsys)
+    assert ear.lost == numbers[1] - numbers[0] - 1
+    assert len(volts) == samples
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="Linux alone counts what it drops")
