@@ -2,29 +2,27 @@
 
 import http.client
 import socket
+from collections.abc import Iterator
 from contextlib import closing
+from pathlib import Path
 from urllib.parse import urlsplit
 
 import pytest
-from small_bundle import write_small_bundle
-from streams import a_sensor
-from test_serve_page import Serving, serving
+from test_serve_page import Serving, serving, upgrade
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
 
 @pytest.fixture(scope="module")
-def running(tmp_path_factory: pytest.TempPathFactory):  # type: ignore[no-untyped-def]
-    bundle = write_small_bundle(tmp_path_factory.mktemp("bundles") / "one", a_sensor())
+def running(bundle: Path) -> Iterator[Serving]:
     with serving(bundle) as local:
         yield local
 
 
 @pytest.fixture(scope="module")
-def opened(tmp_path_factory: pytest.TempPathFactory):  # type: ignore[no-untyped-def]
-    bundle = write_small_bundle(tmp_path_factory.mktemp("bundles") / "two", a_sensor())
-    with serving(bundle, "0.0.0.0:0") as everywhere:
-        yield everywhere
+def everywhere(bundle: Path) -> Iterator[Serving]:
+    with serving(bundle, "0.0.0.0:0") as known:
+        yield known
 
 
 def answer(running: Serving, path: str, **headers: str) -> tuple[int, http.client.HTTPMessage, bytes]:
@@ -51,15 +49,7 @@ def test_a_stream_for_another_host_or_origin_is_refused(running: Serving) -> Non
         assert view.recv(timeout=20)
     for headers in ({"Host": "evil.example"}, {"Origin": "http://evil.example"}):
         with socket.create_connection(("127.0.0.1", port)) as raw:
-            lines = {
-                "Host": f"127.0.0.1:{port}",
-                "Upgrade": "websocket",
-                "Connection": "Upgrade",
-                "Sec-WebSocket-Key": "dGhlIHNhbXBsZSBub25jZQ==",
-                "Sec-WebSocket-Version": "13",
-            } | headers
-            text = "".join(f"{name}: {value}\r\n" for name, value in lines.items())
-            raw.sendall(f"GET /stream HTTP/1.1\r\n{text}\r\n".encode())
+            raw.sendall(upgrade(**{"Host": f"127.0.0.1:{port}", **headers}))
             assert b" 403 " in raw.recv(4096).splitlines()[0]
 
 
@@ -81,15 +71,15 @@ def test_a_request_without_end_is_refused(running: Serving) -> None:
     assert answer(running, "/healthz")[0] == 200
 
 
-def test_other_machines_need_the_token(opened: Serving) -> None:
-    token = urlsplit(opened.address).query
+def test_other_machines_need_the_token(everywhere: Serving) -> None:
+    token = urlsplit(everywhere.address).query
     assert len(token) > 20
     for path in ("/", "/model", "/?token=", "/?token=wrong", "/?token=%ff"):
-        assert answer(opened, path)[0] == 403, path
-    status, headers, _ = answer(opened, f"/?{token}")
+        assert answer(everywhere, path)[0] == 403, path
+    status, headers, _ = answer(everywhere, f"/?{token}")
     assert status == 200
     cookie = headers["Set-Cookie"].partition(";")[0]
-    assert answer(opened, "/model", Cookie=cookie)[0] == 200
-    assert answer(opened, "/model", Cookie="softslide_token=wrong")[0] == 403
+    assert answer(everywhere, "/model", Cookie=cookie)[0] == 200
+    assert answer(everywhere, "/model", Cookie="softslide_token=wrong")[0] == 403
     with pytest.raises(InvalidStatus):
-        connect(f"ws://127.0.0.1:{urlsplit(opened.address).port}/stream", proxy=None)
+        connect(f"ws://127.0.0.1:{urlsplit(everywhere.address).port}/stream", proxy=None)
