@@ -291,7 +291,7 @@ def foreign() -> onnx.ModelProto:
 
 def of_the_runtimes_own() -> onnx.ModelProto:
     """An operator of ONNX Runtime's own that no bundle has."""
-    model = hostile([helper.make_node("QAttention", ["volts"], ["estimate"], domain="com.microsoft")], [])
+    model = hostile(helper.make_node("QAttention", ["volts"], ["estimate"], domain="com.microsoft"))
     model.opset_import.append(helper.make_opsetid("com.microsoft", 1))
     return model
 
