@@ -158,13 +158,14 @@ def test_the_exit_status_is_the_bounds(tmp_path: Path, speed_mm_s: float, status
 def test_a_bound_that_nothing_tests_names_the_missing_labels(
     bundle: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    without = {"offset_mm": np.nan, "start_x_mm": np.nan}
+    without = dict.fromkeys(("offset_mm", "start_x_mm", "start_y_mm"), np.nan)
     a_folder(tmp_path / "lab", one=without, two=without, three={"speed_mm_s": 14.5})
     evaluated(bundle, tmp_path / "lab", tmp_path / "out")
     metrics = json.loads((tmp_path / "out/metrics.json").read_text())
     reasons = {b["name"]: b["untested"] for b in metrics["bounds"]}
     assert reasons["speed"] == "no such recording: of 3, offset_mm is missing in 2"
-    assert reasons["position"].endswith("of 3, offset_mm is missing in 2, start_x_mm is missing in 2")
+    gaps = (f"{name} is missing in 2" for name in without)
+    assert reasons["position"] == f"no such recording: of 3, {', '.join(gaps)}"
     assert reasons["speed"] in capsys.readouterr().out
 
 

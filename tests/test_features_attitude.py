@@ -43,3 +43,7 @@ def test_accelerometers_that_are_not_in_use_and_other_elements_are_not_asked() -
     static = np.concatenate([at_rest(0.0), at_rest(90.0), np.zeros(3)])
     assert attitude.is_other(static, np.array([True, True, True]))
     assert not attitude.is_other(static, np.array([True, False, True]))
+
+
+def test_outputs_without_gravity_show_no_attitude() -> None:
+    assert not Attitude([BOARD], (), 1.0).is_other(np.full(3, ZERO_V), np.array([True]))

@@ -18,6 +18,8 @@ MOST_TURN_DEG = 7.0
 MOST_TURN_OF_HEIGHTS_DEG = 15.0
 # To the z axis, where the static output of the calibration is not known: skins turn a board by up to 20 degrees.
 MOST_FROM_Z_DEG = 40.0
+# Outputs that show less of gravity, as of a sensor that is read without its direct part, show no attitude.
+LEAST_G = 0.5
 
 
 class Attitude:
@@ -54,6 +56,9 @@ class Attitude:
 
 
 def _angle_deg(a: Sequence[float], b: Sequence[float]) -> float:
+    """Between two outputs at rest, in g; 0 where one shows no attitude."""
     cosine = sum(x * y for x, y in zip(a, b, strict=True))
-    length = math.hypot(*a) * math.hypot(*b)
-    return math.degrees(math.acos(max(-1.0, min(1.0, cosine / length)))) if length > 0.0 else 180.0
+    lengths = math.hypot(*a), math.hypot(*b)
+    if min(lengths) < LEAST_G:
+        return 0.0
+    return math.degrees(math.acos(max(-1.0, min(1.0, cosine / (lengths[0] * lengths[1])))))
