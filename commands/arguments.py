@@ -86,6 +86,13 @@ def skin_height(parser: Parser) -> None:
     )
 
 
+def unsigned(parser: Parser) -> None:
+    """`--unsigned`, for bundles of release 0.1."""
+    parser.add_argument(
+        "--unsigned", action="store_true", help="also a bundle whose card has no hash, which shows no changes"
+    )
+
+
 def existing(parser: Parser, name: str, metavar: str, help: str, **options: Any) -> None:
     """An argument for a path that has to exist."""
     parser.add_argument(name, type=Path, action=Existing, metavar=metavar, help=help, **options)

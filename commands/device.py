@@ -46,6 +46,7 @@ def predict(parser: Parser) -> Run:
         parser, "with --presses, of the sensor's design (default: the one that ships, or solved now)"
     )
     arguments.skin_height(parser)
+    arguments.unsigned(parser)
     arguments.existing(
         parser,
         "files",
@@ -61,7 +62,15 @@ def predict(parser: Parser) -> Run:
         lines = (
             _presses(given, bad.append)
             if given.presses
-            else predict(given.model, given.files, given.track, bad.append, given.height, given.whole_contact)
+            else predict(
+                given.model,
+                given.files,
+                given.track,
+                bad.append,
+                given.height,
+                given.whole_contact,
+                given.unsigned,
+            )
         )
         for line in lines:
             print(json.dumps(line, allow_nan=False), flush=True)
@@ -85,7 +94,7 @@ def _presses(given: argparse.Namespace, refused: Callable[[InputError], None]) -
     from serve.bundle import open_bundle
     from serve.files import read_recording
 
-    card, _ = open_bundle(given.model)
+    card, _ = open_bundle(given.model, given.unsigned)
     if given.height is None:
         raise InputError(
             "is needed: a press is read at a height of the inflated skin; name it in mm", "height"
@@ -139,6 +148,7 @@ def serve(parser: Parser) -> Run:
         help="pass place, direction and speed through a Kalman filter: a fifth of the jitter, no further accuracy",
     )
     arguments.skin_height(parser)
+    arguments.unsigned(parser)
     parser.add_argument("--fast", action="store_true", help="play a recording as fast as it goes")
     parser.add_argument(
         "--page",
@@ -160,6 +170,7 @@ def serve(parser: Parser) -> Run:
             given.page,
             given.smooth,
             given.height,
+            given.unsigned,
         )
         print(f"softslide serve: {written} estimates", file=sys.stderr)
 

@@ -2,7 +2,6 @@
 
 import json
 import math
-import sys
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -152,14 +151,14 @@ def card_hash(table: dict[str, Any]) -> str:
     return sha256(text.encode()).hexdigest()
 
 
-def read_card(path: Path) -> Card:
-    """Reads and validates model.json. A card of a release that wrote no hash is read, with a line on standard error.
+def read_card(path: Path, unsigned: bool = False) -> Card:
+    """Reads and validates model.json. unsigned: also one that carries no hash of itself.
 
     Raises:
         InputError: the file is missing, no regular file, no JSON, or of another format or version; it is not what was
-            written; a key is unknown or missing; a value is bad.
+            written, or does not show it; a key is unknown or missing; a value is bad.
     """
-    table = _table(path)
+    table = _table(path, unsigned)
     if table.pop("format", None) != FORMAT:
         raise InputError(f"{path}: not a softslide model card; name a bundle that 'softslide train' made")
     version = table.pop("version", None)
@@ -182,7 +181,7 @@ def read_card(path: Path) -> Card:
         ) from None
 
 
-def _table(path: Path) -> dict[str, Any]:
+def _table(path: Path, unsigned: bool) -> dict[str, Any]:
     """The file's table, without its hash, which is checked."""
     content = read_regular(path, MOST_BYTES, "a bundle holds model.onnx and model.json")
     try:
@@ -198,11 +197,11 @@ def _table(path: Path) -> dict[str, Any]:
         raise InputError(f"{path}: not a model card ({reason}); export the bundle again") from None
     if not isinstance(table, dict):
         raise InputError(f"{path}: not a softslide model card; name a bundle that 'softslide train' made")
-    if "card_sha256" not in table:
-        print(
-            f"{path}: the card has no hash of its own, so that changes to it are not found", file=sys.stderr
+    if "card_sha256" not in table and not unsigned:
+        raise InputError(
+            f"{path}: has no card_sha256, so that changes to it are not found; train again, or name --unsigned"
         )
-    elif table["card_sha256"] != card_hash(table):
+    if table.get("card_sha256", card_hash(table)) != card_hash(table):
         raise InputError(f"{path}: altered since it was written; take the bundle from its source again")
     table.pop("card_sha256", None)
     return table

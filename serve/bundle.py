@@ -28,8 +28,8 @@ T = TypeVar("T")
 _NEEDED = ("direction_cos", "direction_sin", "offset_mm")
 
 
-def open_bundle(bundle: str | Path) -> tuple[Card, ort.InferenceSession]:
-    """The card and a session of its graph, model.onnx or model.ort.
+def open_bundle(bundle: str | Path, unsigned: bool = False) -> tuple[Card, ort.InferenceSession]:
+    """The card and a session of its graph, model.onnx or model.ort. unsigned: as in `read_card`.
 
     Raises:
         InputError: the bundle is missing, altered or truncated, its channels and its sensor disagree, or it does not
@@ -37,7 +37,7 @@ def open_bundle(bundle: str | Path) -> tuple[Card, ort.InferenceSession]:
     """
     bundle = Path(bundle)
     path = next((bundle / name for name in GRAPHS if (bundle / name).is_file()), bundle / GRAPHS[0])
-    card = read_card(bundle / "model.json")
+    card = read_card(bundle / "model.json", unsigned)
     _check_card(card, bundle / "model.json")
     graph = read_regular(path, MOST_BYTES, "a bundle holds model.onnx and model.json")
     if sha256(graph).hexdigest() != card.graph_sha256:

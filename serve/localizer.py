@@ -125,14 +125,14 @@ class Localizer:
         self.reset()
 
     @classmethod
-    def load(cls, bundle: str | Path, height_mm: float | None = None) -> "Localizer":
-        """Opens a bundle and checks the example of its card. height_mm: as in `__init__`.
+    def load(cls, bundle: str | Path, height_mm: float | None = None, unsigned: bool = False) -> "Localizer":
+        """Opens a bundle and checks the example of its card. height_mm: as in `__init__`; unsigned: as in `read_card`.
 
         Raises:
             InputError: the bundle is missing, altered or truncated, does not give the result of its example, or is not
                 for this height.
         """
-        return cls(*open_bundle(bundle), height_mm)
+        return cls(*open_bundle(bundle, unsigned), height_mm)
 
     def reset(self) -> None:
         """Forgets the stream; the static output has to be learned anew."""

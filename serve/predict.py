@@ -18,18 +18,20 @@ def predict(
     refused: Callable[[InputError], None] | None = None,
     height_mm: float | None = None,
     whole_contact: bool = False,
+    unsigned: bool = False,
 ) -> Iterator[dict[str, Any]]:
     """The estimate at the end of each recording, or of the one, ready for JSON; None: not estimated.
 
     track: every estimate, one a block. whole_contact: the same, but each moment's from its whole contact, what comes
     after it included (`whole_contacts`). refused: is called with why a file could not be read, and the others go on;
     None: the first ends it. height_mm: the skin's, for a bundle over heights; None: as the static output shows it.
+    unsigned: also a bundle whose card carries no hash of itself.
 
     Raises:
         InputError: the bundle or a file is missing, damaged, or of another format, or the bundle knows no whole
             contacts.
     """
-    localizer = Localizer.load(bundle, height_mm)
+    localizer = Localizer.load(bundle, height_mm, unsigned)
     card = localizer.card
     for path in map(Path, [paths] if isinstance(paths, str | Path) else paths):
         try:

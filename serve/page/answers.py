@@ -23,7 +23,7 @@ def answer(bundle: Path, height_mm: float | None, recording: bytes) -> dict[str,
         path = Path(folder) / "recording.csv"
         path.write_bytes(recording)
         try:
-            (estimate,) = predict(bundle, [path], height_mm=height_mm)
+            (estimate,) = predict(bundle, [path], height_mm=height_mm, unsigned=True)
         except InputError as error:
             raise InputError(str(error).replace(f"{path}", "recording")) from None
     return {name: value for name, value in estimate.items() if name not in ("recording", "file")}

@@ -31,6 +31,7 @@ def serve(
     page: str | None = None,
     smooth: bool = False,
     height_mm: float | None = None,
+    unsigned: bool = False,
 ) -> int:
     """Streams until the source ends, or SIGINT or SIGTERM comes. Returns the number of estimates written.
 
@@ -39,14 +40,14 @@ def serve(
     source, sinks: as in serve/stream/sources.py and serve/stream/sinks.py. form: csv or f32, of bytes that come in.
     fast: play a recording as fast as possible. page: [HOST:]PORT of the live page, None for none.
     height_mm: the skin's, for a bundle over heights; None: as the static output shows it.
+    unsigned: also a bundle whose card carries no hash of itself.
     smooth: filter each slide's position, direction and speed (features/track_filter.py).
 
     Raises:
         InputError: the bundle, the source, a sink or the page's address is wrong or cannot be opened.
     """
-    localizer = Localizer.load(bundle, height_mm)
+    localizer = Localizer.load(bundle, height_mm, unsigned)
     steady = TrackFilter().update if smooth else None
-    written = 0
     age = SampleAge() if is_live(source) else None
     written = 0
     with _stoppable() as stopped, ExitStack() as held:
