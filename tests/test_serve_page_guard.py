@@ -3,7 +3,7 @@
 import http.client
 import socket
 from collections.abc import Iterator
-from contextlib import closing
+from contextlib import ExitStack, closing
 from pathlib import Path
 from urllib.parse import urlsplit
 
@@ -11,6 +11,8 @@ import pytest
 from test_serve_page import Serving, serving, upgrade
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
+
+from serve.page.server import MOST_BODIES, REQUEST_S
 
 
 @pytest.fixture(scope="module")
@@ -83,3 +85,22 @@ def test_other_machines_need_the_token(everywhere: Serving) -> None:
     assert answer(everywhere, "/model", Cookie="softslide_token=wrong")[0] == 403
     with pytest.raises(InvalidStatus):
         connect(f"ws://127.0.0.1:{urlsplit(everywhere.address).port}/stream", proxy=None)
+
+
+def test_requests_that_are_never_finished_hold_nobody_up(running: Serving) -> None:
+    port = urlsplit(running.address).port
+    assert port is not None
+    with ExitStack() as held:
+        opened = [
+            held.enter_context(closing(socket.create_connection(("127.0.0.1", port)))) for _ in range(100)
+        ]
+        for each in opened[:70]:
+            each.sendall(b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\n")
+        for each in opened[70 : 70 + MOST_BODIES - 1]:
+            each.sendall(b"POST /predict HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: 9\r\n\r\ntime")
+        assert answer(running, "/healthz")[0] == 200
+        with closing(http.client.HTTPConnection("127.0.0.1", port, timeout=20)) as connection:
+            connection.request("POST", "/predict", body=b"time_s\n1\n")
+            assert connection.getresponse().status == 422
+        opened[0].settimeout(3 * REQUEST_S)
+        assert opened[0].recv(1) == b""

@@ -35,7 +35,12 @@ SILENCE_S = 1.0
 FAREWELL_S = 0.5
 # A browser's request has about 1 kB of headers.
 MOST_HEADER_BYTES = 1 << 14
-MOST_CONNECTIONS = 64
+# Half-open ones among them; a request is complete within REQUEST_S, and its body within BODY_S, or it is refused.
+MOST_CONNECTIONS = 512
+REQUEST_S = 5.0
+BODY_S = 20.0
+# Recordings that are held in memory at once, each of MOST_BYTES at most.
+MOST_BODIES = 4
 # Frames that can be replayed and downloaded: five minutes of blocks of 20 ms, 3 MB.
 KEPT = 15_000
 STATES, CONTACTS, REASONS = tuple(SlideState), tuple(Contact), tuple(Reason)
@@ -97,8 +102,7 @@ class Server:
         from fastapi.staticfiles import StaticFiles
 
         application = FastAPI(title="softslide", docs_url=None, redoc_url=None)
-        # One recording at a time is held in memory; viewers are served meanwhile.
-        one = asyncio.Lock()
+        bodies = asyncio.Semaphore(MOST_BODIES)
 
         @application.websocket("/stream")
         async def stream(viewer: WebSocket) -> None:
@@ -141,12 +145,16 @@ class Server:
         )
         async def predict(request: Request) -> dict[str, Any]:
             """The estimate at the end of a recording: CSV with time_s (s) and each channel (V)."""
-            async with one:
+            async with bodies:
                 sent = bytearray()
-                async for part in request.stream():
-                    sent += part
-                    if len(sent) > MOST_BYTES:
-                        raise HTTPException(413, f"more than {MOST_BYTES >> 20} MB")
+                try:
+                    async with asyncio.timeout(BODY_S):
+                        async for part in request.stream():
+                            sent += part
+                            if len(sent) > MOST_BYTES:
+                                raise HTTPException(413, f"more than {MOST_BYTES >> 20} MB")
+                except TimeoutError:
+                    raise HTTPException(408, f"not sent within {BODY_S:g} s") from None
                 try:
                     return await run_in_threadpool(self._predict, bytes(sent))
                 except InputError as error:
@@ -220,6 +228,19 @@ def as_csv(frames: list[bytes], channels: list[str]) -> str:
 
 def _server(application: Any) -> Any:
     import uvicorn
+    from uvicorn.protocols.http.h11_impl import H11Protocol
+
+    class InTime(H11Protocol):
+        """Closes a connection that has sent no whole request within REQUEST_S."""
+
+        def connection_made(self, transport: Any) -> None:
+            super().connection_made(transport)
+            self.loop.call_later(REQUEST_S, self._close_unasked)
+
+        def _close_unasked(self) -> None:
+            # A viewer's stream has left the connections that answer requests.
+            if self.cycle is None and self in self.connections:
+                self.transport.close()
 
     return uvicorn.Server(
         uvicorn.Config(
@@ -233,7 +254,7 @@ def _server(application: Any) -> Any:
             ws_per_message_deflate=False,
             timeout_graceful_shutdown=1,
             headers=HEADERS,
-            http="h11",
+            http=InTime,
             h11_max_incomplete_event_size=MOST_HEADER_BYTES,
             limit_concurrency=MOST_CONNECTIONS,
         )
