@@ -2,6 +2,7 @@
 
 import json
 import signal
+import socket
 import subprocess
 import sys
 import threading
@@ -96,3 +97,19 @@ def test_age_is_of_the_sample_that_waited_least() -> None:
     # Time that runs back is another stream.
     age.came(0.0, 30.0)
     assert age.of(0.0, 30.5) == 0.5
+
+
+def test_standard_output_that_is_not_read_does_not_stop_the_other_sinks(serving: list[str]) -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+        other.bind(("127.0.0.1", 0))
+        other.settimeout(60.0)
+        sinks = ["--sink", "-", "--sink", f"udp://127.0.0.1:{other.getsockname()[1]}"]
+        with start([*serving, *sinks]) as running:
+            send(running, LINES[:40])
+            other.recv(1 << 16)
+            for _ in range(5):
+                send(running, LINES)
+            # Beyond what a pipe holds, 64 kB, and never read.
+            seen = [json.loads(other.recv(1 << 16)) for _ in range(400)]
+            running.kill()
+    assert sum(line["reason"] != "no_signal" for line in seen) > 300

@@ -51,7 +51,8 @@ def serve(
     age = SampleAge() if is_live(source) else None
     written = 0
     with _stoppable() as stopped, ExitStack() as held:
-        opened = [held.enter_context(closing(open_sink(name))) for name in sinks]
+        waits = age is None or (len(sinks) == 1 and page is None)
+        opened = [held.enter_context(closing(open_sink(name, waits))) for name in sinks]
         shown = (
             None
             if page is None

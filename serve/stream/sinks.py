@@ -3,6 +3,8 @@
 import json
 import socket
 import sys
+import threading
+from collections import deque
 from contextlib import suppress
 from typing import Protocol
 
@@ -12,6 +14,12 @@ from serve.records import record
 from serve.stream.sources import address
 
 KINDS = "'-' writes JSON lines on standard output; udp://HOST:PORT one JSON object a datagram; ros2://TOPIC"
+
+
+# Lines of a live stream that wait for a reader, a minute of them; beyond it the oldest are dropped.
+MOST_WAITING = 3000
+# Time, s, that a reader has at the end for those that wait.
+END_S = 2.0
 
 
 class Sink(Protocol):
@@ -24,14 +32,14 @@ class Sink(Protocol):
         """Releases what the sink holds."""
 
 
-def open_sink(name: str) -> Sink:
-    """The sink of that name (KINDS).
+def open_sink(name: str, waits: bool = True) -> Sink:
+    """The sink of that name (KINDS). waits: for whoever reads standard output, whom others would have to wait for, too.
 
     Raises:
         InputError: no such sink, or a package that it needs is missing.
     """
     if name == "-":
-        return Lines()
+        return Lines() if waits else QueuedLines()
     if name.startswith("udp://"):
         return Datagrams(*address(name))
     if name.startswith("ros2://"):
@@ -50,6 +58,49 @@ class Lines:
 
     def close(self) -> None:
         """Standard output stays open."""
+
+
+class QueuedLines(Lines):
+    """Standard output from a thread of its own: a reader that does not read holds up neither stream nor sinks."""
+
+    def __init__(self) -> None:
+        self._waiting: deque[Estimate | None] = deque()
+        self._some = threading.Event()
+        self._dropped = self._left = False
+        self._writer = threading.Thread(target=self._write_all, name="standard output", daemon=True)
+        self._writer.start()
+
+    def write(self, estimate: Estimate) -> None:
+        if self._left:
+            raise BrokenPipeError
+        if len(self._waiting) >= MOST_WAITING:
+            self._waiting.popleft()
+            if not self._dropped:
+                print(
+                    "softslide serve: standard output is not read; its oldest lines are dropped",
+                    file=sys.stderr,
+                )
+            self._dropped = True
+        self._waiting.append(estimate)
+        self._some.set()
+
+    def close(self) -> None:
+        """Waits for a reader that reads."""
+        self._waiting.append(None)
+        self._some.set()
+        self._writer.join(END_S)
+
+    def _write_all(self) -> None:
+        while self._some.wait():
+            self._some.clear()
+            while self._waiting:
+                if (estimate := self._waiting.popleft()) is None:
+                    return
+                try:
+                    super().write(estimate)
+                except OSError:
+                    self._left = True
+                    return
 
 
 class Datagrams:
