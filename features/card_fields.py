@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
+from features.names import check_plain
 from features.stream.drift import measures_gravity
 
 if TYPE_CHECKING:
@@ -29,7 +30,7 @@ def check_fields(card: "Card") -> None:
     Raises:
         ValueError: a field has another type, or its value lies outside its range.
     """
-    text(card.model, "model")
+    check_plain(text(card.model, "model"), "model")
     text(card.graph_sha256, "graph_sha256")
     number(card.sample_rate_hz, "sample_rate_hz", 0.0, HIGHEST_RATE_HZ, above=True)
     numbers(card.reference_mm, "reference_mm", 2, -MOST_MM, MOST_MM)
@@ -77,7 +78,7 @@ def _sensor(sensor: Any) -> None:
     accelerometers = table(sensor, "sensor").get("accelerometers")
     if not isinstance(accelerometers, list | tuple) or not 1 <= len(accelerometers) <= MOST_ACCELEROMETERS:
         raise ValueError(f"sensor: accelerometers is no list of 1 to {MOST_ACCELEROMETERS}")
-    text(sensor.get("name"), "sensor: name")
+    check_plain(text(sensor.get("name"), "sensor: name"), "sensor: name")
     numbers(sensor.get("chamber_mm"), "sensor: chamber_mm", 2, 0.0, MOST_MM)
     number(sensor.get("indenter_diameter_mm", 0.0), "sensor: indenter_diameter_mm", 0.0, MOST_MM)
     for n, accelerometer in enumerate(accelerometers):
@@ -85,6 +86,7 @@ def _sensor(sensor: Any) -> None:
         table(accelerometer, place)
         for key in ("x_mm", "y_mm"):
             number(accelerometer.get(key), f"{place}: {key}", -MOST_MM, MOST_MM)
+        check_plain(text(accelerometer.get("name", "a"), f"{place}: name"), f"{place}: name")
         text(accelerometer.get("kind", "accelerometer"), f"{place}: kind")
         for key in ("zero_g_v", "sensitivity_v_per_g") if measures_gravity(accelerometer) else ():
             number(accelerometer.get(key), f"{place}: {key}", 0.0, MOST_VOLTS, above=True)

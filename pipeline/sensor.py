@@ -14,6 +14,7 @@ from typing import Any
 
 from features.base_motion import BASE
 from features.errors import InputError
+from features.names import check_plain
 from features.stream.conditioning import TOUCH_AXES
 from pipeline.ranges import SHARE, check_one_of, check_positive, check_ranges
 from pipeline.toml_tables import from_table, read_toml
@@ -203,6 +204,8 @@ class Sensor:
         if not self.accelerometers:
             raise ValueError("no [[accelerometer]] is given; a sensor has at least one")
         names = [a.name for a in self.accelerometers]
+        for name in (self.name, *names, *(a.model for a in self.accelerometers)):
+            check_plain(name, "a name")
         if BASE in names:
             raise ValueError(
                 f"an accelerometer of the skin is named '{BASE}', as the robot's under [base]; rename it"

@@ -11,6 +11,7 @@ import pandas as pd
 import pandera.pandas as pa
 
 from features.errors import InputError
+from features.names import REMEDY, is_plain
 from pipeline.recordings.text_table import read_text_table
 from pipeline.sensor import Sensor
 
@@ -111,8 +112,8 @@ def _schema(sensor: Sensor) -> pa.DataFrameSchema:
         {
             "recording": column(
                 "recording",
-                lambda v: (v != "") & ~v.str.contains(r"[/\\]") & ~v.duplicated(),
-                "names must be given, differ, and hold no slash; rename it",
+                lambda v: v.map(is_plain) & ~v.duplicated(),
+                f"names must be given and differ, and hold {REMEDY}",
             ),
             "file": column("file", lambda v: v != "", "no file is named; name it or take the row out"),
             "direction_deg": number(
