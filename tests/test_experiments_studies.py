@@ -223,19 +223,10 @@ def test_the_law_of_a_press_fits_itself() -> None:
 
 
 def test_features_in_batches_of_bins_cost_least(tmp_path: Path) -> None:
-    assert feature_speed.main(["--own", "--json", str(tmp_path / "f.json")]) == 0
+    assert feature_speed.main(["--json", str(tmp_path / "f.json")]) == 0
     figures = json.loads((tmp_path / "f.json").read_text())
     assert 0 < figures["features_ms"] < figures["features_of_all_samples_ms"]
     assert figures["features_ms"] < figures["features_one_window_at_a_time_ms"]
-
-
-def test_other_packages_that_cannot_be_had_are_one_line(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (tmp_path / "file").write_text("no folder")
-    monkeypatch.setenv("SOFTSLIDE_CACHE", str(tmp_path / "file"))
-    assert feature_speed.main([]) == 2
-    assert "feature-peers" in capsys.readouterr().err
 
 
 def test_synthetic_signal_is_faster_than_real_time() -> None:

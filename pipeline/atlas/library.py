@@ -77,7 +77,7 @@ def _cached(sensor: Sensor) -> Path:
 
 
 def cache_folder() -> Path:
-    """The user's cache folder: of atlases, calibrated maps and environments."""
+    """The user's cache folder: of atlases and calibrated maps."""
     if named := os.environ.get("SOFTSLIDE_CACHE"):
         return Path(named)
     return Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "softslide"
