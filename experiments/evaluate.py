@@ -5,6 +5,7 @@ It is logged as a run, a child of the bundle's training where the store has that
 
 import json
 import math
+import shutil
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import nullcontext
@@ -152,7 +153,7 @@ def _evaluated(
         (scratch / "metrics.json").write_text(text + "\n", encoding="utf-8")
         if report:
             write_report(scratch / "report.html", metrics, verdicts, unseen, followed, whole)
-    archive.close()
+    shutil.rmtree(work_of(out), ignore_errors=True)
     return Evaluation(metrics, verdicts)
 
 

@@ -4,11 +4,7 @@ A file of the user's cache folder, named by a hash of all that the map depends o
 the libraries that compute it and the processor.
 """
 
-import hashlib
 import json
-import os
-import tempfile
-import zipfile
 from collections.abc import Callable
 from dataclasses import asdict, fields, replace
 from importlib.metadata import version
@@ -17,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from experiments.cached import Arrays, cached
 from experiments.code_hash import code_hash
 from experiments.provenance import data_hashes, machine
 from features.height import HeightCalibration
@@ -30,13 +27,11 @@ from pipeline.atlas.atlas import Atlas, atlas_hash
 from pipeline.atlas.library import cache_folder
 from pipeline.recordings.folder import Folder
 
-# Files of some 200 kB each; beyond these the ones that were used longest ago are removed.
+# Files of some 200 kB each.
 MOST = 50
 # What computes the map.
 MAKER = "models.response_map.select"
 LIBRARIES = ("numpy", "scipy")
-
-Arrays = dict[str, np.ndarray]
 
 
 def kept_map(
@@ -49,63 +44,26 @@ def kept_map(
     fresh: bool = False,
     taken: Callable[[Path], None] = lambda place: None,
 ) -> CalibratedMap:
-    """`calibrated_map`, or what an earlier call kept of it; the same to the bit.
-
-    fresh: calibrates in any case. taken: called with the file that the map is taken from. Where the cache folder
-    cannot be written, nothing is kept.
+    """`calibrated_map`, or what an earlier call kept of it; the same to the bit. fresh, taken: as in `cached`.
 
     Raises:
         InputError: as `calibrated_map`.
     """
-    settings = [asdict(each) for each in (folder.sensor, conditioning, calibration, spread)]
-    place = cache_folder() / "maps" / f"{_key(folder, atlas, settings)}.npz"
-    arrays = None if fresh else _read(place)
-    if arrays is None:
-        arrays = _packed(calibrated_map(folder, atlas, conditioning, calibration, spread))
-        _keep(place, arrays)
-    else:
-        taken(place)
-    # Kept or not, the map goes this way: arrays in another order of memory would be rounded otherwise later.
-    return _unpacked(arrays, folder)
-
-
-def _key(folder: Folder, atlas: Atlas | None, settings: list[dict[str, Any]]) -> str:
-    what = {
+    key = {
         "data": data_hashes(folder),
         "atlas": None if atlas is None else atlas_hash(atlas),
-        "settings": settings,
+        "settings": [asdict(each) for each in (folder.sensor, conditioning, calibration, spread)],
         "code": code_hash([MAKER]),
         "libraries": {name: version(name) for name in LIBRARIES},
         "processor": machine()["processor"],
     }
-    return hashlib.sha256(json.dumps(what, sort_keys=True).encode()).hexdigest()[:32]
 
+    def make() -> Arrays:
+        return _packed(calibrated_map(folder, atlas, conditioning, calibration, spread))
 
-def _read(place: Path) -> Arrays | None:
-    """What is kept there; None where there is nothing, or a file that is damaged."""
-    try:
-        with np.load(place, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
-        # Distinguished from those that nobody asks for any more.
-        os.utime(place)
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile):
-        return None
-    return arrays
-
-
-def _keep(place: Path, arrays: Arrays) -> None:
-    """Writes the file whole or not at all, whoever else writes it; then removes the oldest of too many."""
-    try:
-        place.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(dir=place.parent, suffix=".partial", delete=False) as scratch:
-            np.savez(scratch, **arrays)  # type: ignore[arg-type]
-        os.replace(scratch.name, place)
-        kept = sorted(place.parent.iterdir(), key=lambda path: path.stat().st_mtime)
-        for old in kept[:-MOST]:
-            old.unlink(missing_ok=True)
-    except OSError:
-        # A training does not need it.
-        return
+    arrays = cached(cache_folder() / "maps", key, make, most=MOST, fresh=fresh, taken=taken)
+    # Kept or not, the map goes this way: arrays in another order of memory would be rounded otherwise later.
+    return _unpacked(arrays, folder)
 
 
 def _packed(found: CalibratedMap) -> Arrays:

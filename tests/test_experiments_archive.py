@@ -71,7 +71,7 @@ def test_it_goes_on_where_it_was_stopped(
 def test_what_changed_is_done_again(bundle: Path, tmp_path: Path) -> None:
     """Kept rows are those of the same bundle, labels and files."""
     folder = a_folder(tmp_path / "lab", one={}, two={})
-    work = tmp_path / "work"
+    (work := tmp_path / "work").mkdir()
 
     def count() -> int:
         """How many chunks are kept after another call."""
@@ -95,6 +95,7 @@ def test_each_uncommitted_edit_has_chunks_of_its_own(
     (code / "experiments").mkdir(parents=True)
     monkeypatch.setattr("experiments.code_hash.ROOT", code)
     folder, work = a_folder(tmp_path / "lab", one={}), tmp_path / "work"
+    work.mkdir()
 
     def make(*_: object) -> pd.DataFrame:
         return pd.DataFrame({"a": [1]})

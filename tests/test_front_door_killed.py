@@ -82,7 +82,7 @@ def test_synthesize(softslide: Commands, tmp_path: Path) -> None:
 @pytest.mark.long
 def test_evaluate(softslide: Commands, tmp_path: Path) -> None:
     command = [*an_evaluation(tmp_path, 13), "--no-report"]
-    check(softslide, Case(command, "out", ".out.work/*.parquet"), tmp_path, KILLS)
+    check(softslide, Case(command, "out", ".out.work/*.npz"), tmp_path, KILLS)
 
 
 @pytest.mark.long
