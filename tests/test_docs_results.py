@@ -13,17 +13,17 @@ from typing import Any
 import pytest
 
 import softslide
-from experiments.bench.documents import (
+from experiments.bench import (
+    figures_in,
     filled,
     hash_of,
     keys_of,
+    main,
     outdated,
     read_results,
     read_tables,
     rewrite,
-    write_results,
 )
-from experiments.bench.results import main, take_from
 from experiments.code_hash import ROOMS
 
 ROOT = Path(__file__).parents[1]
@@ -38,7 +38,7 @@ def test_the_documents_are_what_the_figures_give(tmp_path: Path) -> None:
         copy = tmp_path / Path(name).name
         shutil.copy(ROOT / name, copy)
         shown |= set(re.findall(r"<!-- table: ([\w-]+) -->", copy.read_text(encoding="utf-8")))
-        assert not rewrite(copy, results, tables), f"{name}: run python -m experiments.bench.results"
+        assert not rewrite(copy, results, tables), f"{name}: run python -m experiments.bench"
     assert shown == set(tables)
 
 
@@ -53,13 +53,13 @@ def test_every_figure_has_its_commands_its_day_and_a_table() -> None:
                 softslide.parser().parse_args(words[1:])
             if words[0] == "python":
                 assert find_spec(words[2])
-        assert keys_of(name, tables.values())
+        assert keys_of(name, tables)
 
 
 def test_no_figure_is_of_earlier_code_unless_its_source_says_so() -> None:
     results = read_results(RESULTS)
     silent = [name for name in outdated(results) if "stale" not in results[name]]
-    assert not silent, "run python -m experiments.bench.results with --renew, or with --mark and the reason"
+    assert not silent, "run python -m experiments.bench with --renew, or with --mark and the reason"
 
 
 @pytest.fixture
@@ -84,8 +84,7 @@ def claims(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def call(results: Path, *options: str) -> int:
-    page = results.with_name("page.md")
-    return main(["--results", str(results), "--documents", str(page), *options])
+    return main(options, results, [results.with_name("page.md")])
 
 
 def test_a_table_is_written_once_and_then_stays(claims: Path) -> None:
@@ -150,47 +149,33 @@ def test_stale_figures_are_renewed_by_their_commands(
     assert call(claims, "--renew", "--work", str(work)) == 2
 
 
-def test_what_cannot_be_taken_is_to_be_entered_by_hand(
+def test_what_no_command_leaves_is_to_be_entered_by_hand(
     claims: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    results = read_results(claims)
-    results["lab"]["commands"] = ["make real"]
-    write_results(claims, results)
+    claims.write_text(claims.read_text().replace("A=1 python -m study --json lab.json", "make real"))
     assert call(claims, "--renew", "lab", "--work", str(tmp_path / "work")) == 0
     assert "run make real; enter splits/a/mean, share in results.json" in capsys.readouterr().out
 
 
-def test_figures_over_several_seeds_are_their_range(claims: Path, tmp_path: Path) -> None:
-    results = read_results(claims)
-    results["lab"]["commands"] = [f"softslide article --recordings p --out a-{n}" for n in (0, 1)]
+def test_figures_over_several_seeds_are_their_range(tmp_path: Path) -> None:
     for n in (0, 1):
         (tmp_path / f"a-{n}").mkdir()
         rows = f"as published,0,{8 + n},{2.5 - n}\nas published,1.5,1,1\nt from the edge,0,1,1\n"
         table = "variant,least_speed_mm_s,slides,speed_percent_mean\n" + rows
         (tmp_path / f"a-{n}" / "variants.csv").write_text(table)
-    take_from(results, "lab", tmp_path, {})
-    found = {key: value for key, value in results["lab"]["figures"].items() if key.startswith("published")}
-    assert found == {
-        "published/slides/min": 8,
-        "published/slides/max": 9,
-        "published/speed_percent_mean/min": 1.5,
-        "published/speed_percent_mean/max": 2.5,
+    commands = [f"softslide article --recordings p --out a-{n}" for n in (0, 1)]
+    assert figures_in(tmp_path, "lab", commands, {}) == {
+        "published/slides": {"min": 8, "max": 9},
+        "published/speed_percent_mean": {"min": 1.5, "max": 2.5},
     }
 
 
-def test_a_source_takes_the_figures_of_each_of_its_scripts(claims: Path, tmp_path: Path) -> None:
-    results = read_results(claims)
-    results["lab"]["commands"] = [
-        "python -m a --json a.json",
-        "softslide plan",
-        "python -m a --plan p --json b.json",
-    ]
+def test_a_source_takes_the_figures_of_each_of_its_scripts(tmp_path: Path) -> None:
     (tmp_path / "a.json").write_text(json.dumps({"4": {"offset_mm": 0.2}, "0": {"offset_mm": None}}))
     (tmp_path / "b.json").write_text(json.dumps({"12-planned": {"offset_mm": 0.3}}))
-    take_from(results, "lab", tmp_path, {})
-    assert results["lab"]["figures"]["4/offset_mm"] == 0.2
-    assert results["lab"]["figures"]["12-planned/offset_mm"] == 0.3
-    assert "0/offset_mm" not in results["lab"]["figures"]
+    commands = ["python -m a --json a.json", "softslide plan", "python -m a --plan p --json b.json"]
+    found = figures_in(tmp_path, "lab", commands, {})
+    assert found == {"4/offset_mm": 0.2, "0/offset_mm": None, "12-planned/offset_mm": 0.3}
 
 
 def test_a_table_names_each_stale_source_once() -> None:
@@ -199,20 +184,17 @@ def test_a_table_names_each_stale_source_once() -> None:
     assert table.count("earlier version") == 1
 
 
-def test_an_evaluation_gives_the_figures_that_tables_show(claims: Path) -> None:
-    lab = claims.with_name("lab")
-    lab.mkdir()
+def test_an_evaluation_gives_the_figures_that_tables_show(claims: Path, tmp_path: Path) -> None:
+    (tmp_path / "out").mkdir()
     metrics = {
         "splits": {"a": {"mean": 0.5, "max": 9.0}},
         "share": 0.8,
         "bounds": [{"name": "speed", "measured": 1.0}],
     }
-    (lab / "metrics.json").write_text(json.dumps(metrics))
-    assert call(claims, "--evaluated", f"lab={lab}") == 0
-    source = read_results(claims)["lab"]
-    assert source["figures"] == {"splits/a/mean": 0.5, "share": 0.8}
-    assert source["commands"] == ["A=1 python -m study --json lab.json"]
-    assert source["date"] > "2026-01-01"
+    (tmp_path / "out" / "metrics.json").write_text(json.dumps(metrics))
+    tables = read_tables(claims.with_name("tables.toml"))
+    found = figures_in(tmp_path, "lab", ["softslide evaluate --out out"], tables)
+    assert found == {"splits/a/mean": 0.5, "share": 0.8}
 
 
 @pytest.mark.parametrize(

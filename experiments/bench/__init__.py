@@ -1,1 +1,0 @@
-"""Figures of the documents: where they stand, and measuring them anew."""
