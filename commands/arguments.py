@@ -34,34 +34,22 @@ def add_commands(parser: Parser, commands: Sequence[Command]) -> None:
         subparser.set_defaults(run=command(subparser))
 
 
-class Existing(argparse.Action):
-    """Keeps one path or several, and notes them among those that have to exist. An option that takes several may be
-    given again: all are kept."""
-
-    def __call__(
-        self, parser: Parser, namespace: argparse.Namespace, values: Any, option_string: str | None = None
-    ) -> None:
-        if isinstance(values, list):
-            values = [*(getattr(namespace, self.dest, None) or ()), *values]
-        setattr(namespace, self.dest, values)
-        namespace.existing = [
-            *getattr(namespace, "existing", ()),
-            *(values if isinstance(values, list) else [values]),
-        ]
-
-
 @contextmanager
 def located(given: argparse.Namespace) -> Iterator[None]:
     """Sees that the paths that have to exist do, before anything that takes time is imported; fetches what `models:/`
     names from the registry, for as long as the block runs.
 
     Raises:
-        InputError: there is no such file, folder or registered bundle.
+        InputError: there is no such file, folder or registered bundle, or a picture of this kind is not drawn.
     """
-    paths = getattr(given, "existing", ())
-    for path in paths:
-        if not is_registered(path) and not path.exists():
-            raise InputError(f"{path}: no such file or folder; name one that exists")
+    for name in getattr(given, "existing", ()):
+        value = getattr(given, name)
+        for path in value if isinstance(value, list) else [value]:
+            if path is not None and not is_registered(path) and not path.exists():
+                raise InputError(f"{path}: no such file or folder; name one that exists")
+    picture = getattr(given, "picture", None)
+    if picture is not None and picture.suffix not in (".svg", ".png", ".pdf"):
+        raise InputError(f"{picture}: name a .svg, .png or .pdf", "picture")
     with ExitStack() as stack:
         if is_registered(getattr(given, "model", None)):
             from experiments.tracking import fetched
@@ -94,8 +82,10 @@ def unsigned(parser: Parser) -> None:
 
 
 def existing(parser: Parser, name: str, metavar: str, help: str, **options: Any) -> None:
-    """An argument for a path that has to exist."""
-    parser.add_argument(name, type=Path, action=Existing, metavar=metavar, help=help, **options)
+    """An argument for a path that has to exist, or for several: given again, all are kept."""
+    action = "extend" if "nargs" in options else "store"
+    added = parser.add_argument(name, type=Path, action=action, metavar=metavar, help=help, **options)
+    parser.set_defaults(existing=[*(parser.get_default("existing") or ()), added.dest])
 
 
 def model(parser: Parser) -> None:
@@ -119,27 +109,19 @@ def atlas(parser: Parser, help: str) -> None:
     existing(parser, "--atlas", "ATLAS", help)
 
 
-def number(parser: Parser, name: str, metavar: str, help: str, default: Any = None, **options: Any) -> None:
-    """A number, or several; of the default's type, else a float. Its help ends with the default."""
+def number(
+    parser: Parser, name: str, metavar: str, help: str, default: Any = None, *also: str, **options: Any
+) -> None:
+    """A number, or several; of the default's type, else a float. Its help ends with the default. also: older names."""
     shown = f"{help} (default: %(default)s)" if isinstance(default, int | float) else help
     options = {"type": float if default is None else type(default), "default": default} | options
-    parser.add_argument(name, metavar=metavar, help=shown, **options)
-
-
-class _Picture(argparse.Action):
-    """Keeps the path of a picture to write, of a kind that can be written."""
-
-    def __call__(
-        self, parser: Parser, namespace: argparse.Namespace, values: Any, option_string: str | None = None
-    ) -> None:
-        if values.suffix not in (".svg", ".png", ".pdf"):
-            raise InputError(f"{values}: name a .svg, .png or .pdf", "picture")
-        setattr(namespace, self.dest, values)
+    parser.add_argument(name, *also, metavar=metavar, help=shown, **options)
 
 
 def picture(parser: Parser, metavar: str, help: str) -> None:
     """--picture FILE"""
-    parser.add_argument("--picture", type=Path, action=_Picture, metavar=metavar, help=help)
+    text = f"{help}: .svg, .png or .pdf (needs the train extra)"
+    parser.add_argument("--picture", type=Path, metavar=metavar, help=text)
 
 
 def out(parser: Parser, help: str, metavar: str = "DIR", required: bool = True) -> None:
@@ -147,29 +129,8 @@ def out(parser: Parser, help: str, metavar: str = "DIR", required: bool = True) 
     parser.add_argument("--out", type=Path, required=required, metavar=metavar, help=help)
 
 
-def jobs(parser: Parser, default: int, help: str, *also: str) -> None:
-    """--jobs N; `also`: older names of it."""
-    parser.add_argument(
-        "--jobs",
-        *also,
-        dest="jobs",
-        type=int,
-        default=default,
-        metavar="N",
-        help=f"{help} (default: %(default)s)",
-    )
-
-
-def splits(parser: Parser, help: str) -> None:
-    """--split NAME..."""
-    parser.add_argument("--split", nargs="+", action="extend", metavar="NAME", help=help)
-
-
 def scheduler(parser: Parser) -> None:
     """--scheduler ADDRESS"""
-    parser.add_argument(
-        "--scheduler",
-        metavar="ADDRESS",
-        help="tcp://HOST:PORT of a Dask scheduler (needs the cluster extra): its workers do the work, with "
-        "this program and the same files in the same places",
-    )
+    help = "tcp://HOST:PORT of a Dask scheduler (needs the cluster extra): its workers do the work, with this program "
+    help += "and the same files in the same places (default: processes of this computer do)"
+    parser.add_argument("--scheduler", default="", metavar="ADDRESS", help=help)

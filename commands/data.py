@@ -3,6 +3,7 @@
 import argparse
 import json
 import sys
+from typing import Any
 
 from commands import arguments
 from commands.arguments import Parser, Run
@@ -28,9 +29,7 @@ def check(parser: Parser) -> Run:
     arguments.existing(parser, "folder", "DIR", "holds sensor.toml, manifest.csv, slides/*.parquet")
     arguments.atlas(parser, "of the sensor's design (default: the one that ships, or was solved earlier)")
     parser.add_argument("--json", action="store_true", help="the report as one JSON object")
-    arguments.picture(
-        parser, "coverage.svg", "draw what the slides cover: .svg, .png or .pdf (needs the train extra)"
-    )
+    arguments.picture(parser, "coverage.svg", "draw what the slides cover")
 
     def run(given: argparse.Namespace) -> None:
         from experiments.derived_labels import derived
@@ -78,15 +77,9 @@ def import_(parser: Parser) -> Run:
     arguments.existing(parser, "sources", "SOURCE", "files, or folders to search", nargs="*")
     arguments.existing(parser, "--map", "MAP.toml", "what the files mean: columns, units, labels")
     arguments.out(parser, "the folder of recordings to write", required=False)
-    parser.add_argument(
-        "--map-template",
-        metavar="KIND",
-        help=f"print a commented map to start from: {kinds}, grid",
-    )
-
-    parser.add_argument(
-        "--sensor-template", action="store_true", help="print a commented sensor.toml to start from"
-    )
+    printed = "print a commented {} to start from".format
+    parser.add_argument("--map-template", metavar="KIND", help=f"{printed('map')}: {kinds}, grid")
+    parser.add_argument("--sensor-template", action="store_true", help=printed("sensor.toml"))
 
     def run(given: argparse.Namespace) -> None:
         from pipeline.importers.import_map import is_grid, read_map, sensor_template, template
@@ -96,9 +89,8 @@ def import_(parser: Parser) -> Run:
             return
         if given.map_template:
             if given.map_template not in (*READERS, "grid"):
-                raise InputError(
-                    f"{given.map_template}: name one of {', '.join(READERS)}, grid", "map_template"
-                )
+                kinds = ", ".join(READERS)
+                raise InputError(f"{given.map_template}: name one of {kinds}, grid", "map_template")
             print(template(given.map_template), end="")
             return
         if not (given.sources and given.map and given.out):
@@ -114,16 +106,13 @@ def import_(parser: Parser) -> Run:
                     f"{given.sources[1]}: a grid of presses is one file; import each to a folder"
                 )
             folder, notes = import_grid(given.sources[0], read_grid_map(given.map), given.out)
-            for note in notes:
-                print(note, file=sys.stderr)
-            counts = folder.manifest["split"].value_counts(sort=False)
-            print(f"{folder.root}: {', '.join(f'{count} {split}' for split, count in counts.items())}")
+            print(*notes, sep="\n", end="\n" if notes else "", file=sys.stderr)
+            print(_counted(folder))
             return
         from pipeline.importers.run import import_recordings
 
         done = import_recordings(given.sources, read_map(given.map), given.out)
-        for note in done.notes:
-            print(note, file=sys.stderr)
+        print(*done.notes, sep="\n", end="\n" if done.notes else "", file=sys.stderr)
         resumed = f", {done.resumed} of them finished before" if done.resumed else ""
         print(f"{done.out}: {done.recordings} recordings imported{resumed}")
 
@@ -145,25 +134,16 @@ def simulate(parser: Parser) -> Run:
     arguments.out(parser, "the .npz file to write", metavar="ATLAS")
     parser.add_argument("--coarse", action="store_true", help="minutes instead of an hour, for a first look")
     arguments.number(parser, "--depth", "MM", "contact depths in mm (default: 0.2 0.6 1.2)", nargs="+")
-    arguments.jobs(parser, 2, "processes", "--workers")
-    parser.add_argument(
-        "--backend", choices=("loky", "dask"), default="loky", help="what runs them (default: %(default)s)"
-    )
-
+    arguments.number(parser, "--jobs", "N", "processes", 2, "--workers", dest="jobs")
+    runs = "what runs them (default: %(default)s)"
+    parser.add_argument("--backend", choices=("loky", "dask"), default="loky", help=runs)
     arguments.scheduler(parser)
 
     def run(given: argparse.Namespace) -> None:
         from pipeline.atlas.solve import simulate
 
-        simulate(
-            given.sensor,
-            given.out,
-            given.coarse,
-            given.depth,
-            given.jobs,
-            given.backend,
-            given.scheduler or "",
-        )
+        places = (given.sensor, given.out)
+        simulate(*places, given.coarse, given.depth, given.jobs, given.backend, given.scheduler)
 
     return run
 
@@ -186,38 +166,22 @@ def synthesize(parser: Parser) -> Run:
         softslide synthesize --protocol article --out protocol
     """
     arguments.atlas(parser, "from 'simulate' (default: the article's sensor's)")
-    arguments.sensor(
-        parser,
-        "names, places and electronics of the atlas's design (default: the article's electronics)",
-    )
+    names = "names, places and electronics of the atlas's design"
+    arguments.sensor(parser, f"{names} (default: the article's electronics)")
     arguments.number(parser, "--slides", "N", "how many slides along straight lines", 0)
-    arguments.number(
-        parser,
-        "--paths",
-        "N",
-        "how many contacts along any path, with their truth: lines, curves, changing speed, stops, turns back, "
-        "touch-downs, lifts, changing depth, presses; splits track-KIND",
-        0,
+    kinds = "lines, curves, changing speed, stops, turns back, touch-downs, lifts, changing depth, presses"
+    paths = f"how many contacts along any path, with their truth: {kinds}; splits track-KIND"
+    arguments.number(parser, "--paths", "N", paths, 0)
+    solved = (
+        "solve each path on the skin, step by step, instead of reading it from the atlas: truer friction and "
     )
-    parser.add_argument(
-        "--solved",
-        action="store_true",
-        help="solve each path on the skin, step by step, instead of reading it from the atlas: truer friction and "
-        "touch-downs, at some seconds a path",
-    )
-    parser.add_argument(
-        "--protocol",
-        choices=("article",),
-        help="the article's 512 slides along x and y, split calibration (default: none)",
-    )
+    parser.add_argument("--solved", action="store_true", help=f"{solved}touch-downs, at some seconds a path")
+    protocol = "the article's 512 slides along x and y, split calibration (default: none)"
+    parser.add_argument("--protocol", choices=("article",), help=protocol)
     arguments.number(parser, "--seed", "S", "of all that is random", 0)
-    arguments.existing(
-        parser,
-        "--config",
-        "FILE",
-        "a TOML file that changes what slides and sensor are like: height_mm, pressure_share, depth_mm, offset_mm, "
-        "speed_mm_s, [electronics] noise and more (docs/format.md)",
-    )
+    keys = "height_mm, pressure_share, depth_mm, offset_mm, speed_mm_s, [electronics] noise and more (docs/format.md)"
+    changes = f"a TOML file that changes what slides and sensor are like: {keys}"
+    arguments.existing(parser, "--config", "FILE", changes)
     arguments.out(parser, "the folder to write")
 
     def run(given: argparse.Namespace) -> None:
@@ -225,25 +189,19 @@ def synthesize(parser: Parser) -> Run:
         from pipeline.synthesis.synthesize import synthesize
         from pipeline.toml_tables import from_table, read_toml
 
-        distribution = None
-        if given.config is not None:
-            distribution = from_table(Distribution, read_toml(given.config), str(given.config))
-
-        folder = synthesize(
-            given.atlas,
-            given.sensor,
-            given.slides,
-            given.seed,
-            given.out,
-            distribution,
-            paths=given.paths,
-            protocol=given.protocol is not None,
-            solved=given.solved,
-        )
-        counts = folder.manifest["split"].value_counts(sort=False)
-        print(f"{folder.root}: {', '.join(f'{count} {split}' for split, count in counts.items())}")
+        table = given.config and read_toml(given.config)
+        drawn = from_table(Distribution, table, str(given.config)) if given.config else None
+        options = {"paths": given.paths, "protocol": given.protocol is not None, "solved": given.solved}
+        design = (given.atlas, given.sensor)
+        print(_counted(synthesize(*design, given.slides, given.seed, given.out, drawn, **options)))
 
     return run
+
+
+def _counted(folder: Any) -> str:
+    """How many recordings of each split a folder holds."""
+    counts = folder.manifest["split"].value_counts(sort=False)
+    return f"{folder.root}: {', '.join(f'{count} {split}' for split, count in counts.items())}"
 
 
 COMMANDS = (check, import_, simulate, synthesize)

@@ -30,30 +30,21 @@ def predict(parser: Parser) -> Run:
         softslide predict --model my-model --whole-contact curve.csv > curve.jsonl
     """
     arguments.model(parser)
-    parser.add_argument(
-        "--track", action="store_true", help="every estimate of each recording, one a block (20 ms)"
-    )
-    parser.add_argument(
-        "--whole-contact",
-        action="store_true",
-        help="as --track, but each moment's estimate is from its whole contact, what comes after it included: "
-        "sharper on curves; with a cnn of a skin that is touched anywhere, as of magnetometers",
-    )
-    parser.add_argument(
-        "--presses", action="store_true", help="a press in each recording (needs the io extra and --height)"
-    )
+    whole = "as --track, but each moment's estimate is from its whole contact, what comes after it included: sharper "
+    whole += "on curves; with a cnn of a skin that is touched anywhere, as of magnetometers"
+    for name, text in (
+        ("--track", "every estimate of each recording, one a block (20 ms)"),
+        ("--whole-contact", whole),
+        ("--presses", "a press in each recording (needs the io extra and --height)"),
+    ):
+        parser.add_argument(name, action="store_true", help=text)
     arguments.atlas(
         parser, "with --presses, of the sensor's design (default: the one that ships, or solved now)"
     )
     arguments.skin_height(parser)
     arguments.unsigned(parser)
-    arguments.existing(
-        parser,
-        "files",
-        "FILE",
-        "CSV with time_s (s) and a0_vx, a0_vy, a0_vz, ... (V), or Parquet (needs the io extra)",
-        nargs="+",
-    )
+    kinds = "CSV with time_s (s) and a0_vx, a0_vy, a0_vz, ... (V), or Parquet (needs the io extra)"
+    arguments.existing(parser, "files", "FILE", kinds, nargs="+")
 
     def run(given: argparse.Namespace) -> None:
         from serve.predict import predict
@@ -142,11 +133,10 @@ def serve(parser: Parser) -> Run:
         help="of bytes from outside: csv, lines of volts (V) with or without a time (s) before them; f32, "
         "little-endian float32 frames, one number a channel (default: %(default)s)",
     )
-    parser.add_argument(
-        "--smooth",
-        action="store_true",
-        help="pass place, direction and speed through a Kalman filter: a fifth of the jitter, no further accuracy",
+    smooth = (
+        "pass place, direction and speed through a Kalman filter: a fifth of the jitter, no further accuracy"
     )
+    parser.add_argument("--smooth", action="store_true", help=smooth)
     arguments.skin_height(parser)
     arguments.unsigned(parser)
     parser.add_argument("--fast", action="store_true", help="play a recording as fast as it goes")
@@ -161,16 +151,9 @@ def serve(parser: Parser) -> Run:
         from serve.stream.live import serve
 
         print(f"softslide serve: {given.source}; stop with Ctrl-C", file=sys.stderr)
+        streams = (given.source, given.sink or ["-"], given.format)
         written = serve(
-            given.model,
-            given.source,
-            given.sink or ["-"],
-            given.format,
-            given.fast,
-            given.page,
-            given.smooth,
-            given.height,
-            given.unsigned,
+            given.model, *streams, given.fast, given.page, given.smooth, given.height, given.unsigned
         )
         print(f"softslide serve: {written} estimates", file=sys.stderr)
 

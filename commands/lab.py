@@ -25,24 +25,16 @@ def design(parser: Parser) -> Run:
     arguments.number(parser, "--boards", "N", boards, [1, 2, 3, 4], type=int, nargs="+")
     arguments.number(parser, "--thickness", "MM", "of the skin, mm (default: the sensor's)")
     arguments.number(parser, "--height", "MM", "of the inflated skin, mm (default: 7)")
-    arguments.number(
-        parser, "--chamber", "MM", "its sizes along x and y, mm (default: the sensor's)", nargs=2
-    )
+    arguments.number(parser, "--chamber", "MM", "along x and y, mm (default: the sensor's)", nargs=2)
     arguments.number(parser, "--depth", "MM", "contact depth, mm", 0.5)
     arguments.out(parser, "where the page, the table and the sensors go")
 
     def run(given: argparse.Namespace) -> None:
         from experiments.acquisition.design import design
 
-        table = design(
-            given.sensor,
-            given.boards,
-            given.out,
-            given.thickness,
-            given.height,
-            tuple(given.chamber) if given.chamber else None,
-            given.depth,
-        )
+        chamber = tuple(given.chamber) if given.chamber else None
+        skin = (given.thickness, given.height, chamber, given.depth)
+        table = design(given.sensor, given.boards, given.out, *skin)
         print(table.to_string(index=False, float_format="{:.3g}".format))
         print(given.out / "design.html")
 
@@ -67,12 +59,8 @@ def plan(parser: Parser) -> Run:
     arguments.existing(parser, "--sensor", "sensor.toml", "the design", required=True)
     arguments.number(parser, "--slides", "N", "how many slides", 12)
     arguments.atlas(parser, "from 'simulate' (default: the shipped one for its design, else solved coarsely)")
-    arguments.existing(
-        parser,
-        "--candidates",
-        "manifest.csv",
-        "choose among the calibration and train slides of a manifest (default: lines in all directions)",
-    )
+    among = "choose among the calibration and train slides of a manifest (default: lines in all directions)"
+    arguments.existing(parser, "--candidates", "manifest.csv", among)
     every, few = [15.0 * n for n in range(24)], [1.0, 2.0, 4.0]
     directions = "that the stage can move in, deg (default: every 15)"
     speeds = "that the stage can move at, mm/s (default: 1 2 4)"
@@ -80,29 +68,21 @@ def plan(parser: Parser) -> Run:
     arguments.number(parser, "--speeds", "MM_S", speeds, few, type=float, nargs="+")
     arguments.number(parser, "--depth", "MM", "contact depth, mm", 0.5)
     arguments.out(parser, "the CSV to write", metavar="plan.csv")
-    arguments.picture(parser, "plan.svg", "draw the plan too: .svg, .png or .pdf")
+    arguments.picture(parser, "plan.svg", "draw the plan too")
 
     def run(given: argparse.Namespace) -> None:
         from experiments.acquisition.plan import plan, write_plan
 
-        table, figures, sensor = plan(
-            given.sensor,
-            given.slides,
-            given.atlas,
-            given.candidates,
-            given.directions,
-            given.speeds,
-            given.depth,
-        )
+        lines = (given.candidates, given.directions, given.speeds, given.depth)
+        table, figures, sensor = plan(given.sensor, given.slides, given.atlas, *lines)
         write_plan(given.out, table)
         if given.picture:
             from experiments.acquisition.pictures import draw_plan
 
             draw_plan(table, sensor, given.picture)
         for name, (direction, speed, offset) in (("no slide", figures.before), ("these", figures.deviations)):
-            print(
-                f"{name}: {math.degrees(direction):.2f} deg, {100 * speed:.2f} %, {offset:.3f} mm expected from the map"
-            )
+            errors = f"{math.degrees(direction):.2f} deg, {100 * speed:.2f} %, {offset:.3f} mm"
+            print(f"{name}: {errors} expected from the map")
         print(given.out)
 
     return run
@@ -130,9 +110,8 @@ def record(parser: Parser) -> Run:
         required=True,
         help="serial:///dev/PORT?BAUD (needs the live extra); udp://HOST:PORT; ros2://TOPIC (needs rclpy)",
     )
-    arguments.existing(
-        parser, "--plan", "plan.csv", "from 'plan', or any CSV with a manifest's labels", required=True
-    )
+    source = "from 'plan', or any CSV with a manifest's labels"
+    arguments.existing(parser, "--plan", "plan.csv", source, required=True)
     arguments.sensor(parser, "the sensor, written into a new folder (default: the folder's own)")
     arguments.out(parser, "the folder to write or to go on with")
     parser.add_argument(
@@ -155,9 +134,8 @@ def record(parser: Parser) -> Run:
         from experiments.acquisition.record import Times, record
 
         times = Times(given.rest, given.start, given.timeout, given.wait)
-        folder, left = record(
-            given.source, given.plan, given.out, given.sensor, given.format, times, given.yes
-        )
+        places = (given.source, given.plan, given.out, given.sensor)
+        folder, left = record(*places, given.format, times, given.yes)
         missing = f", {left} of the plan are left" if left else ""
         print(f"{folder.root}: {len(folder)} recordings{missing}")
 

@@ -49,72 +49,43 @@ def train(parser: Parser) -> Run:
     """
     from models import registry
 
-    names = list(registry.MODELS)
-
-    arguments.existing(
-        parser,
-        "--recordings",
-        "DIR",
-        "what to learn from; several folders of one sensor, or the option again, are pooled",
-        nargs="+",
+    several = "what to learn from; several folders of one sensor, or the option again, are pooled"
+    arguments.existing(parser, "--recordings", "DIR", several, nargs="+")
+    again = "train again with the settings and recordings of a run of the store (--recordings: where these are now); "
+    again += "exit status 1: a file of the bundle differs from the one made then"
+    parser.add_argument("--from-run", metavar="RUN", help=again)
+    weight = (
+        "how much a folder's slides count in the response map, once for each folder (default: 1, all alike)"
     )
-    parser.add_argument(
-        "--from-run",
-        metavar="RUN",
-        help="train again with the settings and recordings of a run of the store (--recordings: where these are now); "
-        "exit status 1: a file of the bundle differs from the one made then",
-    )
-    parser.add_argument(
-        "--weight",
-        type=float,
-        action="append",
-        default=[],
-        help="how much a folder's slides count in the response map, once for each folder (default: 1, all alike)",
-    )
+    parser.add_argument("--weight", type=float, action="append", default=[], help=weight)
     arguments.atlas(parser, "the design's response atlas, from 'simulate'")
     arguments.existing(parser, "--init", "BUNDLE", "a bundle of the same model to start from (warm start)")
-    parser.add_argument(
-        "--model",
-        default=registry.DEFAULT,
-        metavar="NAME",
-        help=f"{', '.join(names[:-1])} or {names[-1]} (default: %(default)s)",
-    )
-    arguments.existing(
-        parser,
-        "--config",
-        "FILE",
-        "TOML with changes to the model's defaults, or configuration.json of a run",
-    )
+    models = f"{', '.join(registry.MODELS)} (default: %(default)s)"
+    parser.add_argument("--model", default=registry.DEFAULT, metavar="NAME", help=models)
+    changes = "TOML with changes to the model's defaults, or configuration.json of a run"
+    arguments.existing(parser, "--config", "FILE", changes)
     parser.add_argument("--design-alone", action="store_true", help="use no recording, the design alone")
-    parser.add_argument(
-        "--register",
-        action="store_true",
-        help="register the bundle, as the next version of models:/softslide",
-    )
-    parser.add_argument(
-        "--fresh", action="store_true", help="calibrate the response map anew, even where one is kept"
-    )
+    register = "register the bundle, as the next version of models:/softslide"
+    parser.add_argument("--register", action="store_true", help=register)
+    fresh = "calibrate the response map anew, even where one is kept"
+    parser.add_argument("--fresh", action="store_true", help=fresh)
     arguments.out(parser, "where the bundle goes", metavar="BUNDLE")
 
     def run(given: argparse.Namespace) -> int:
         if given.from_run:
-            return _again(given)
+            from experiments.from_run import train_from_run
+
+            found = train_from_run(given.from_run, given.out, given.recordings or ())
+            for name, difference in found.items():
+                print(f"{name}: {difference or 'the same to the byte'}")
+            return int(any(found.values()))
         if not given.recordings:
             raise InputError("is needed, or --from-run; name a folder", "recordings")
         from experiments.train import train
 
-        done = train(
-            given.recordings,
-            given.out,
-            given.model,
-            weights=given.weight,
-            atlas=given.atlas,
-            init=given.init,
-            config=given.config,
-            design_alone=given.design_alone,
-            register=given.register,
-            fresh=given.fresh,
-        )
+        named = ("atlas", "init", "config", "design_alone", "register", "fresh")
+        options = {name: getattr(given, name) for name in named}
+        done = train(given.recordings, given.out, given.model, weights=given.weight, **options)
         print(f"softslide train: {done.run.place}", file=sys.stderr)
         model, folder = shlex.quote(str(done.bundle)), shlex.quote(str(given.recordings[0]))
         for line in (
@@ -127,16 +98,6 @@ def train(parser: Parser) -> Run:
         return 0
 
     return run
-
-
-def _again(given: argparse.Namespace) -> int:
-    """Trains as a run did, and says for each file of the bundle how it differs."""
-    from experiments.from_run import train_from_run
-
-    found = train_from_run(given.from_run, given.out, given.recordings or ())
-    for name, difference in found.items():
-        print(f"{name}: {difference or 'the same to the byte'}")
-    return int(any(found.values()))
 
 
 def evaluate(parser: Parser) -> Run:
@@ -157,41 +118,26 @@ def evaluate(parser: Parser) -> Run:
     """
     arguments.model(parser)
     arguments.recordings(parser, "what to score on")
-    arguments.splits(
-        parser,
-        "splits to score, by their full names (default: all that begin with test)",
-    )
+    splits = "splits to score, by their full names (default: all that begin with test)"
+    parser.add_argument("--split", nargs="+", action="extend", metavar="NAME", help=splits)
     arguments.out(parser, "where the results go")
-    parser.add_argument(
-        "--allow-untested",
-        action="store_true",
-        help="a bound that no recording tests does not count as not met",
-    )
+    untested = "a bound that no recording tests does not count as not met"
+    parser.add_argument("--allow-untested", action="store_true", help=untested)
     parser.add_argument("--no-report", action="store_true", help="draw no report.html, which takes seconds")
-    arguments.jobs(parser, 2, "recordings at a time")
+    arguments.number(parser, "--jobs", "N", "recordings at a time", 2)
     arguments.scheduler(parser)
 
     def run(given: argparse.Namespace) -> int:
         from experiments.evaluate import evaluate
 
-        result = evaluate(
-            given.model,
-            given.recordings,
-            given.split,
-            given.out,
-            given.jobs,
-            not given.no_report,
-            scheduler=given.scheduler or "",
-        )
+        what, how = (given.model, given.recordings, given.split), (given.jobs, not given.no_report)
+        result = evaluate(*what, given.out, *how, scheduler=given.scheduler)
         written = "metrics.json" if given.no_report else "report.html"
         print(f"softslide evaluate: wrote {given.out}/{written}", file=sys.stderr)
         print("\n".join(result.lines()))
         if result.untested and not given.allow_untested:
-            print(
-                f"softslide evaluate: {result.untested} of {len(result.verdicts)} bounds are not tested, "
-                "and so not met; --allow-untested lets them pass",
-                file=sys.stderr,
-            )
+            gaps = f"{result.untested} of {len(result.verdicts)} bounds are not tested, and so not met"
+            print(f"softslide evaluate: {gaps}; --allow-untested lets them pass", file=sys.stderr)
         return 0 if result.met(given.allow_untested) else 1
 
     return run
@@ -236,12 +182,8 @@ def recalibrate(parser: Parser) -> Run:
     """
     arguments.model(parser)
     arguments.recordings(parser, "a folder with a stroke or a press of the same sensor")
-    parser.add_argument(
-        "--split",
-        nargs="+",
-        metavar="NAME",
-        help="beginnings of the names of the splits to use (default: all)",
-    )
+    splits = "beginnings of the names of the splits to use (default: all)"
+    parser.add_argument("--split", nargs="+", metavar="NAME", help=splits)
     arguments.out(parser, "where the new bundle goes", metavar="BUNDLE")
 
     def run(given: argparse.Namespace) -> None:

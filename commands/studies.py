@@ -53,14 +53,11 @@ def compare(parser: Parser) -> Run:
     """
     arguments.recordings(parser, "folders, one sensor each", nargs="+")
     arguments.out(parser, "where everything goes")
+    models = "some of interpolation, trees, mlp, gp, cnn, inversion, or folders of bundles, which are read out as they "
     parser.add_argument(
-        "--models",
-        nargs="+",
-        metavar="NAME",
-        help="some of interpolation, trees, mlp, gp, cnn, inversion, or folders of bundles, which are read "
-        "out as they are (default: all that have a name)",
+        "--models", nargs="+", metavar="NAME", help=f"{models}are (default: all that have a name)"
     )
-    arguments.jobs(parser, 1, "recordings that a bundle reads at a time")
+    arguments.number(parser, "--jobs", "N", "recordings that a bundle reads at a time", 1)
 
     def run(given: argparse.Namespace) -> None:
         from experiments.comparison.compare import MODELS, compare
