@@ -19,7 +19,7 @@ DATA = (".npz", ".toml")
 def code_hash(modules: Iterable[str] = (), root: Path | None = None) -> str:
     """SHA-256 of the statements of modules, and of those that they import from the rooms, anywhere in them.
 
-    Files of package data count by their bytes where a module names one that lies beside it. What is imported by a name
+    Files of package data count by their bytes where a module names one that lies next to it. What is imported by a name
     that is computed is not found: name it too. modules: by their dotted names, or files by their paths from root; none:
     all modules. root: the folder that holds the rooms (default: this project's).
 
@@ -88,37 +88,25 @@ def _names(source: bytes) -> tuple[frozenset[str], frozenset[str]]:
 
 @cache
 def _read(source: bytes) -> str:
-    parts: list[str] = []
-    _write(ast.parse(source), parts)
-    return " ".join(parts)
+    return _words(ast.parse(source))
 
 
-def _write(node: Any, parts: list[str]) -> None:
+def _words(node: Any) -> str:
     """A syntax tree as words, without docstrings and other texts that nothing is done with.
 
     What is empty is left out: `ast.dump` shows fields that another version of Python lacks.
     """
     if isinstance(node, ast.AST):
-        parts.append(f"{type(node).__name__}(")
-        for name in node._fields:
-            value = getattr(node, name, None)
-            if value is not None and value != []:
-                parts.append(name)
-                _write(value, parts)
-        parts.append(")")
-    elif isinstance(node, list):
-        parts.append("[")
-        for each in node:
-            if not _is_text(each):
-                _write(each, parts)
-        parts.append("]")
-    else:
-        parts.append(repr(node))
+        known = {name: getattr(node, name, None) for name in node._fields}
+        parts = [
+            f"{name} {_words(value)}" for name, value in known.items() if value is not None and value != []
+        ]
+        return f"{type(node).__name__}({' '.join(parts)})"
+    if isinstance(node, list):
+        return f"[{' '.join(_words(each) for each in node if not _is_text(each))}]"
+    return repr(node)
 
 
 def _is_text(node: Any) -> bool:
-    return (
-        isinstance(node, ast.Expr)
-        and isinstance(node.value, ast.Constant)
-        and isinstance(node.value.value, str)
-    )
+    value = getattr(node, "value", None) if isinstance(node, ast.Expr) else None
+    return isinstance(value, ast.Constant) and isinstance(value.value, str)

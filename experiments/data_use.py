@@ -53,21 +53,21 @@ def report_use(chosen: Folder, folder: Folder, fitted: FittedModel, several_heig
 
 
 def report_base(whole: Folder) -> None:
-    """Says how far the base moved in the recordings that tell what the skin follows it by, and what is left."""
+    """Says how far the base moved in the recordings that show how the skin follows it, and what is left."""
     if whole.base_motion is None:
         return
     moved_g, before_v, left_v = moved_and_left(whole)
     sensitivity = float(np.median([a.sensitivity_v_per_g for a in whole.sensor.accelerometers]))
     shown_v = Conditioning().trigger_v * sensitivity / REFERENCE_V_PER_G
     late = whole.sensor.measures_gravity and left_v > shown_v / TRIGGER_RMS
+    ask = (
+        "; as much shows as contacts: are both sampled at the same time, and does nothing touch?"
+        if late
+        else ""
+    )
     print(
         f"the base moved by {', '.join(f'{g:.2f}' for g in moved_g[::-1])} g rms along three axes; of the "
-        f"{1e3 * before_v:.0f} mV that the skin followed it by {1e3 * left_v:.1f} mV are left"
-        + (
-            "; as much shows as contacts: are both sampled at the same time, and does nothing touch?"
-            if late
-            else ""
-        ),
+        f"{1e3 * before_v:.0f} mV that the skin followed it by {1e3 * left_v:.1f} mV are left{ask}",
         file=sys.stderr,
     )
 
@@ -85,7 +85,7 @@ def _assumed(chosen: Folder, folder: Folder, fitted: FittedModel) -> list[str]:
     if fitted.untimed:
         lines.append(
             f"fitted the onset of {fitted.untimed}: no start_x_mm, start_y_mm, motion_start_s or motion_end_s; "
-            "the skin's lag and a common delay of all slides cannot be told from such labels"
+            "such labels do not separate the skin's lag from a common delay of all slides"
         )
     table = chosen.manifest.loc[folder.manifest.index]
     if (absent := table["depth_mm"].isna()).any():
@@ -95,9 +95,8 @@ def _assumed(chosen: Folder, folder: Folder, fitted: FittedModel) -> list[str]:
         lines.append(_over_heights(fitted.heights, fitted.summary))
     contact = folder.manifest["depth_mm"]
     if np.ptp(contact) > LEAST_APART_MM:
-        lines.append(
-            f"depth_mm from {contact.min():g} to {contact.max():g}: any depth between them is expected"
-        )
+        between = f"depth_mm from {contact.min():g} to {contact.max():g}"
+        lines.append(f"{between}: any depth between them is expected")
     return lines
 
 
@@ -107,12 +106,9 @@ def _over_heights(heights: HeightCalibration, summary: dict[str, float]) -> str:
     if "heldout_residual_map_a_height" in summary:
         shared, apart = (summary[f"heldout_residual_map_{name}"] for name in ("over_heights", "a_height"))
         line += f", which leaves {shared:.1%} of held-out lines (a map of each height {apart:.1%})"
-    tells = not math.isnan(heights.estimate(np.array(heights.static_v)))
-    return f"{line}; " + (
-        "the static output tells the height"
-        if tells
-        else "the static output tells no height, name it by --height"
-    )
+    if math.isnan(heights.estimate(np.array(heights.static_v))):
+        return f"{line}; the static output shows no height, name it by --height"
+    return f"{line}; the static output shows the height"
 
 
 def _some(names: list[str]) -> str:

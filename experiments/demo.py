@@ -52,7 +52,7 @@ def _shortened(settings: Any) -> Any:
 
 
 def _table(evaluations: dict[str, Evaluation]) -> list[str]:
-    """The article's figures beside the largest error of each model, and each model's mean errors by split."""
+    """The article's figures next to the largest error of each model, and each model's mean errors by split."""
     columns = ["article", *evaluations]
     lines = ["Emulated bench recordings, never measured on hardware.", "", _row("largest error", columns)]
     for verdicts in zip(*(e.verdicts for e in evaluations.values()), strict=True):
