@@ -22,7 +22,7 @@ from timeit import timeit
 import numpy as np
 
 from experiments.one_node import one_node
-from experiments.studies.script import Part, at_least, bundle, parser, run
+from experiments.studies.script import Part, bundle, count, parser, run
 from features.errors import InputError
 from features.stream.tracker import SlideState
 from serve.bundle import open_bundle
@@ -109,7 +109,7 @@ def _us(seconds: np.ndarray, bare: np.ndarray) -> dict[str, float]:
 def main(argv: Sequence[str] | None = None) -> int:
     words = parser("decision_time", __doc__)
     bundle(words)
-    words.add_argument("--decisions", type=at_least(1), default=300, metavar="N", help="default: %(default)s")
+    count(words, "--decisions", 300)
     return run(words, lambda given: costs(given.model, given.decisions), argv)
 
 

@@ -8,6 +8,7 @@ with a valid estimate, and how many streams have one. A second of signal takes a
     python -m experiments.studies.false_alarms --model my-model --recordings my-recordings
 """
 
+import argparse
 import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -15,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from experiments.evaluation.readout import check_fits, open_localizer
-from experiments.studies.script import Part, at_least, bundle, parser, recordings, run
+from experiments.studies.script import Part, bundle, count, parser, recordings, run
 from features.errors import InputError
 from features.stream.tracker import SlideState
 from pipeline.recordings.folder import Folder, read_folder
@@ -51,15 +52,8 @@ def false_alarms(
         calls = [(bundle, folder.sensor, static_v, kind, seconds, (seed, n)) for n in range(streams)]
         slid, valid = np.array(list(results(counts, calls, jobs))).T
         share = 100.0 * valid.sum() / slid.sum() if slid.any() else np.nan
-        yield (
-            kind,
-            {
-                "tracked_s": slid.sum() * block_s,
-                "valid_percent": share,
-                "streams": streams,
-                "streams_with_any": int(np.count_nonzero(valid)),
-            },
-        )
+        found = {"tracked_s": slid.sum() * block_s, "valid_percent": share}
+        yield kind, found | {"streams": streams, "streams_with_any": int(np.count_nonzero(valid))}
 
 
 def counts(
@@ -92,17 +86,16 @@ def main(argv: Sequence[str] | None = None) -> int:
     words = parser("false_alarms", __doc__)
     bundle(words)
     recordings(words, "of the bundle's sensor")
-    for name, metavar, least, default, help in (
-        ("--streams", "N", 1, 12, "streams of each kind"),
-        ("--seconds", "S", 1, 25, "of each signal"),
-        ("--seed", "N", 0, 0, "of all that is random"),
-        ("--jobs", "N", 1, 1, "streams that are read at a time"),
-    ):
-        help += " (default: %(default)s)"
-        words.add_argument(name, type=at_least(least), default=default, metavar=metavar, help=help)
-    return run(words, lambda given: false_alarms(
-        given.model, read_folder(given.recordings), given.streams, given.seconds, given.seed, given.jobs
-    ), argv)  # fmt: skip
+    count(words, "--streams", 12, "streams of each kind")
+    count(words, "--seconds", 25, "of each signal")
+    count(words, "--seed", 0, "of all that is random", least=0)
+    count(words, "--jobs", 1, "streams that are read at a time")
+
+    def study(given: argparse.Namespace) -> Iterator[Part]:
+        how = (given.streams, given.seconds, given.seed, given.jobs)
+        return false_alarms(given.model, read_folder(given.recordings), *how)
+
+    return run(words, study, argv)
 
 
 if __name__ == "__main__":

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from experiments.studies.script import Part, at_least, parser, recordings, run
+from experiments.studies.script import Part, count, parser, recordings, run
 from features.errors import InputError
 from models.cnn.fit import CnnConfig
 from models.cnn.inversion import Inversion
@@ -77,10 +77,10 @@ def errors(part: Folder, scored: Folder, atlas: Atlas | None) -> pd.DataFrame:
 
 
 def _drawn(names: list[str], slides: Sequence[int], draws: int) -> Iterator[tuple[str, list[list[str]]]]:
-    for count in (min(each, len(names)) for each in slides):
-        seeds = range(draws if 0 < count < len(names) else 1)
-        picks = [np.random.default_rng(seed).choice(len(names), count, replace=False) for seed in seeds]
-        yield str(count), [[names[n] for n in np.sort(pick)] for pick in picks]
+    for size in (min(each, len(names)) for each in slides):
+        seeds = range(draws if 0 < size < len(names) else 1)
+        picks = [np.random.default_rng(seed).choice(len(names), size, replace=False) for seed in seeds]
+        yield str(size), [[names[n] for n in np.sort(pick)] for pick in picks]
 
 
 def _planned(folder: Folder, names: list[str], plan: Path) -> tuple[str, list[list[str]]]:
@@ -95,19 +95,11 @@ def _planned(folder: Folder, names: list[str], plan: Path) -> tuple[str, list[li
 def main(argv: Sequence[str] | None = None) -> int:
     words = parser("few_recordings", __doc__)
     recordings(words, "a folder of one sensor")
-    counts, default = at_least(0), [0, 4, 12, 24, 48]
-    words.add_argument(
-        "--slides", type=counts, nargs="+", default=default, metavar="N", help="default: %(default)s"
-    )
-    words.add_argument("--draws", type=at_least(1), default=3, metavar="N", help="default: %(default)s")
+    count(words, "--slides", [0, 4, 12, 24, 48], least=0, nargs="+")
+    count(words, "--draws", 3)
     words.add_argument("--plan", type=Path, metavar="plan.csv", help="from 'softslide plan --candidates'")
-    words.add_argument(
-        "--split",
-        nargs="+",
-        default=["test"],
-        metavar="NAME",
-        help="beginnings of what to score",
-    )
+    scored = "beginnings of what to score"
+    words.add_argument("--split", nargs="+", default=["test"], metavar="NAME", help=scored)
 
     def study(given: argparse.Namespace) -> Iterator[Part]:
         folder = without_base_motion(read_folder(given.recordings))

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import least_squares, minimize_scalar
 
-from experiments.studies.script import Part, at_least, parser, run
+from experiments.studies.script import Part, count, parser, run
 from pipeline.atlas.atlas import Atlas, read_atlas
 from pipeline.sensor import Sensor
 from pipeline.skin.solved_line import channels, skin_of
@@ -87,12 +87,12 @@ def fitted(solved: list[Press], sensor: Sensor) -> dict[str, float]:
     return {"exponent": exponent, "flatter": s[0], "rounder": s[1]}
 
 
-def partial_contact(count: int) -> Iterator[Part]:
-    """The errors at each height of the article's sensor over `count` presses, and what fits best."""
+def partial_contact(number: int) -> Iterator[Part]:
+    """The errors at each height of the article's sensor over so many presses, and what fits best."""
     atlas, random = read_atlas(), np.random.default_rng(0)
     sensor, every = sensor_of(atlas), []
     for height in sensor.skin.height_mm:
-        places = random.uniform(-INNER_MM, INNER_MM, (count, 2)).tolist()
+        places = random.uniform(-INNER_MM, INNER_MM, (number, 2)).tolist()
         solved = [pressed(sensor, height, float(atlas.depth_mm[0]), x, y) for x, y in places]
         here = [press for press in solved if press is not None]
         touch, alone, both = np.array([errors(press, atlas) for press in here]).T
@@ -111,7 +111,7 @@ def partial_contact(count: int) -> Iterator[Part]:
 
 def main(argv: Sequence[str] | None = None) -> int:
     words = parser("partial_contact", __doc__)
-    words.add_argument("--presses", type=at_least(1), default=24, metavar="N", help="default: %(default)s")
+    count(words, "--presses", 24)
     return run(words, lambda given: partial_contact(given.presses), argv)
 
 

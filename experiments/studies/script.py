@@ -6,6 +6,7 @@ import math
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from features.errors import InputError
 
@@ -35,15 +36,18 @@ def bundle(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--model", type=Path, required=True, metavar="BUNDLE", help="from 'softslide train'")
 
 
-def at_least(least: int) -> Callable[[str], int]:
-    """The type of an option that takes whole numbers from `least` on."""
+def count(
+    parser: argparse.ArgumentParser, name: str, default: Any, help: str = "", least: int = 1, **options: Any
+) -> None:
+    """An option that takes whole numbers from `least` on."""
 
     def number(text: str) -> int:
         if int(text) < least:
             raise argparse.ArgumentTypeError(f"{text}: give {least} or more")
         return int(text)
 
-    return number
+    shown = f"{help} (default: %(default)s)".strip()
+    parser.add_argument(name, type=number, default=default, metavar="N", help=shown, **options)
 
 
 def run(parser: argparse.ArgumentParser, study: Study, argv: Sequence[str] | None = None) -> int:

@@ -17,7 +17,7 @@ import numpy as np
 import pandas as pd
 
 from experiments.evaluation.scoring import signed_errors
-from experiments.studies.script import Part, at_least, bundle, parser, recordings, run
+from experiments.studies.script import Part, bundle, count, parser, recordings, run
 from features.errors import InputError
 from pipeline.recordings.folder import Folder, read_folder
 from serve.localizer import Localizer
@@ -95,7 +95,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     words = parser("sensor_drift", __doc__)
     bundle(words)
     recordings(words, "its test splits are read")
-    words.add_argument("--every", type=at_least(1), default=1, metavar="N", help="every Nth (default: 1)")
+    count(words, "--every", 1, "every Nth")
 
     def study(given: argparse.Namespace) -> Iterator[Part]:
         folder = read_folder(given.recordings).select("test").labelled()

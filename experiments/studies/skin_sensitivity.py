@@ -104,13 +104,8 @@ def sensitivity(sensor: Sensor, picture: Path | None = None) -> Iterator[Part]:
 
 def main(argv: Sequence[str] | None = None) -> int:
     words = parser("skin_sensitivity", __doc__)
-    words.add_argument(
-        "--sensor",
-        type=Path,
-        default=DEFAULT_SENSOR,
-        metavar="sensor.toml",
-        help="the design (default: the article's sensor)",
-    )
+    design = "the design (default: the article's sensor)"
+    words.add_argument("--sensor", type=Path, default=DEFAULT_SENSOR, metavar="sensor.toml", help=design)
     words.add_argument("--picture", type=Path, metavar="FILE", help="draw it too: .svg, .png or .pdf")
     return run(words, lambda given: sensitivity(read_sensor(given.sensor), given.picture), argv)
 

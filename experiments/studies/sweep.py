@@ -20,7 +20,7 @@ import tomli_w
 
 from experiments.kept_map import kept_map
 from experiments.provenance import data_tags
-from experiments.studies.script import Part, at_least, parser, recordings, run
+from experiments.studies.script import Part, count, parser, recordings, run
 from experiments.train import design_for
 from features.errors import InputError
 from models.fitted_model import Given
@@ -110,7 +110,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     words = parser("sweep", __doc__)
     recordings(words, "its calibration splits are used")
     words.add_argument("--model", choices=SETTINGS, default="cnn", help="default: %(default)s")
-    words.add_argument("--trials", type=at_least(1), default=20, metavar="N", help="default: %(default)s")
+    count(words, "--trials", 20)
     words.add_argument("--storage", metavar="URL", help="sqlite:///sweep.db, say (default: in memory)")
     words.add_argument("--pruner", choices=PRUNERS, default="median", help="default: %(default)s")
     words.add_argument("--out", type=Path, required=True, metavar="best.toml", help="where the best go")

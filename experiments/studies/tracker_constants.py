@@ -8,6 +8,7 @@ and jumps the static output is wrong by more than 3 mV. Minutes on one core.
     python -m experiments.studies.tracker_constants --recordings bench-a
 """
 
+import argparse
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -48,10 +49,8 @@ def streams_of(folder: Folder, conditioning: Conditioning) -> dict[str, list[Str
     def blocks(drawn: Slide | ContactPath, noise: np.random.Generator) -> Stream:
         return block_means(record(drawn, specimen, atlas, noise).volts, conditioning, sensor.sample_rate_hz)
 
-    presses = [
-        draw_path(n, atlas, sensor, Distribution(), np.random.default_rng([0, n]), kind="press")
-        for n in range(COUNT)
-    ]
+    drawn = (atlas, sensor, Distribution())
+    presses = [draw_path(n, *drawn, np.random.default_rng([0, n]), kind="press") for n in range(COUNT)]
     return {
         "slides": slides,
         "jumps": [slide[rest] + step for slide in slides[:COUNT]],
@@ -102,11 +101,11 @@ def constants(folder: Folder, conditioning: Conditioning) -> Iterator[Part]:
 def main(argv: Sequence[str] | None = None) -> int:
     words = parser("tracker_constants", __doc__)
     recordings(words, "its calibration slides are read")
-    return run(
-        words,
-        lambda given: constants(read_folder(given.recordings).select("calibration"), Conditioning()),
-        argv,
-    )
+
+    def study(given: argparse.Namespace) -> Iterator[Part]:
+        return constants(read_folder(given.recordings).select("calibration"), Conditioning())
+
+    return run(words, study, argv)
 
 
 if __name__ == "__main__":
