@@ -111,11 +111,8 @@ def train(
         "weights": list(weights),
         "settings": asdict(settings),
     }
-    provenance: dict[str, Any] = {
-        "configuration": configuration,
-        "data": data_hashes(folder),
-        "code": code_revision(),
-    }
+    provenance: dict[str, Any] = {"configuration": configuration, "data": data_hashes(folder)}
+    provenance["code"] = code_revision()
     if design is not None:
         provenance["atlas"] = atlas_hash(design)
     if init is not None:
@@ -267,10 +264,10 @@ def _log_fit(run: Run, bundle: Path, folder: Folder) -> None:
     """Errors of the exported bundle on the recordings that it was fitted to; `evaluate` scores it on others."""
     table = pd.concat(predictions(bundle, folder, Archive()), ignore_index=True)
     scored = score(table, folder.manifest, folder.sensor)
-    for name, error in summary(scored[scored["stroke_fraction"] == 1.0]).items():
+    end = scored[scored["stroke_fraction"] == 1.0]
+    for name, error in summary(end).items():
         if isinstance(error, dict) and "mean" in error:
             run.metrics({f"fitted_{name}_{kind}": error[kind] for kind in ("mean", "p95", "max")})
-    end = scored[scored["stroke_fraction"] == 1.0]
     groups = [
         ("As the stroke goes on", figures.along_the_stroke(scored)),
         ("Recording by recording", figures.recording_by_recording(end, ())),

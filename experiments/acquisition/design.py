@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 
-from experiments.pages.figures import COLOURS, INK, LABEL, Panel, inline, legend_below, panel
+from experiments.pages.figures import COLOURS, Panel, chart, on_cells, rectangle
 from experiments.pages.page import panels_page
 from features.errors import InputError
 from models.design.board_places import (
@@ -69,8 +69,8 @@ def design(
         found[f"{count} best"] = best_places(field.places_mm, known, count, sensor.board.size_mm)
     table = pd.DataFrame([_row(name, each) for name, each in found.items()])
     maps = {name: _over_the_skin(each, lines, sensor) for name, each in found.items()}
-    every = np.concatenate([values[np.isfinite(values)] for values in maps.values()])
-    scale = mpl.colors.LogNorm(every.min(), every.max())
+    every = [value for values in maps.values() for value in values.values()]
+    scale = mpl.colors.LogNorm(min(every), max(every))
     groups = [
         (_title(name, each), [_map(each, maps[name], scale, sensor), _distribution(each)])
         for name, each in found.items()
@@ -123,112 +123,56 @@ def _title(name: str, found: Arrangement) -> str:
 
 def _explained(sensor: Sensor, height_mm: float, depth_mm: float) -> list[str]:
     return [
-        f"Chamber {sensor.chamber_mm[0]:g} x {sensor.chamber_mm[1]:g} mm, skin {sensor.skin_thickness_mm:g} "
-        "mm thick, inflated to "
-        f"{height_mm:g} mm, contact {depth_mm:g} mm deep. The bare skin is solved; boards are taken to tilt "
-        "with it and not to "
-        "disturb each other.",
-        "Each figure is the Cramer-Rao bound: the least standard deviation that any unbiased estimate can "
-        "have once a slide of "
-        "2 mm/s has crossed the chamber, with the noise and the residual of a calibrated sensor. A real "
+        f"Chamber {sensor.chamber_mm[0]:g} x {sensor.chamber_mm[1]:g} mm, skin {sensor.skin_thickness_mm:g} mm thick, "
+        f"inflated to {height_mm:g} mm, contact {depth_mm:g} mm deep. The bare skin is solved; boards are taken to "
+        "tilt with it and not to disturb each other.",
+        "Each figure is the Cramer-Rao bound: the least standard deviation that any unbiased estimate can have once a "
+        "slide of 2 mm/s has crossed the chamber, with the noise and the residual of a calibrated sensor. A real "
         "sensor has more.",
     ]
 
 
-def _cells(sensor: Sensor) -> tuple[np.ndarray, np.ndarray]:
-    """Middles of the cells along x and along y, mm."""
-    x, y = (np.arange(-size / 2 + CELL_MM / 2, size / 2, CELL_MM) for size in sensor.chamber_mm)
-    return x, y
-
-
-def _over_the_skin(found: Arrangement, lines: list[Line], sensor: Sensor) -> np.ndarray:
-    """(ny, nx) mm: the median bound of the distance of lines that pass near each cell's middle; NaN without any."""
-    x, y = _cells(sensor)
+def _over_the_skin(found: Arrangement, lines: list[Line], sensor: Sensor) -> dict[tuple[float, float], float]:
+    """By the middle of each cell, mm: the median bound of the distance, mm, of lines that pass near it, if any."""
+    xs, ys = (np.arange(-size / 2 + CELL_MM / 2, size / 2, CELL_MM) for size in sensor.chamber_mm)
     direction, offset_mm = np.array([(line.direction_rad, line.offset_mm) for line in lines]).T
     normal = np.column_stack([-np.sin(direction), np.cos(direction)])
-    values = np.full((len(y), len(x)), np.nan)
-    for j, i in np.ndindex(len(y), len(x)):
-        near = np.abs(normal @ np.array([x[i], y[j]]) - offset_mm) < NEAR_MM
-        if near.any():
-            values[j, i] = np.median(found.deviations[2, near])
-    return values
+    near = {(x, y): np.abs(normal @ np.array([x, y]) - offset_mm) < NEAR_MM for y in ys for x in xs}
+    return {place: float(np.median(found.deviations[2, some])) for place, some in near.items() if some.any()}
 
 
-def _map(found: Arrangement, values: np.ndarray, scale: Any, sensor: Sensor) -> Panel:
+def _map(found: Arrangement, values: dict[tuple[float, float], float], scale: Any, sensor: Sensor) -> Panel:
     """The bound of the distance over the skin, with the boards. scale: from mm to colours, the same for every map."""
-    half, board = np.array(sensor.chamber_mm) / 2, np.array(sensor.board.size_mm)
-    x, y = _cells(sensor)
-    colours: Any = mpl.colormaps["viridis"]
-    with panel(4.2, below=0.2) as (figure, ax):
-        for j, i in np.ndindex(len(y), len(x)):
-            if np.isnan(values[j, i]):
-                continue
-            _square(
-                ax,
-                np.array([x[i], y[j]]),
-                (CELL_MM, CELL_MM),
-                facecolor=colours(scale(values[j, i])),
-                linewidth=0,
-            )
-            if (i + j) % 2 == 0:
-                ink = "#ffffff" if scale(values[j, i]) < 0.6 else "#000000"
-                ax.text(
-                    float(x[i]),
-                    float(y[j]),
-                    f"{values[j, i]:.2f}",
-                    ha="center",
-                    va="center",
-                    color=ink,
-                    fontsize=6,
-                )
+
+    def boards(ax: Axes) -> None:
         for place in found.places_mm:
-            _square(ax, place, board, fill=False, edgecolor=COLOURS[1], linewidth=2)
-        _square(ax, (0.0, 0.0), 2 * half, fill=False, edgecolor=LABEL)
-        ax.plot([], [], "s", markerfacecolor="none", color=COLOURS[1], label="board")
-        ax.set(xlim=(-half[0] - 3, half[0] + 3), ylim=(-half[1] - 3, half[1] + 3), aspect="equal")
-        ax.set(xlabel="x, mm", ylabel="y, mm", title="attainable error of the distance, mm")
-        ax.grid(visible=False)
-        legend_below(figure, ax)
-        places = ", ".join(f"({px:g}, {py:g})" for px, py in found.places_mm)
-        text = (
-            f"Attainable error of the distance (mm) of lines that pass within {NEAR_MM:g} mm of each place, "
-            "medians, with boards "
-            f"at {places} mm; one scale of colours for all maps."
-        )
-        return Panel(inline(figure, text), text)
+            half = np.array(sensor.board.size_mm) / 2
+            rectangle(ax, place - half, place + half, fill=False, edgecolor=COLOURS[1], linewidth=2)
 
-
-def _square(
-    ax: Axes, middle: Sequence[float] | np.ndarray, size: Sequence[float] | np.ndarray, **look: Any
-) -> None:
-    """A rectangle of this size (mm) round its middle."""
-    corner = (float(middle[0] - size[0] / 2), float(middle[1] - size[1] / 2))
-    ax.add_patch(mpl.patches.Rectangle(corner, float(size[0]), float(size[1]), **look))
+    places = ", ".join(f"({x:g}, {y:g})" for x, y in found.places_mm)
+    text = (
+        f"Attainable error of the distance (mm) of lines that pass within {NEAR_MM:g} mm of each place, medians, with "
+        f"boards at {places} mm; one scale of colours for all maps."
+    )
+    title = "attainable error of the distance, mm"
+    return on_cells(_with_boards(sensor, found), text, values, CELL_MM, "{:.2f}", title, scale, boards)
 
 
 def _distribution(found: Arrangement) -> Panel:
     """What share of lines has a bound below each value."""
-    with panel(4.2, below=0.2) as (figure, ax):
-        share = 100 * (np.arange(found.deviations.shape[1]) + 1) / found.deviations.shape[1]
-        for n, ((quantity, unit, factor), deviations) in enumerate(
-            zip(QUANTITIES, found.deviations, strict=True)
-        ):
-            ax.plot(
-                factor * np.sort(deviations),
-                share,
-                color=COLOURS[n],
-                label=f"{quantity}, {unit.replace('percent', '%')}",
-            )
-        ax.axhline(50, color=INK, linestyle=":", linewidth=1)
+    count = found.deviations.shape[1]
+    parts, medians = [], []
+    for (quantity, unit, factor), deviations in zip(QUANTITIES, found.deviations, strict=True):
+        shown = unit.replace("percent", "%")
+        errors = factor * np.sort(deviations)
+        share = 100 * (np.arange(count) + 1) / count
+        parts.append(pd.DataFrame({"of": f"{quantity}, {shown}", "error": errors, "share": share}))
+        medians.append(f"{quantity} {np.median(errors):.2g} {shown}")
+
+    def logarithmic(ax: Axes) -> None:
         ax.set_xscale("log")
         ax.xaxis.set_major_formatter("{x:g}")
-        ax.set(xlabel="attainable error, in its unit", ylabel="share of lines, %", title="over all lines")
-        legend_below(figure, ax, columns=3)
-        median = ", ".join(
-            f"{quantity} {factor * np.median(d):.2g} {unit.replace('percent', '%')}"
-            for (quantity, unit, factor), d in zip(QUANTITIES, found.deviations, strict=True)
-        )
-        text = (
-            f"Share of lines over the chamber whose attainable error is below each value; medians: {median}."
-        )
-        return Panel(inline(figure, text), text)
+
+    text = f"Share of lines over the chamber whose attainable error is below each value; medians: {', '.join(medians)}."
+    labels, table = ("over all lines", "attainable error, in its unit", "share of lines, %"), pd.concat(parts)
+    return chart(table, "error", "share", "of", labels, text, mark="-", limit=50.0, draw=logarithmic, below=3)

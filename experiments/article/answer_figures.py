@@ -1,17 +1,16 @@
 """Figures 17 to 25: the interpolation, its answers on slides that were not fitted, and where it works."""
 
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 
-from experiments.article.axis_slides import KINDS
+from experiments.article.axis_slides import KINDS, AxisSlides
 from experiments.article.method import LEAST_SPEED_MM_S, Method
 from experiments.article.scoring import Scored, at_end
 from experiments.article.section import Section
-from experiments.article.slide_figures import SINCE_EDGE, Whole, delays_mm, nearest
+from experiments.article.slide_figures import SINCE_EDGE, delays_mm, nearest
 from experiments.pages.figures import COLOURS, EDGE, INK, Panel, chart, on_skin, rectangle
 from pipeline.recordings.learned import CALIBRATION
 from pipeline.sensor import Sensor
@@ -31,7 +30,7 @@ def published_minimum() -> tuple[float, float]:
     return -b / (2 * a), c - b * b / (4 * a)
 
 
-def interpolation(whole: Whole, best: Method, kind: int) -> Section:
+def interpolation(whole: AxisSlides, best: Method, kind: int) -> Section:
     """Figures 17 to 20: the curves of one kind of slide, with the calibration slides that they are fitted to."""
     # In the article: X forward, X backward, Y forward, Y backward.
     number = str((17, 19, 18, 20)[kind])
@@ -59,36 +58,27 @@ def interpolation(whole: Whole, best: Method, kind: int) -> Section:
 def _curves(rows: pd.DataFrame, best: Method, kind: int) -> list[Panel]:
     """Slides as points with the polynomials fitted to them, over the abscissas fitted."""
 
-    def part(x: str, scale: float, letter: str) -> pd.DataFrame:
-        """x in the order of EXTREMES, with the name of each."""
-        return pd.concat(
-            [
-                rows.assign(x=scale * rows[f"{e}_{x}"], of=f"{letter} of the {word}")
-                for e, word in EXTREMES.items()
-            ]
-        )
+    def part(letter: str, x: dict[str, pd.Series]) -> pd.DataFrame:
+        """The slides once for each extreme, with its abscissa x."""
+        return pd.concat([rows.assign(x=x[e], of=f"{letter} of the {word}") for e, word in EXTREMES.items()])
 
     def lines(ax: Axes, coefficients: np.ndarray, over: np.ndarray, scale: float) -> None:
         for e in np.flatnonzero(np.isfinite(over).all(axis=1)):
             along = np.linspace(over[e, 0], over[e, 1], 100)
             ax.plot(scale * along, np.polynomial.Polynomial(coefficients[e])(along), color=COLOURS[e])
 
-    def speed_lines(ax: Axes) -> None:
+    def speeds(ax: Axes) -> None:
         lines(ax, best.speed.coefficients[kind], best.times_s[kind], 1.0)
         if kind == 0:
             t = np.linspace(5, max(float(times["x"].max()), 30.0), 200)
-            ax.plot(
-                t,
-                np.polynomial.Polynomial(PUBLISHED_CHI)(t),
-                ":",
-                color=INK,
-                label="the article's, t of the maximum",
-            )
+            curve = np.polynomial.Polynomial(PUBLISHED_CHI)(t)
+            ax.plot(t, curve, ":", color=INK, label="the article's, t of the maximum")
 
-    def distance_lines(ax: Axes) -> None:
+    def distances(ax: Axes) -> None:
         lines(ax, best.distance.coefficients[kind], best.volts[kind], 1000.0)
 
-    times, values = part("since_edge_s", 1.0, "t"), part("v", 1000.0, "V")
+    times = part("t", {e: rows[f"{e}_since_edge_s"] for e in EXTREMES})
+    values = part("V", {e: 1000 * rows[f"{e}_v"] for e in EXTREMES})
     texts = (
         f"Speed against the moments of the extremes in {KINDS[kind]} calibration slides; lines: quadratics fitted to "
         f"{LEAST_SPEED_MM_S:g} mm/s and more, over the times fitted.",
@@ -96,8 +86,8 @@ def _curves(rows: pd.DataFrame, best: Method, kind: int) -> list[Panel]:
     )
     speed, distance = ("speed", SINCE_EDGE, "speed, mm/s"), ("distance", "extreme value, mV", "distance, mm")
     return [
-        chart(times, "x", "speed_mm_s", "of", speed, texts[0], draw=speed_lines, ylim=(0, 8)),
-        chart(values, "x", "distance_mm", "of", distance, texts[1], draw=distance_lines, ylim=(-1, 26)),
+        chart(times, "x", "speed_mm_s", "of", speed, texts[0], draw=speeds, ylim=(0, 8)),
+        chart(values, "x", "distance_mm", "of", distance, texts[1], draw=distances, ylim=(-1, 26)),
     ]
 
 
@@ -123,32 +113,13 @@ def estimates(results: Mapping[str, Scored], axis: int) -> Section:
     here += " ".join(
         f"{str(name).capitalize()}: {_sentence(end)}" for name, end in table.groupby("method", sort=False)
     )
-    panels = [
-        *_against(
-            table,
-            letter,
-            "speed",
-            "mm/s",
-            "true_speed_mm_s",
-            "speed_mm_s",
-            "speed_percent_error",
-            SPEED_LIMIT,
-        ),
-        *_against(
-            table, letter, "distance", "mm", "distance_mm", "distance", "offset_percent_error", DISTANCE_LIMIT
-        ),
-    ]
-    columns = [
-        "recording",
-        "split",
-        "true_speed_mm_s",
-        "speed_mm_s",
-        "speed_percent_error",
-        "distance_mm",
-        "offset_mm",
-    ]
-    columns += ["true_offset_mm", "offset_percent_error", "valid", "method"]
-    return Section(number, title, says, here, tuple(panels), table[columns])
+    panels = (
+        _against(table, letter, "speed", "mm/s", "true_speed_mm_s", "speed_mm_s", SPEED_LIMIT),
+        _against(table, letter, "distance", "mm", "distance_mm", "distance", DISTANCE_LIMIT),
+    )
+    columns = ["recording", "split", "true_speed_mm_s", "speed_mm_s", "speed_percent_error", "distance_mm"]
+    columns += ["offset_mm", "true_offset_mm", "offset_percent_error", "valid", "method"]
+    return Section(number, title, says, here, panels, table[columns])
 
 
 def _sentence(end: pd.DataFrame) -> str:
@@ -163,9 +134,9 @@ def _sentence(end: pd.DataFrame) -> str:
 
 
 def _against(
-    table: pd.DataFrame, letter: str, word: str, unit: str, true: str, estimate: str, error: str, limit: float
-) -> list[Panel]:
-    """Estimates and their errors (%) against the truth, a series a method."""
+    table: pd.DataFrame, letter: str, word: str, unit: str, true: str, estimate: str, limit: float
+) -> Panel:
+    """Estimates against the truth, a series a method."""
     longest, answered = float(table[true].max()), table[table["valid"]]
     beyond = answered[answered[estimate] > 1.5 * longest].groupby("method").size()
     counted = {name: f"{name} ({count} beyond)" for name, count in beyond.items()}
@@ -177,20 +148,10 @@ def _against(
         low, high = line * (1 - limit / 100), line * (1 + limit / 100)
         ax.fill_between(line, low, high, color=EDGE, alpha=0.2, linewidth=0)
 
-    texts = (
-        f"Estimated against actual {word} of new {letter}-slides; the band is the article's {limit:g} %.",
-        f"{word.capitalize()} error of each {letter}-slide; dashed: the article's {limit:g} %.",
-    )
-    labels = (
-        (word, f"actual {word}, {unit}", f"estimated {word}, {unit}"),
-        (f"{word} error, %", f"{word}, {unit}", ""),
-    )
-    known, top = answered[answered[error].notna()], 1.5 * longest
-    look: dict[str, Any] = {"colours": (COLOURS[1], COLOURS[0])}
-    return [
-        chart(shown, true, estimate, "method", labels[0], texts[0], draw=band, ylim=(0, top), **look),
-        chart(known, true, error, "method", labels[1], texts[1], limit=limit, log=True, **look),
-    ]
+    text = f"Estimated against actual {word} of new {letter}-slides; the band is the article's {limit:g} %."
+    labels, colours = (word, f"actual {word}, {unit}", f"estimated {word}, {unit}"), (COLOURS[1], COLOURS[0])
+    top = (0, 1.5 * longest)
+    return chart(shown, true, estimate, "method", labels, text, draw=band, ylim=top, colours=colours)
 
 
 def areas(best: Scored, sensor: Sensor) -> Section:
@@ -262,7 +223,7 @@ def _area_panel(rows: pd.DataFrame, axis: int, sensor: Sensor) -> Panel:
     return on_skin(sensor, text, draw, f"{'XY'[axis]}-slides", entries=4)
 
 
-def trajectories(whole: Whole, best: Scored, sensor: Sensor, axis: int) -> Section:
+def trajectories(whole: AxisSlides, best: Scored, sensor: Sensor, axis: int) -> Section:
     """Figures 24 and 25: actual and estimated places in the plane."""
     letter, number = "XY"[axis], ("24", "25")[axis]
     title = f"Trajectories, {letter}-slides"
@@ -293,13 +254,8 @@ def _trajectory(shown: pd.DataFrame, kind: int, sensor: Sensor) -> Panel:
         for n, (name, rows) in enumerate(shown.groupby("recording", sort=False)):
             start, angle = rows.iloc[0][["true_start_x_mm", "true_start_y_mm"]], np.deg2rad(90.0 * kind)
             end = start + rows["true_travel_mm"].iloc[0] * np.array([np.cos(angle), np.sin(angle)])
-            ax.plot(
-                *np.array([start, end], float).T,
-                color=EDGE,
-                linewidth=5,
-                alpha=0.5,
-                label="" if n else "actual",
-            )
+            line, label = np.array([start, end], float).T, "" if n else "actual"
+            ax.plot(*line, color=EDGE, linewidth=5, alpha=0.5, label=label)
             valid = rows[rows["valid"]]
             label = f"{name}, {rows['true_speed_mm_s'].iloc[0]:.2g} mm/s"
             ax.plot(

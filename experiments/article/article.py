@@ -11,7 +11,7 @@ from experiments.article.claims import claims_table
 from experiments.article.method import BEST, PUBLISHED, VARIANTS
 from experiments.article.scoring import Scored, score_variant
 from experiments.article.section import Section
-from experiments.article.slide_figures import Whole, whole_slides
+from experiments.article.slide_figures import whole_slides
 from experiments.derived_labels import derived
 from experiments.evaluation.bounds import INFLATED_MM, read_bounds
 from experiments.pages.page import render
@@ -57,12 +57,8 @@ def article(recordings: Path, atlas_path: Path | None, out: Path) -> Article:
     results = _scores(slides)
     published, best = results.get(PUBLISHED.name), results.get(BEST.name)
     skin, pressure = skin_figures.static_output(atlas, folder), skin_figures.pressure(atlas, folder, whole)
-    sections = (
-        skin_figures.simulation(atlas, sensor),
-        skin,
-        *_slide_sections(whole, results, sensor),
-        pressure,
-    )
+    slide_sections = _slide_sections(whole, results, sensor)
+    sections = (skin_figures.simulation(atlas, sensor), skin, *slide_sections, pressure)
     assert skin.table is not None
     assert pressure.table is not None
     claims = claims_table(whole, published, best, read_bounds(), skin.table, pressure.table)
@@ -93,14 +89,11 @@ def _scores(slides: AxisSlides | None) -> dict[str, Scored]:
     return {variant.name: score_variant(slides, variant) for variant in VARIANTS}
 
 
-def _slide_sections(whole: Whole | None, results: dict[str, Scored], sensor: Sensor) -> list[Section]:
+def _slide_sections(whole: AxisSlides | None, results: dict[str, Scored], sensor: Sensor) -> list[Section]:
     """Figures 14 to 25, or why they cannot be made."""
     if whole is None or not results:
-        why = (
-            "No slide along x or y with its labels is in this folder."
-            if whole is None
-            else "No calibration slide along x or y is in this folder: there is nothing to fit the method to."
-        )
+        of = "slide along x or y with its labels" if whole is None else "calibration slide along x or y"
+        why = f"No {of} is in this folder: there is nothing to fit the method to."
         return [Section("14 to 25", "Slides, interpolation, areas, trajectories", "", missing=why)]
     best = results[BEST.name]
     shown = {name: results[name] for name in (PUBLISHED.name, BEST.name)}
@@ -122,12 +115,8 @@ def _variants(results: dict[str, Scored]) -> pd.DataFrame:
             every = scored.new[scored.new["true_speed_mm_s"].between(low - 1e-9, 4.0 + 1e-9)]
             late = every[every["travelled_mm"].between(21.5, INFLATED_MM)]
             end = every[every["stroke_fraction"] == 1.0]
-            row = {
-                "variant": name,
-                "least_speed_mm_s": low,
-                "slides": len(end),
-                "answered": int(end["valid"].sum()),
-            }
+            row = {"variant": name, "least_speed_mm_s": low}
+            row |= {"slides": len(end), "answered": int(end["valid"].sum())}
             for column, error in COMPARED.items():
                 errors = (late if error == "position_mm" else end)[column].dropna()
                 row |= {f"{error}_mean": errors.mean(), f"{error}_max": errors.max()}

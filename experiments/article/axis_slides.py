@@ -79,11 +79,8 @@ def read_axis_slides(folder: Folder) -> tuple[AxisSlides | None, list[str]]:
     depths = learned_depths_mm(manifest)
     off = np.abs(manifest["depth_mm"].to_numpy(float)[:, None] - np.array(depths or (np.nan,))).min(axis=1)
     same = axis & ~(off > SAME_DEPTH_MM)
-    slides = (
-        _windows(replace(folder, manifest=manifest[same]), conditioning_for(folder, Conditioning()))
-        if same.any()
-        else None
-    )
+    some = replace(folder, manifest=manifest[same])
+    slides = _windows(some, conditioning_for(folder, Conditioning())) if same.any() else None
     seen = 0 if slides is None else slides.table["recording"].nunique()
     left_out = {
         "without direction, speed, offset, start and moments of motion": (~known).sum(),
@@ -104,11 +101,9 @@ def seen_from_board(folder: Folder) -> Folder:
     return replace(folder, sensor=sensor, manifest=folder.manifest.assign(offset_mm=offset))
 
 
-def edges_mm(
-    kind: np.ndarray, sensor_chamber_mm: tuple[float, float], board_mm: tuple[float, float]
-) -> np.ndarray:
+def edges_mm(kind: np.ndarray, chamber_mm: tuple[float, float], board_mm: tuple[float, float]) -> np.ndarray:
     """Where along lines of these kinds (n,) the inflated area begins, mm from the accelerometer's foot."""
-    (width, length), (x, y) = sensor_chamber_mm, board_mm
+    (width, length), (x, y) = chamber_mm, board_mm
     return np.array([-width / 2 - x, -length / 2 - y, -width / 2 + x, -length / 2 + y])[kind]
 
 
@@ -125,20 +120,12 @@ def _windows(folder: Folder, conditioning: Conditioning) -> AxisSlides | None:
             return None
         raise
     kind = _turned(windows.direction_deg).argmin(axis=1)
-    board = folder.sensor.accelerometers[0]
-    table = pd.DataFrame(
-        {
-            "recording": windows.recording,
-            "split": windows.split,
-            "fraction": windows.stroke_fraction,
-            "kind": kind,
-            "speed_mm_s": windows.speed_mm_s,
-            "offset_mm": windows.offset_mm,
-            "distance_mm": np.abs(windows.offset_mm),
-            "elapsed_s": windows.elapsed_s,
-            "edge_mm": edges_mm(kind, folder.sensor.chamber_mm, (board.x_mm, board.y_mm)),
-            "along_mm": windows.along_mm,
-        }
+    columns = ("recording", "split", "speed_mm_s", "offset_mm", "elapsed_s", "along_mm")
+    table = pd.DataFrame({name: getattr(windows, name) for name in columns}).assign(
+        fraction=windows.stroke_fraction,
+        kind=kind,
+        distance_mm=np.abs(windows.offset_mm),
+        edge_mm=edges_mm(kind, folder.sensor.chamber_mm, folder.sensor.reference_mm),
     )
     trigger = table["along_mm"] - table["edge_mm"] - table["speed_mm_s"] * table["elapsed_s"]
     moving = trigger.where(table["fraction"] < _UNDER_WAY)

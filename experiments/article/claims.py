@@ -7,9 +7,10 @@ import numpy as np
 import pandas as pd
 
 from experiments.article.answer_figures import published_minimum
+from experiments.article.axis_slides import AxisSlides
 from experiments.article.scoring import Scored
 from experiments.article.skin_figures import HEIGHT_LIMIT_PERCENT
-from experiments.article.slide_figures import Whole, delays_mm, extreme_place, sign_share, speed_effect
+from experiments.article.slide_figures import delays_mm, extreme_place, sign_share, speed_effect
 from experiments.evaluation.bounds import Bound, Verdict
 from experiments.evaluation.scoring import QUANTITIES
 from experiments.pages.page import number
@@ -29,7 +30,7 @@ class Claim(NamedTuple):
 
 
 def claims_table(
-    whole: Whole | None,
+    whole: AxisSlides | None,
     published: Scored | None,
     best: Scored | None,
     bounds: Sequence[Bound],
@@ -43,30 +44,25 @@ def claims_table(
     return pd.DataFrame([*found, _polynomial(), _height(skin), _pressure(pressure)], columns=Claim._fields)
 
 
-def _signs(whole: Whole) -> Claim:
+def _signs(whole: AxisSlides) -> Claim:
     share = sign_share(whole)
+    why = "on lines near the accelerometer the output across is near zero, and far ones are weak"
     return Claim(
         "X- and Y-slides, forward and backward, are distinguished by the signs of V_x and V_y",
         "5.2.1, figure 14",
         "in the detectable area",
         f"{share.sum()} of {len(share)} slides",
         HOLDS if share.all() else PARTLY if share.mean() > 0.9 else FAILS,
-        "every slide's signs show its kind"
-        if share.all()
-        else "on lines near the accelerometer the output across is near zero, and far ones are weak",
+        "every slide's signs show its kind" if share.all() else why,
     )
 
 
 def _bounds(published: Scored, best: Scored, bounds: Sequence[Bound]) -> list[Claim]:
     """The article's bounds, as `evaluate` checks them, of both variants."""
-    checked = (
-        published.verdicts(bounds, "new"),
-        published.verdicts(bounds, "fitted"),
-        best.verdicts(bounds, "new"),
-    )
     claims = []
-    for bound, plain, own, kind in zip(bounds, *checked, strict=True):
-        unit = QUANTITIES[bound.quantity]
+    for bound in bounds:
+        plain, own = published.verdict(bound, published.new), published.verdict(bound, published.fitted)
+        kind, unit = best.verdict(bound, best.new), QUANTITIES[bound.quantity]
         answered = kind.met is not None and kind.max is not None and kind.max < bound.limit
         measured = (
             f"as published {_errors(plain)} on {published.on}, {_errors(own)} on the slides fitted; at its best "
@@ -99,7 +95,7 @@ def _why(plain: Verdict, best: Verdict) -> str:
     return "moments and values depend on both speed and distance, most of all between the lines fitted"
 
 
-def _moments(whole: Whole) -> list[Claim]:
+def _moments(whole: AxisSlides) -> list[Claim]:
     claims = []
     for kind, word in ((0, "X"), (1, "Y")):
         rows = whole.table[whole.table["kind"] == kind]
@@ -131,7 +127,7 @@ def _moments(whole: Whole) -> list[Claim]:
     return claims
 
 
-def _delay(whole: Whole) -> Claim:
+def _delay(whole: AxisSlides) -> Claim:
     table = delays_mm(whole)
     off = (table["first_mm"] - table["article_mm"]).abs().max()
     return Claim(
@@ -161,10 +157,8 @@ def _height(skin: pd.DataFrame) -> Claim:
     known = skin.dropna(subset=["formula_error_percent"])
     recorded = known[known["source"] == "recordings"].sort_values("laser_mm")
     rows, of = (recorded, f"{len(recorded)} laser readings") if len(recorded) else (known, "the solved skin")
-    error, words = (
-        rows["formula_error_percent"],
-        ("the skin's height follows from V_x by the formula", "5.1, figure 11"),
-    )
+    error = rows["formula_error_percent"]
+    words = ("the skin's height follows from V_x by the formula", "5.1, figure 11")
     if error.empty:
         return Claim(*words, "< 12 %", "-", UNTESTED, "the board is at the centre")
     inside = float((error.abs() < HEIGHT_LIMIT_PERCENT).mean())
@@ -182,7 +176,5 @@ def _pressure(pressure: pd.DataFrame) -> Claim:
         "the output grows, less above 0.035 MPa",
         ", ".join(f"{1000 * v:.0f} mV at {h:.3g} mm" for h, v in swing.items()) + " (V_y, solved skin)",
         UNTESTED if rises is None else HOLDS if rises else FAILS,
-        "a higher dome leans further under the same contact"
-        if rises
-        else "on the solved skin the output falls again",
+        "a higher dome leans further under the same contact" if rises else "the output falls again",
     )

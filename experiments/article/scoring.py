@@ -1,6 +1,5 @@
 """Scores of the article's method, on the slides that it was fitted to and on slides that it was not."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,9 +27,9 @@ class Scored:
     on: str
     depths_mm: tuple[float, ...]
 
-    def verdicts(self, bounds: Sequence[Bound], which: str) -> list[Verdict]:
-        """Each of the article's bounds on the rows `which`, "fitted" or "new"."""
-        return [check(bound, getattr(self, which), self.depths_mm) for bound in bounds]
+    def verdict(self, bound: Bound, rows: pd.DataFrame) -> Verdict:
+        """One of the article's bounds, on `fitted` or on `new`."""
+        return check(bound, rows, self.depths_mm)
 
 
 def score_variant(slides: AxisSlides, variant: Variant) -> Scored:

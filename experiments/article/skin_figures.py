@@ -2,14 +2,14 @@
 
 from collections.abc import Mapping
 from functools import partial
-from typing import Any
 
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 
+from experiments.article.axis_slides import AxisSlides
 from experiments.article.section import Section
-from experiments.article.slide_figures import FROM_BOARD, Whole
+from experiments.article.slide_figures import FROM_BOARD
 from experiments.evaluation.traces import static_outputs
 from experiments.pages.figures import COLOURS, EDGE, INK, Panel, chart
 from features.errors import InputError
@@ -61,12 +61,10 @@ def simulation(atlas: Atlas, sensor: Sensor) -> Section:
             f"accelerometer: {changes}."
         )
         labels = (f"{axis}-slide, forward", f"{axis.lower()} of the indenter, mm", "displacement, mm")
-        look: dict[str, Any] = {
-            "mark": "-",
-            "below": 2 + len(atlas.height_mm),
-            "draw": partial(nodes, rows=rows),
-        }
-        panels.append(chart(rows, "along_mm", "node_1_mm", "height", labels, text, **look))
+        draw, below = partial(nodes, rows=rows), 2 + len(atlas.height_mm)
+        panels.append(
+            chart(rows, "along_mm", "node_1_mm", "height", labels, text, mark="-", draw=draw, below=below)
+        )
     largest = table["node_1_mm"].abs().groupby(table["height_mm"]).max()
     found = ", ".join(f"{most:.2g} mm at {height:.3g} mm" for height, most in largest.items())
     return Section(
@@ -141,18 +139,15 @@ def _static_panels(table: pd.DataFrame, atlas: Atlas, sensor: Sensor) -> list[Pa
     tops = _named(pd.DataFrame({"height_mm": atlas.height_mm, "x": 0.0}))
 
     def measured(ax: Axes, columns: Mapping[str, pd.Series]) -> None:
-        for n, (name, values) in enumerate(columns.items()):
-            if len(lasers):
-                ax.plot(lasers["laser_mm"], values, "x", color=COLOURS[n], label=f"{name}recorded, laser")
+        for n, (name, values) in enumerate(columns.items() if len(lasers) else ()):
+            ax.plot(lasers["laser_mm"], values, "x", color=COLOURS[n], label=f"{name}recorded, laser")
 
     def parabolas(ax: Axes) -> None:
         half = sensor.chamber_mm[0] / 2
         across = np.linspace(-half, half, 60)
         for n, height in enumerate(map(float, atlas.height_mm)):
-            slope = atlas.static(atlas.pressure_at(height))[0, 0]
-            ax.plot(
-                across, _formula(slope, sensor) * (1 - (across / half) ** 2), color=COLOURS[n % len(COLOURS)]
-            )
+            top = _formula(atlas.static(atlas.pressure_at(height))[0, 0], sensor)
+            ax.plot(across, top * (1 - (across / half) ** 2), color=COLOURS[n % len(COLOURS)])
         ax.axvline(sensor.accelerometers[0].x_mm, color=EDGE, linestyle=":", linewidth=1)
 
     def limits(ax: Axes) -> None:
@@ -178,17 +173,15 @@ def _static_panels(table: pd.DataFrame, atlas: Atlas, sensor: Sensor) -> list[Pa
     ]
 
 
-def pressure(atlas: Atlas, folder: Folder, whole: Whole | None) -> Section:
+def pressure(atlas: Atlas, folder: Folder, whole: AxisSlides | None) -> Section:
     """Figure 26: outputs in a Y-slide at several pressures, and the recordings' swing at theirs."""
-    board = folder.sensor.accelerometers[0]
     table = board_slides(atlas, folder.sensor).query("slide == 'Y'").reset_index(drop=True)
-    panels = []
-    for axis in "xy":
-        table[f"v{axis}_v"] = board.sensitivity_v_per_g * table[f"tilt_{axis}_g"]
-        rows = _named(table).assign(mv=1000 * table[f"v{axis}_v"])
-        text = f"V_{axis} in a Y-slide {LINE_MM:g} mm from the accelerometer, by the solved skin's height."
-        labels = (f"V_{axis}, Y-slide forward", "y of the indenter, mm", f"V_{axis}, mV")
-        panels.append(chart(rows, "along_mm", "mv", "height", labels, text, mark="-"))
+    volts = folder.sensor.accelerometers[0].sensitivity_v_per_g * table[["tilt_x_g", "tilt_y_g"]]
+    table[["vx_v", "vy_v"]] = volts
+    text = f"V_y in a Y-slide {LINE_MM:g} mm from the accelerometer, by the solved skin's height."
+    labels = ("V_y, Y-slide forward", "y of the indenter, mm", "V_y, mV")
+    rows = _named(table).assign(mv=1000 * table["vy_v"])
+    panels = [chart(rows, "along_mm", "mv", "height", labels, text, mark="-")]
     swing = table.groupby("height_mm")["vy_v"].agg(np.ptp)
     here = "From the atlas, V_y from its lowest to its highest: "
     here += ", ".join(f"{1000 * v:.0f} mV at {h:.3g} mm" for h, v in swing.items()) + "."
@@ -207,12 +200,12 @@ def pressure(atlas: Atlas, folder: Folder, whole: Whole | None) -> Section:
     return Section("26", "The role of pressure", says, here, tuple(panels), table, missing)
 
 
-def recorded_swings(whole: Whole | None) -> pd.DataFrame:
+def recorded_swings(whole: AxisSlides | None) -> pd.DataFrame:
     """Of each slide `pressure_mpa`, `distance_mm`, `swing_mv` of the output along the motion, and `series`: pressure
     and contact depth in words."""
     if whole is None:
         return pd.DataFrame(columns=["pressure_mpa", "distance_mm", "swing_mv", "series"])
-    labels = whole.slides.folder.manifest.loc[whole.table["recording"], ["pressure_mpa", "depth_mm"]]
+    labels = whole.folder.manifest.loc[whole.table["recording"], ["pressure_mpa", "depth_mm"]]
     table = labels.round(4).reset_index(drop=True).assign(distance_mm=whole.table["distance_mm"])
     table["swing_mv"] = 1000 * (whole.table["high_v"] - whole.table["low_v"])
     table = table.dropna()

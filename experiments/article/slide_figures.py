@@ -1,6 +1,6 @@
 """Figures 14 to 16: outputs of each kind of slide, and how their extremes go with distance and speed."""
 
-from dataclasses import dataclass
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -31,21 +31,12 @@ FROM_BOARD = "distance from the accelerometer, mm"
 POINTS = 250  # of a trace: more are not seen
 
 
-@dataclass(frozen=True)
-class Whole:
-    """One row a slide: `AxisSlides.table` with `place_mm` (signed, from the accelerometer, across the line) and the
-    output along the motion: `low_v`, `high_v`, and the moments of both, `low_s`, `high_s` after the trigger and
-    `low_mm`, `high_mm` past the chamber's edge; NaN where the extreme has not passed."""
-
-    slides: AxisSlides
-    table: pd.DataFrame
-
-
-def whole_slides(slides: AxisSlides) -> Whole:
-    """The slides at the end of their stroke."""
+def whole_slides(slides: AxisSlides) -> AxisSlides:
+    """The slides at the end of their stroke. Their table has more: `place_mm` (signed, from the accelerometer, across
+    the line) and of the output along the motion `low_v`, `high_v`, and the moments of both, `low_s`, `high_s` after the
+    trigger and `low_mm`, `high_mm` past the chamber's edge; NaN where the extreme has not passed."""
     whole = slides.whole
-    kind = whole.table["kind"].to_numpy()
-    rows = np.arange(len(whole))
+    kind, rows = whole.table["kind"].to_numpy(), np.arange(len(whole))
     values, passed = abscissas(whole.features, "distance")
     moments, _ = abscissas(whole.features, "speed", "quadratic")
     # To the left of +x lies +y, to the left of +y lies -x.
@@ -56,10 +47,10 @@ def whole_slides(slides: AxisSlides) -> Whole:
         table[f"{name}_v"] = np.where(seen, values[rows, kind, e], np.nan)
         table[f"{name}_s"] = np.where(seen, moments[rows, kind, e], np.nan)
         table[f"{name}_mm"] = table["trigger_mm"] + table["speed_mm_s"] * table[f"{name}_s"]
-    return Whole(whole, table)
+    return replace(whole, table=table)
 
 
-def zones(whole: Whole) -> Section:
+def zones(whole: AxisSlides) -> Section:
     """Figure 14: V_x and V_y of each kind of slide, with the contact zones."""
     rows, panels, tables, lacking = whole.table, [], [], []
     for case in CASES:
@@ -107,7 +98,7 @@ def _zone_panel(case: tuple, row: pd.Series, shown: pd.DataFrame) -> Panel:
     return chart(long, "past_edge_mm", "mv", "output", labels, text, mark="-", draw=draw)
 
 
-def extremes(whole: Whole, axis: int) -> Section:
+def extremes(whole: AxisSlides, axis: int) -> Section:
     """Figures 15 (axis 0, X-slides) and 16 (axis 1, Y-slides): extremes against distance and speed."""
     letter, number = "XY"[axis], ("15", "16")[axis]
     rows = whole.table[whole.table["kind"] % 2 == axis]
@@ -126,22 +117,16 @@ def extremes(whole: Whole, axis: int) -> Section:
     columns = ["recording", "split", "kind", "speed_mm_s", "distance_mm", "place_mm", "trigger_mm"]
     columns += [f"{name}_{unit}" for name in ("low", "high") for unit in ("v", "s", "mm")]
     table = rows[columns].assign(kind=rows["kind"].map(dict(enumerate(KINDS))))
-    panels = (*_traces(whole, forward, letter), *_extremes(rows, letter))
-    return Section(number, title, says, here, panels, table)
+    return Section(number, title, says, here, tuple(_traces(whole, forward, letter)), table)
 
 
-def _traces(whole: Whole, rows: pd.DataFrame, letter: str) -> list[Panel]:
+def _traces(whole: AxisSlides, rows: pd.DataFrame, letter: str) -> list[Panel]:
     """Outputs at several distances against the way, and at several speeds against the time."""
     output, panels = f"v{letter.lower()}", []
+    lines, speeds = [(d, SHOWN_MM_S) for d in DISTANCES_MM], [(SHOWN_MM, v) for v in SPEEDS_MM_S]
     for of, x, label, words, wanted in (
-        (
-            "distance",
-            "past_edge_mm",
-            PAST_EDGE,
-            "farther lines give smaller",
-            [(d, SHOWN_MM_S) for d in DISTANCES_MM],
-        ),
-        ("speed", "time_s", SINCE_EDGE, "faster slides have earlier", [(SHOWN_MM, v) for v in SPEEDS_MM_S]),
+        ("distance", "past_edge_mm", PAST_EDGE, "farther lines give smaller", lines),
+        ("speed", "time_s", SINCE_EDGE, "faster slides have earlier", speeds),
     ):
         chosen = pd.DataFrame([nearest(rows, *each) for each in wanted]).drop_duplicates("recording")
         shown = pd.concat(
@@ -155,54 +140,23 @@ def _traces(whole: Whole, rows: pd.DataFrame, letter: str) -> list[Panel]:
     return panels
 
 
-def _extremes(rows: pd.DataFrame, letter: str) -> list[Panel]:
-    """Values of the extremes against the distance, and their moments against the speed."""
-    names = {"low": "minimum", "high": "maximum"}
-    parts = [
-        rows.assign(extreme=word, mv=1000 * rows[f"{name}_v"], late_s=rows[f"{name}_mm"] / rows["speed_mm_s"])
-        for name, word in names.items()
-    ]
-    table, output = pd.concat(parts), f"V_{letter.lower()}"
-    every = f"of {output} in all {len(rows)} {letter}-slides against the"
-    values = ("values of the extremes", FROM_BOARD, f"{output}, mV")
-    late = ("moments of the extremes", "speed, mm/s", SINCE_EDGE)
-    return [
-        chart(table, "distance_mm", "mv", "extreme", values, f"Extreme values {every} distance."),
-        chart(
-            table,
-            "speed_mm_s",
-            "late_s",
-            "extreme",
-            late,
-            f"Moments of the extremes {every} speed.",
-            log=True,
-        ),
-    ]
-
-
-def _shown(whole: Whole, row: pd.Series) -> pd.DataFrame:
+def _shown(whole: AxisSlides, row: pd.Series) -> pd.DataFrame:
     """One slide's trace over the skin: past_edge_mm, time_s since the edge, vx, vy; thinned."""
-    folder, name = whole.slides.folder, str(row["recording"])
+    folder, name = whole.folder, str(row["recording"])
     label, (x, y) = folder.manifest.loc[name], folder.sensor.reference_mm
-    table = trace(folder, name, whole.slides.conditioning)
+    table = trace(folder, name, whole.conditioning)
     angle = np.deg2rad(label["direction_deg"])
     start = np.cos(angle) * (label["start_x_mm"] - x) + np.sin(angle) * (label["start_y_mm"] - y)
     past = table["travelled_mm"] + start - row["edge_mm"]
     moving = (table["travelled_mm"] > 0) & (table["travelled_mm"] < label["travel_mm"])
-    shown = pd.DataFrame(
-        {
-            "past_edge_mm": past,
-            "time_s": past / row["speed_mm_s"],
-            "vx": table.iloc[:, 0],
-            "vy": table.iloc[:, 1],
-        }
-    )
+    shown = pd.DataFrame({"past_edge_mm": past, "time_s": past / row["speed_mm_s"]})
+    shown[["vx", "vy"]] = table.iloc[:, :2]
     return shown[moving].iloc[:: max(1, moving.sum() // POINTS)].reset_index(drop=True)
 
 
-def sign_share(whole: Whole) -> pd.Series:
+def sign_share(whole: AxisSlides) -> pd.Series:
     """For each slide in the article's detectable area whether its signs show its direction."""
-    found = slide_direction(whole.slides.features)
+    found = slide_direction(whole.features)
     right = found[np.arange(len(found)), whole.table["kind"]]
     limit = np.where(whole.table["kind"] % 2 == 0, 17.5, 25.0)
     return pd.Series(right)[(whole.table["distance_mm"] <= limit).to_numpy()]
@@ -212,23 +166,15 @@ def extreme_place(rows: pd.DataFrame) -> dict[str, tuple[float, float]]:
     """Lowest and highest mean way (mm) past the edge, over lines, at which each extreme comes."""
     near = rows[rows["distance_mm"] <= 17.5]
     lines = (near if len(near) else rows).groupby(rows["distance_mm"].round(1))
-    return {
-        name: (float(lines[f"{name}_mm"].mean().min()), float(lines[f"{name}_mm"].mean().max()))
-        for name in ("low", "high")
-    }
+    means = {name: lines[f"{name}_mm"].mean() for name in ("low", "high")}
+    return {name: (float(mean.min()), float(mean.max())) for name, mean in means.items()}
 
 
 def speed_effect(rows: pd.DataFrame) -> float | None:
     """Range of the minimum over speeds of one line, % of it, median over lines; None without any."""
     lines = rows.dropna(subset=["low_v"]).groupby(rows["place_mm"].round(1))["low_v"]
-    several = lines.filter(lambda values: len(values) > 1).index
-    if not len(several):
-        return None
-    part = rows.loc[several]
-    spread = part.groupby(part["place_mm"].round(1))["low_v"].agg(
-        lambda v: 100 * np.ptp(v) / np.abs(v.mean())
-    )
-    return float(spread.median())
+    spread = lines.agg(lambda v: 100 * np.ptp(v) / np.abs(v.mean()))[lines.size() > 1]
+    return float(spread.median()) if len(spread) else None
 
 
 def nearest(rows: pd.DataFrame, distance_mm: float, speed_mm_s: float) -> pd.Series:
@@ -237,7 +183,7 @@ def nearest(rows: pd.DataFrame, distance_mm: float, speed_mm_s: float) -> pd.Ser
     return rows.loc[off.idxmin()]
 
 
-def delays_mm(whole: Whole) -> pd.DataFrame:
+def delays_mm(whole: AxisSlides) -> pd.DataFrame:
     """Median way past the edge at which the first extreme comes, by kind: `kind`, `first_mm`, `article_mm`."""
     first = whole.table[["low_mm", "high_mm"]].min(axis=1)
     median = first[whole.table["distance_mm"] <= 17.5].groupby(whole.table["kind"]).median()

@@ -73,14 +73,14 @@ def compare(recordings: Sequence[Path], out: Path, models: Sequence[str] = MODEL
         InputError: an unknown model, a folder without the slides that are needed, two of the same name, or no model
         that suits a folder.
     """
-    if unknown := [
-        name for name in models if name not in MODELS and not (Path(name) / "model.json").is_file()
-    ]:
-        raise InputError(
-            f"no model '{unknown[0]}', nor a bundle there; name some of {', '.join(MODELS)}, or folders of bundles"
-        )
-    _distinct([label(name) for name in models], "models")
+    for name in models:
+        if name not in MODELS and not (Path(name) / "model.json").is_file():
+            known = ", ".join(MODELS)
+            raise InputError(
+                f"no model '{name}', nor a bundle there; name some of {known}, or folders of bundles"
+            )
     places = {folder.resolve().name: folder for folder in recordings}
+    _distinct([label(name) for name in models], "models")
     _distinct([folder.resolve().name for folder in recordings], "folders")
     with writing(out):
         out.mkdir(parents=True, exist_ok=True)

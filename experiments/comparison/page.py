@@ -10,7 +10,16 @@ import pandas as pd
 from experiments.comparison.paired import QUANTITIES
 from experiments.evaluation.figures import along_the_stroke
 from experiments.evaluation.scoring import summary
-from experiments.pages.figures import COLOURS, INK, LEGEND_ROW_INCHES, Panel, inline, legend_below, panel
+from experiments.pages.figures import (
+    COLOURS,
+    INK,
+    LEGEND_ROW_INCHES,
+    Panel,
+    axis_marks,
+    inline,
+    legend_below,
+    panel,
+)
 
 WORDS = {"direction_deg": "direction", "speed_percent": "speed", "offset_mm": "distance"}
 ROW_INCHES = 0.16
@@ -26,8 +35,7 @@ def section(folder: str, scored: Mapping[str, pd.DataFrame], pairs: pd.DataFrame
         "against": None if pairs.empty else pairs["against"].iloc[0],
         "panels": [] if pairs.empty else [_differences(pairs, quantity) for quantity in QUANTITIES],
         "over_stroke": [
-            (split, along_the_stroke(rows, by="model", of=f", {split}"))
-            for split, rows in table.groupby("split")
+            (split, along_the_stroke(rows, "model", f", {split}")) for split, rows in table.groupby("split")
         ],
         "rows": {
             name: {row["quantity"]: row | {"verdict": verdict(row)} for row in part.to_dict("records")}
@@ -60,10 +68,9 @@ def _differences(pairs: pd.DataFrame, quantity: str) -> Panel:
         for n, split in enumerate(splits):
             part = rows[rows["split"] == split]
             place = [models.index(model) * every + n for model in part["model"]]
-            ax.hlines(place, part["low"], part["high"], color=COLOURS[n % len(COLOURS)], linewidth=2)
-            ax.plot(
-                part["difference"], place, "o", color=COLOURS[n % len(COLOURS)], markersize=4, label=split
-            )
+            colour = COLOURS[n % len(COLOURS)]
+            ax.hlines(place, part["low"], part["high"], color=colour, linewidth=2)
+            ax.plot(part["difference"], place, "o", color=colour, markersize=4, label=split)
         _about_zero(ax, rows[["difference", "low", "high"]].to_numpy(float))
         ax.set_yticks([n * every + (len(splits) - 1) / 2 for n in range(len(models))], models)
         ax.set_ylim(len(models) * every - 0.5, -1.5)
@@ -88,6 +95,4 @@ def _about_zero(ax: mpl.axes.Axes, drawn: np.ndarray) -> None:
     low, high = min(1.3 * np.nanmin(drawn), -0.3 * least), max(1.3 * np.nanmax(drawn), 0.3 * least)
     ax.set_xlim(low, high)
     decades = 10.0 ** np.arange(np.log10(least), most + 1)
-    marks = [mark for mark in (*-decades[::-1], 0.0, *decades) if low <= mark <= high]
-    locator, nowhere = mpl.ticker.FixedLocator(marks), mpl.ticker.NullLocator()
-    ax.xaxis.set(major_locator=locator, major_formatter="{x:g}", minor_locator=nowhere)
+    axis_marks(ax.xaxis, [mark for mark in (*-decades[::-1], 0.0, *decades) if low <= mark <= high])

@@ -17,17 +17,8 @@ QUANTITIES = {"direction_deg": "deg", "speed_percent": "%", "offset_mm": "mm"}
 CONFIDENCE = 0.95
 LEAST_LINES = 3  # fewer show nothing of the spread between lines
 COLUMNS = (
-    "split",
-    "model",
-    "against",
-    "quantity",
-    "lines",
-    "recordings",
-    "difference",
-    "low",
-    "high",
-    "valid_alone",
-    "against_alone",
+    *("split", "model", "against", "quantity", "lines", "recordings", "difference", "low", "high"),
+    *("valid_alone", "against_alone"),
 )
 
 
@@ -38,20 +29,14 @@ def paired(scored: Mapping[str, pd.DataFrame], against: str) -> pd.DataFrame:
     scored: by model, from `scoring.score`, of the same recordings. Pairs are recordings that both models estimate;
     valid_alone, against_alone: how many one of the two alone does. low, high: NaN with fewer than LEAST_LINES lines.
     """
-    ends = {
-        model: table[table["stroke_fraction"] == 1.0].set_index("recording")
-        for model, table in scored.items()
-    }
+    ends = {m: rows[rows["stroke_fraction"] == 1.0].set_index("recording") for m, rows in scored.items()}
     rows = []
-    for split, other in ends[against].groupby("split"):
-        for model in ends:
-            if model == against:
-                continue
-            mine = ends[model].loc[other.index]
+    for split, other in ends.pop(against).groupby("split"):
+        for model, end in ends.items():
             for quantity in QUANTITIES:
-                pair = [table[f"{quantity}_error"] for table in (mine, other)]
+                mine, others = (table[f"{quantity}_error"] for table in (end.loc[other.index], other))
                 head = {"split": split, "model": model, "against": against, "quantity": quantity}
-                rows.append(head | _difference(pair[0], pair[1], other))
+                rows.append(head | _difference(mine, others, other))
     return pd.DataFrame(rows, columns=list(COLUMNS))
 
 
@@ -60,8 +45,7 @@ def _difference(mine: pd.Series, other: pd.Series, labels: pd.DataFrame) -> dict
     both = mine.notna() & other.notna()
     difference = (mine - other)[both]
     direction, offset = (
-        labels.loc[difference.index, name].to_numpy(float)
-        for name in ("true_direction_deg", "true_offset_mm")
+        labels.loc[difference.index, ["true_direction_deg", "true_offset_mm"]].to_numpy(float).T
     )
     line = line_folds(direction, offset, len(difference) + 1)
     by_line = difference.groupby(line).mean().to_numpy()
@@ -79,11 +63,8 @@ def _difference(mine: pd.Series, other: pd.Series, labels: pd.DataFrame) -> dict
 
 def interval(values: np.ndarray) -> tuple[float, float, float]:
     """The mean of independent values and its two-sided 95 % confidence interval; NaN where they are too few for it."""
-    if not len(values):
-        return np.nan, np.nan, np.nan
-    mean = float(values.mean())
     if len(values) < LEAST_LINES:
-        return mean, np.nan, np.nan
-    error = float(values.std(ddof=1) / np.sqrt(len(values)))
-    half = float(stdtrit(len(values) - 1, (1 + CONFIDENCE) / 2)) * error
+        return float(values.mean()) if len(values) else np.nan, np.nan, np.nan
+    mean = float(values.mean())
+    half = float(stdtrit(len(values) - 1, (1 + CONFIDENCE) / 2) * values.std(ddof=1) / np.sqrt(len(values)))
     return mean, mean - half, mean + half

@@ -15,12 +15,12 @@ from experiments.pages.figures import (
     EDGE,
     INK,
     Panel,
+    axis_marks,
     chart,
     inline,
-    log_marks,
+    on_cells,
     on_skin,
     panel,
-    rectangle,
 )
 from features.card import HALF_WIDTH_SD
 from pipeline.sensor import Sensor
@@ -43,9 +43,9 @@ INTERVAL = 0.9
 def coverage(scored: pd.DataFrame, calibration: pd.DataFrame, sensor: Sensor) -> Panel:
     """The lines of calibration and of scored recordings on the skin. calibration: rows of a manifest."""
     end = scored[scored["stroke_fraction"] == 1.0]
-    groups = [("calibration", _lines(calibration), EDGE)] if len(_lines(calibration)) else []
+    groups = [("calibration", slide_lines(calibration), EDGE)] if len(slide_lines(calibration)) else []
     for n, (split, rows) in enumerate(end.groupby("split")):
-        groups.append((str(split), _lines(rows, "true_"), COLOURS[n % len(COLOURS)]))
+        groups.append((str(split), slide_lines(rows, "true_"), COLOURS[n % len(COLOURS)]))
 
     def draw(ax: Axes) -> None:
         for name, lines, colour in groups:
@@ -98,11 +98,11 @@ def by_place(scored: pd.DataFrame, sensor: Sensor) -> list[Panel]:
     x = scored["true_start_x_mm"] + way * np.cos(angle)
     y = scored["true_start_y_mm"] + way * np.sin(angle)
     cells = pd.DataFrame(
-        {"i": np.floor(x / CELL_MM + 0.5), "j": np.floor(y / CELL_MM + 0.5)}
-        | {"error": scored["position_mm_error"], "valid": 100 * scored["valid"].astype(float)}
+        {"x": CELL_MM * np.floor(x / CELL_MM + 0.5), "y": CELL_MM * np.floor(y / CELL_MM + 0.5)}
     )
+    cells = cells.assign(error=scored["position_mm_error"], valid=100 * scored["valid"].astype(float))
     half = np.array(sensor.chamber_mm) / 2
-    means = cells[(x.abs() <= half[0]) & (y.abs() <= half[1])].groupby(["i", "j"])[["error", "valid"]].mean()
+    means = cells[(x.abs() <= half[0]) & (y.abs() <= half[1])].groupby(["x", "y"])[["error", "valid"]].mean()
     error_text = (
         f"Mean error of the position (mm) by where the contact is, in cells of {CELL_MM:g} mm, over valid estimates at "
         "every tenth of the stroke; blank: none."
@@ -114,27 +114,8 @@ def by_place(scored: pd.DataFrame, sensor: Sensor) -> list[Panel]:
         ("error", "position error, mm", error_text, "{:.2g}"),
         ("valid", "valid estimates, %", valid_text, "{:.0f}"),
     )
-    known = ((means[column].dropna(), *rest) for column, *rest in shown)
-    return [_map(values, sensor, *rest) for values, *rest in known if len(values)]
-
-
-def _map(values: pd.Series, sensor: Sensor, title: str, text: str, form: str) -> Panel:
-    """Cells of the skin in colour, each with its number."""
-    colours: Any = mpl.colormaps["viridis"]
-    scale = mpl.colors.Normalize(0.0, max(float(values.max()), 1e-9))
-    half = np.array(sensor.chamber_mm) / 2
-
-    def draw(ax: Axes) -> None:
-        for place, value in values.items():
-            low = np.maximum(CELL_MM * (np.array(place, dtype=float) - 0.5), -half)
-            high = np.minimum(CELL_MM * (np.array(place, dtype=float) + 0.5), half)
-            rectangle(ax, low, high, facecolor=colours(scale(value)), linewidth=0)
-            ink = "#ffffff" if scale(value) < 0.6 else "#000000"
-            x, y = (low + high) / 2
-            ax.text(x, y, form.format(value), ha="center", va="center", color=ink, fontsize=8)
-        ax.grid(visible=False)
-
-    return on_skin(sensor, text, draw, title, entries=0)
+    known = ((means[column].dropna().to_dict(), *rest) for column, *rest in shown)
+    return [on_cells(sensor, text, of, CELL_MM, form, title) for of, title, text, form in known if of]
 
 
 def along_the_stroke(scored: pd.DataFrame, by: str = "split", of: str = "") -> list[Panel]:
@@ -234,7 +215,7 @@ def path(rows: pd.DataFrame, sensor: Sensor) -> Panel:
     valid = rows[rows["valid"].astype(bool)]
 
     def draw(ax: Axes) -> None:
-        for line in _lines(rows.iloc[-1:], "true_"):
+        for line in slide_lines(rows.iloc[-1:], "true_"):
             ax.plot(*line.T, color=EDGE, linewidth=5, alpha=0.5, label="true")
         ax.plot(
             valid["x_mm"], valid["y_mm"], "o-", markersize=3, linewidth=1, color=COLOURS[0], label="estimated"
@@ -278,11 +259,16 @@ def _label_axis(quantity: str) -> dict[str, Any]:
     if quantity == "direction_deg":
         return {"xlim": (-12, 372), "xticks": [0, 90, 180, 270, 360]}
     if quantity == "speed_percent":
-        return {"draw": lambda ax: log_marks(ax, [0.5, 1, 2, 4, 8, 13])}
+        return {"draw": _log_speeds}
     return {}
 
 
-def _lines(rows: pd.DataFrame, prefix: str = "") -> np.ndarray:
+def _log_speeds(ax: Axes) -> None:
+    ax.set_xscale("log")
+    axis_marks(ax.xaxis, [0.5, 1, 2, 4, 8, 13])
+
+
+def slide_lines(rows: pd.DataFrame, prefix: str = "") -> np.ndarray:
     """(n, 2, 2) mm: first and last place, x and y, of each line; rows without start, direction or travel have none."""
     columns = [prefix + name for name in ("start_x_mm", "start_y_mm", "direction_deg", "travel_mm")]
     x, y, angle, travel = rows[columns].dropna().to_numpy(float).T

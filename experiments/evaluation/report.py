@@ -26,8 +26,6 @@ QUANTITY_NAMES = {
     "offset_mm": "distance, mm",
     "position_mm": "position, mm",
 }
-# Stroke fractions of the table of errors over the bound; the figures have them all.
-SHARES = {"0.4": "after 2/5 of the stroke", "1.0": "at its end"}
 # Labels whose range is shown, with their names and units.
 RANGES = {
     "true_speed_mm_s": ("Speeds", "mm/s"),
@@ -60,7 +58,7 @@ def write_report(
         answer=answer(verdicts),
         untested=not_tested(end, verdicts, sensor.chamber_mm),
         end=metrics["end_of_stroke"],
-        taught=metrics["taught_lines"],
+        learned=metrics["taught_lines"],
         tables=[
             ("By split", ends),
             ("By direction", metrics["by_direction"]),
@@ -80,7 +78,6 @@ def write_report(
             ("Recording by recording", figures.recording_by_recording(end, verdicts)),
         ],
         over_bound=metrics["over_bound"],
-        bound_shares=SHARES,
         bound_panels=figures.over_bound(metrics["over_bound"] or {}),
         worst=worst(scored, folder),
         silent=[str(name) for name in end.loc[~end["valid"].astype(bool), "recording"]],
@@ -100,16 +97,15 @@ def answer(verdicts: Sequence[Verdict]) -> tuple[str, str]:
     missed = [f"“{v.bound.name}”" for v in verdicts if v.met is False]
     untested = [f"“{v.bound.name}”" for v in verdicts if v.met is None]
     met = len(verdicts) - len(missed) - len(untested)
+    so_many = f"{met} of {len(verdicts)}"
     if missed:
-        return (
-            "missed",
-            f"Not within the article's bounds: {', '.join(missed)} missed, {met} of {len(verdicts)} met.",
-        )
+        return "missed", f"Not within the article's bounds: {', '.join(missed)} missed, {so_many} met."
     if not met:
         return "untested", "No straight slide tests the article's bounds here: figures, no verdict."
     if untested:
-        return "untested", (
-            f"As far as it was tested: {met} of {len(verdicts)} bounds met; not tested: {', '.join(untested)}."
+        return (
+            "untested",
+            f"As far as it was tested: {so_many} bounds met; not tested: {', '.join(untested)}.",
         )
     return "met", f"Yes, where it was tested: all {met} of the article's bounds are met."
 
@@ -144,9 +140,8 @@ def worst(scored: pd.DataFrame, folder: Folder) -> list[tuple[str, str, list[Pan
     end = scored[scored["stroke_fraction"] == 1.0]
     column = "position_mm_error" if end["position_mm_error"].notna().any() else "direction_deg_error"
     largest = end.dropna(subset=[column]).nlargest(WORST, column)
-    return [
-        _shown(row, scored[scored["recording"] == row["recording"]], folder) for _, row in largest.iterrows()
-    ]
+    of = dict(tuple(scored.groupby("recording")))
+    return [_shown(row, of[row["recording"]], folder) for _, row in largest.iterrows()]
 
 
 def _shown(row: pd.Series, rows: pd.DataFrame, folder: Folder) -> tuple[str, str, list[Panel]]:
@@ -170,10 +165,8 @@ def _shown(row: pd.Series, rows: pd.DataFrame, folder: Folder) -> tuple[str, str
 def _pictures(followed: Sequence[Track], folder: Folder) -> list[tuple[str, list[Panel]]]:
     """For each split its name and its panels."""
     splits = dict.fromkeys(track.split for track in followed)
-    return [
-        (split, track_figures.pictures([t for t in followed if t.split == split], folder.sensor))
-        for split in splits
-    ]
+    parts = {split: [track for track in followed if track.split == split] for split in splits}
+    return [(split, track_figures.pictures(part, folder.sensor)) for split, part in parts.items()]
 
 
 def _lines(card: dict[str, Any]) -> list[tuple[str, str]]:

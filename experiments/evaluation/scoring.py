@@ -48,14 +48,8 @@ def signed_errors(table: pd.DataFrame) -> pd.DataFrame:
     """
     direction = (table["direction_deg"] - table["true_direction_deg"]).to_numpy(dtype=float)
     ratio = (table["speed_mm_s"] / table["true_speed_mm_s"]).to_numpy(dtype=float)
-    return pd.DataFrame(
-        {
-            "direction_deg": wrapped_deg(direction),
-            "log_speed": np.log(ratio),
-            "offset_mm": table["offset_mm"] - table["true_offset_mm"],
-        },
-        index=table.index,
-    )
+    errors = {"direction_deg": wrapped_deg(direction), "log_speed": np.log(ratio)}
+    return pd.DataFrame(errors, table.index).assign(offset_mm=table["offset_mm"] - table["true_offset_mm"])
 
 
 def score(predictions: pd.DataFrame, manifest: pd.DataFrame, sensor: Sensor) -> pd.DataFrame:
@@ -107,9 +101,8 @@ def score(predictions: pd.DataFrame, manifest: pd.DataFrame, sensor: Sensor) -> 
 
 def near_deg(direction: pd.Series, axis_deg: float) -> pd.Series:
     """Whether a direction lies within AXIS_TOLERANCE_DEG of another."""
-    return pd.Series(np.abs(wrapped_deg((direction - axis_deg).to_numpy(dtype=float))), direction.index).lt(
-        AXIS_TOLERANCE_DEG
-    )
+    off = np.abs(wrapped_deg((direction - axis_deg).to_numpy(dtype=float)))
+    return pd.Series(off < AXIS_TOLERANCE_DEG, direction.index)
 
 
 def summary(scored: pd.DataFrame) -> dict[str, Any]:

@@ -1,6 +1,7 @@
 """Pictures of followed contacts: the path on the skin, and place, speed and direction against time."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import matplotlib as mpl
 import numpy as np
@@ -36,10 +37,9 @@ def along_the_contact(followed: Sequence[Track]) -> list[Panel]:
         counted = rows if column == "position_error" else rows[rows["moving"]]
         medians = counted.groupby(["split", "time_s"], as_index=False)[[column]].median().dropna()
         text = f"Median {title}, of valid estimates by the time since the touch, a line a split."
-        labels, below = (f"median {title}", "time since the touch, s", ""), len(splits)
-        panels.append(
-            chart(medians, "time_s", column, "split", labels, text, mark="-", log=True, below=below)
-        )
+        labels = (f"median {title}", "time since the touch, s", "")
+        look: dict[str, Any] = {"mark": "-", "log": True, "below": len(splits)}
+        panels.append(chart(medians, "time_s", column, "split", labels, text, **look))
     return panels
 
 
@@ -47,11 +47,8 @@ def _since_touch(track: Track) -> pd.DataFrame:
     """Absolute errors of the live estimates in contact, with the middle of their bin of time since the touch."""
     rows = track.judged[track.judged["touching"]]
     bins = (rows["time_s"] - rows["time_s"].min()) // _BIN_S
-    table = (
-        rows[list(_ERRORS)]
-        .abs()
-        .assign(split=track.split, time_s=_BIN_S * (bins + 0.5), moving=rows["moving"])
-    )
+    moment = {"time_s": _BIN_S * (bins + 0.5), "moving": rows["moving"]}
+    table = rows[list(_ERRORS)].abs().assign(split=track.split, **moment)
     return table[rows["live"] & (bins < _BINS)]
 
 
@@ -105,13 +102,8 @@ def _against_time(ax: Axes, track: Track, column: str, unit: str) -> None:
     ax.plot(true["time_s"], true[f"true_{column}"], ".", color=_TRUE, markersize=2)
     # A direction within 180 degrees of the truth.
     turned = live["true_direction_deg"] + live["direction_error"]
-    ax.plot(
-        live["time_s"],
-        turned if column == "direction_deg" else live[column],
-        ".",
-        color=_ESTIMATED,
-        markersize=2,
-    )
+    estimated = turned if column == "direction_deg" else live[column]
+    ax.plot(live["time_s"], estimated, ".", color=_ESTIMATED, markersize=2)
     if column == "speed_mm_s" and len(rows):
         ax.set_ylim(0, 1.6 * max(float(rows[f"true_{column}"].max()), 0.1))
     ax.set_ylabel(unit)

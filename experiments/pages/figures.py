@@ -7,7 +7,7 @@ side by side. It takes its colours from the page, which has a set for light and 
 import html
 import io
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
@@ -16,6 +16,7 @@ import matplotlib as mpl
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 
 from pipeline.sensor import Sensor
@@ -57,14 +58,8 @@ def draw_sensor(ax: Axes, sensor: Sensor, width: float, label: str) -> None:
     """The chamber's edge, in a line of so many points, and the accelerometers; label: theirs in the legend."""
     x, y = np.array(sensor.chamber_mm) / 2
     ax.add_patch(mpl.patches.Rectangle((-x, -y), 2 * x, 2 * y, fill=False, edgecolor=LABEL, linewidth=width))
-    ax.plot(
-        [part.x_mm for part in sensor.accelerometers],
-        [part.y_mm for part in sensor.accelerometers],
-        "s",
-        color=INK,
-        markersize=5,
-        label=label,
-    )
+    places = np.array([(part.x_mm, part.y_mm) for part in sensor.accelerometers])
+    ax.plot(*places.T, "s", color=INK, markersize=5, label=label)
 
 
 def svg(figure: Figure) -> str:
@@ -127,16 +122,10 @@ def chart(
         if draw:
             draw(ax)
         for n, (name, rows) in enumerate(table.groupby(by, sort=False)):
-            look: dict[str, Any] = {"alpha": 0.8} if mark == "o" else {}
+            look: Any = {"alpha": 0.8} if mark == "o" else {}
             colour, line = colours[n % len(colours)], ("-", "--")[n // len(colours) % 2]
             ax.plot(
-                rows[x],
-                rows[y],
-                mark.replace("-", line),
-                markersize=3,
-                color=colour,
-                label=str(name),
-                **look,
+                rows[x], rows[y], mark.replace("-", line), markersize=3, color=colour, label=str(name), **look
             )
         if limit is not None:
             ax.axhline(limit, color=INK, linestyle="--", linewidth=1)
@@ -167,17 +156,41 @@ def on_skin(
     with panel(4.1 + below, below) as (figure, ax):
         draw(ax)
         draw_sensor(ax, sensor, width=1.2, label="sensor")
-        ax.set(
-            xlim=(-x - 6, x + 6),
-            ylim=(-y - 6, y + 6),
-            aspect="equal",
-            xlabel="x, mm",
-            ylabel="y, mm",
-            title=title,
-        )
+        ax.set(xlim=(-x - 6, x + 6), ylim=(-y - 6, y + 6), aspect="equal", title=title)
+        ax.set(xlabel="x, mm", ylabel="y, mm")
         if entries:
             legend_below(figure, ax, columns)
         return Panel(inline(figure, caption), caption)
+
+
+def on_cells(
+    sensor: Sensor,
+    caption: str,
+    values: Mapping[Any, float],
+    cell_mm: float,
+    form: str,
+    title: str,
+    scale: Any = None,
+    draw: Callable[[Axes], None] = lambda ax: None,
+) -> Panel:
+    """`on_skin`, with square cells in colour, each with its number. values: by the cell's middle (x, y) mm.
+
+    scale: from a value to [0, 1] of the colours; by default from zero to the largest. draw: draws the rest.
+    """
+    colours, half = mpl.colormaps["viridis"], np.array(sensor.chamber_mm) / 2
+    scale = scale or mpl.colors.Normalize(0.0, max([*values.values(), 1e-9]))
+
+    def fill(ax: Axes) -> None:
+        for middle, value in values.items():
+            low, high = (np.clip(np.array(middle) + side * cell_mm / 2, -half, half) for side in (-1, 1))
+            rectangle(ax, low, high, facecolor=colours(scale(value)), linewidth=0)
+            ink, (x, y) = "#ffffff" if scale(value) < 0.6 else "#000000", (low + high) / 2
+            size = 4 + 0.4 * cell_mm
+            ax.text(x, y, form.format(value), ha="center", va="center", color=ink, fontsize=size)
+        ax.grid(visible=False)
+        draw(ax)
+
+    return on_skin(sensor, caption, fill, title, entries=0)
 
 
 def rectangle(ax: Axes, low: np.ndarray, high: np.ndarray, **look: Any) -> None:
@@ -210,11 +223,10 @@ def inline(figure: Figure, alt: str) -> str:
     return f'<svg {head.group()} role="img" aria-label="{html.escape(alt)}">{body}'
 
 
-def log_marks(ax: Axes, marks: Sequence[float]) -> None:
-    """A logarithmic x axis with these marks."""
-    ax.set_xscale("log")
+def axis_marks(axis: Axis, marks: Sequence[float]) -> None:
+    """These marks alone."""
     locator, nowhere = mpl.ticker.FixedLocator(marks), mpl.ticker.NullLocator()
-    ax.xaxis.set(major_locator=locator, major_formatter="{x:g}", minor_locator=nowhere)
+    axis.set(major_locator=locator, major_formatter="{x:g}", minor_locator=nowhere)
 
 
 def log_with_zero(ax: Axes, values: np.ndarray) -> None:
@@ -229,9 +241,5 @@ def log_with_zero(ax: Axes, values: np.ndarray) -> None:
     ax.set_yscale("symlog", linthresh=least, linscale=0.3)
     ax.set_ylim(-0.2 * least, 1.6 * float(positive.max()))
     decades = np.arange(np.floor(np.log10(least)), np.ceil(np.log10(positive.max())) + 1)
-    few = len(decades) < 4
-    marks = np.array([m * 10**d for d in decades for m in ((1, 2, 5) if few else (1,))])
-    marks = marks[(marks > 1.2 * least) & (marks < 1.5 * positive.max())]
-    ax.yaxis.set_major_locator(mpl.ticker.FixedLocator([0.0, *marks]))
-    ax.yaxis.set_major_formatter("{x:g}")
-    ax.yaxis.set_minor_locator(mpl.ticker.NullLocator())
+    marks = np.array([m * 10**d for d in decades for m in ((1, 2, 5) if len(decades) < 4 else (1,))])
+    axis_marks(ax.yaxis, [0.0, *marks[(marks > 1.2 * least) & (marks < 1.5 * positive.max())]])
