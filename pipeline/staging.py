@@ -40,6 +40,8 @@ def writing(place: Path, instead: str = "name another folder") -> Iterator[None]
 def whole(path: Path) -> Iterator[Path]:
     """A file next to `path` that becomes `path` when the block ends well, and vanishes when not."""
     scratch = path.with_name(f".{path.name}.partial")
+    # What another process left there, or a link to elsewhere.
+    scratch.unlink(missing_ok=True)
     try:
         yield scratch
         scratch.replace(path)
@@ -142,6 +144,8 @@ def alone(work: Path, out: Path) -> Iterator[None]:
     Raises:
         InputError: another process works on `out`, or the folder cannot be made.
     """
+    if work.is_symlink():
+        raise InputError(f"{work}: is a link, and work on {out} goes there; take it away")
     with writing(out):
         work.mkdir(parents=True, exist_ok=True)
     try:

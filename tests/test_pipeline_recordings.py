@@ -151,7 +151,8 @@ def edit_manifest(root: Path, column: str, row: int, value: str) -> None:
         ("recording", "", "given"),
         ("recording", "../two", "letters, digits"),
         ("recording", "=two", "letters, digits"),
-        ("file", "", "no file"),
+        ("file", "", "no file has such a name"),
+        ("file", "slides/" + "a" * 5000, "no file has such a name"),
         ("file", "slides/none.parquet", "no such file; put it there or take its row out of the manifest"),
     ],
 )

@@ -158,3 +158,20 @@ def test_a_place_that_cannot_be_written_is_found_before_the_work(tmp_path: Path)
     if "mount" in done.stderr:
         pytest.skip("no disk can be mounted here")
     assert "cannot be written; name another folder" in done.stderr
+
+
+def test_what_is_unfinished_goes_through_no_link(tmp_path: Path) -> None:
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    (tmp_path / ".out.partial").symlink_to(elsewhere)
+    with (
+        pytest.raises(InputError, match="is a link"),
+        alone(tmp_path / ".out.partial", tmp_path / "out"),
+    ):
+        pass
+    (elsewhere / "kept").write_text("kept")
+    (tmp_path / ".new.partial").symlink_to(elsewhere / "kept")
+    with whole(tmp_path / "new") as scratch:
+        scratch.write_text("new")
+    assert (tmp_path / "new").read_text() == "new"
+    assert (elsewhere / "kept").read_text() == "kept"

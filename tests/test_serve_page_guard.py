@@ -12,6 +12,8 @@ from test_serve_page import Serving, serving, upgrade
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
+from features.errors import InputError
+from serve.page.process import _listener
 from serve.page.server import MOST_BODIES, REQUEST_S
 
 
@@ -104,3 +106,9 @@ def test_requests_that_are_never_finished_hold_nobody_up(running: Serving) -> No
             assert connection.getresponse().status == 422
         opened[0].settimeout(3 * REQUEST_S)
         assert opened[0].recv(1) == b""
+
+
+@pytest.mark.parametrize("place", [".:0", "a..b:0", "no.such.host.invalid:0", "70000", "x"])
+def test_a_place_that_does_not_exist_is_named(place: str) -> None:
+    with pytest.raises(InputError, match="write PORT or HOST:PORT"):
+        _listener(place)

@@ -16,6 +16,7 @@ from pipeline.recordings.text_table import read_text_table
 from pipeline.sensor import Sensor
 
 REQUIRED = ("recording", "file", "split")
+MOST_LETTERS = 250  # in a file's name; file systems take no more
 LABELS = (
     "direction_deg",
     "speed_mm_s",
@@ -115,7 +116,11 @@ def _schema(sensor: Sensor) -> pa.DataFrameSchema:
                 lambda v: v.map(is_plain) & ~v.duplicated(),
                 f"names must be given and differ, and hold {REMEDY}",
             ),
-            "file": column("file", lambda v: v != "", "no file is named; name it or take the row out"),
+            "file": column(
+                "file",
+                lambda v: (v != "") & (v.str.len() <= MOST_LETTERS),
+                f"no file has such a name, of 1 to {MOST_LETTERS} letters; name it or take the row out",
+            ),
             "direction_deg": number(
                 "direction_deg",
                 lambda v: (v >= 0) & (v < 360),

@@ -180,8 +180,8 @@ def _listener(place: str) -> socket.socket:
         raise InputError(f"{place}: no port; {PLACE}", "page")
     try:
         where = socket.getaddrinfo(host.strip("[]") or "127.0.0.1", int(port), type=socket.SOCK_STREAM)[0]
-    except OSError as error:
-        raise InputError(f"{place}: no such host ({error.strerror}); {PLACE}", "page") from None
+    except (OSError, UnicodeError):
+        raise InputError(f"{place}: no such host; {PLACE}", "page") from None
     listener = socket.socket(where[0], socket.SOCK_STREAM)
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
