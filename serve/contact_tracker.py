@@ -1,6 +1,7 @@
 """The tracker of contacts that a model card describes."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -13,11 +14,16 @@ from features.stream.conditioning import ONSETS
 
 
 def contact_tracker(
-    card: Card, noise_gain: float, height_mm: float
+    card: Card,
+    noise_gain: float,
+    height_mm: float,
+    config: TrackingConfig | None = None,
+    replays: bool = True,
 ) -> ContactTracker | TouchDownTracker | ReplayingTracker | None:
     """The tracker that a card describes; None for a bundle that knows straight slides alone.
 
-    height_mm: of the skin, for a card over heights; NaN: the card's.
+    height_mm: of the skin, for a card over heights; NaN: the card's. config: of contacts over the rim, but for the
+    card's depth; None: TrackingConfig(). replays: whether one of several accelerometers goes back where one has failed.
     """
     contact = card.contact
     if contact is None:
@@ -45,11 +51,11 @@ def contact_tracker(
             gain_sd=contact.gain_sd,
             trigger_v=card.conditioning.trigger_v,
             release_v=card.conditioning.release_v,
-            config=TrackingConfig(depth_sd_mm=contact.depth_sd_mm),
+            config=replace(config or TrackingConfig(), depth_sd_mm=contact.depth_sd_mm),
             inflation_v_per_mm=contact.inflation_v_per_mm,
         )
     # Where the only accelerometer fails, nothing is left to track with.
-    return tracker if len(card.channels) == 3 else ReplayingTracker(tracker)
+    return ReplayingTracker(tracker) if replays and len(card.channels) > 3 else tracker
 
 
 def response_surface(card: Card, height_mm: float = math.nan) -> ResponseSurface:

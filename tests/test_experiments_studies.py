@@ -18,6 +18,7 @@ from experiments.studies import (
     false_alarms,
     feature_speed,
     few_recordings,
+    motion_noise,
     partial_contact,
     sensor_drift,
     skin_sensitivity,
@@ -26,15 +27,21 @@ from experiments.studies import (
     tracker_constants,
 )
 from experiments.studies.skin_changes import CHANGES, DEPTH_MM, HEIGHT_MM, changed
+from features.card import read_card
+from features.contact.tracker import TrackingConfig
 from features.stream.conditioning import Conditioning
-from pipeline.atlas.atlas import DEFAULT_SENSOR
+from pipeline.atlas.atlas import DEFAULT_SENSOR, read_atlas
 from pipeline.recordings.folder import SAMPLE, Folder, read_folder
 from pipeline.recordings.manifest import write_manifest
 from pipeline.sensor import check_design, read_sensor
+from pipeline.synthesis.distribution import Distribution
 from pipeline.synthesis.no_contact import SIGNALS
+from pipeline.synthesis.paths.draw import draw_path
+from pipeline.synthesis.specimen import draw_specimen
+from pipeline.synthesis.synthesize import noise_of, record, sensor_of
 
-SCRIPTS = (decision_time, false_alarms, feature_speed, few_recordings, partial_contact, sensor_drift)
-SCRIPTS += (skin_sensitivity, skin_speed, sweep, tracker_constants)
+SCRIPTS = (decision_time, false_alarms, feature_speed, few_recordings, motion_noise, partial_contact)
+SCRIPTS += (sensor_drift, skin_sensitivity, skin_speed, sweep, tracker_constants)
 ALONG = np.arange(-25.0, 25.0 + skin_sensitivity.STEP_MM / 2, skin_sensitivity.STEP_MM)
 
 
@@ -77,6 +84,7 @@ def test_help_has_an_example_that_names_the_script(script, capsys: pytest.Captur
         (sensor_drift, ["--model", "nowhere", "--recordings", SAMPLE], "nowhere"),
         (sensor_drift, ["--model", SAMPLE, "--recordings", SAMPLE], "model.json"),
         (false_alarms, ["--model", SAMPLE, "--recordings", SAMPLE], "model.json"),
+        (motion_noise, ["--model", SAMPLE, "--recordings", SAMPLE], "model.json"),
         (decision_time, ["--model", SAMPLE], "model.json"),
         (sweep, ["--recordings", "nowhere", "--out", "best.toml"], "nowhere"),
         (tracker_constants, ["--recordings", SAMPLE, "--json", "no/where.json"], "no such folder"),
@@ -307,3 +315,18 @@ def test_a_hopeless_trial_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
     assert name == "trial 5"
     assert np.isnan(last["overall"])
     assert study.trials[-1].state is optuna.trial.TrialState.PRUNED
+
+
+def test_the_motion_noises_in_use_are_no_worse_than_others_on_a_path(tmp_path: Path) -> None:
+    """A contact whose speed changes all the time, over the sensor that the bundle was calibrated on."""
+    card = read_card(Path(__file__).parent / "worlds" / "stopping_sensor" / "model.json")
+    atlas = read_atlas()
+    drawn = draw_path(0, atlas, sensor_of(atlas), Distribution(), np.random.default_rng(3), kind="speed")
+    specimen = draw_specimen(sensor_of(atlas), Distribution(stopping=0.3), 301)
+    blocks = motion_noise.blocks_of(record(drawn, specimen, atlas, noise_of(0, 0)).volts, card)
+    config = TrackingConfig()
+    worth = motion_noise.gained(blocks, card, config)
+    stiff = replace(config.noise, unsteady=config.noise.speed)
+    assert worth > motion_noise.gained(blocks, card, replace(config, noise=stiff))
+    assert worth == motion_noise.gained(blocks, card, config)
+    assert {name for part, name in motion_noise.numbers(config)} >= {"unsteady", "speed", "stop", "lift"}

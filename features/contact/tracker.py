@@ -84,8 +84,8 @@ class TrackingConfig:
 
     noise: MotionNoise = field(default_factory=MotionNoise)
     manoeuvres: Manoeuvres = field(default_factory=Manoeuvres)
-    most: int = 14
-    most_partial: int = 12
+    most: int = 20
+    most_partial: int = 20
     touch_most: int = 100
     young_s: float = 4.0
     rest: float = -2.0
@@ -153,6 +153,8 @@ class ContactTracker:
     surface: the calibrated response. half_mm: half the chamber's sizes. noise_v: (C,) V of one block, with the lag
     undone. floor_v: V, the map's residual. gain_sd: from slide to slide. trigger_v, release_v: V, outputs that begin
     and end a contact. inflation_v_per_mm: (C,), as in ContactCalibration; none: not known, and no press is detected.
+
+    gained: by the last block, the logarithm of the odds of a contact against a signal that needs no map.
     """
 
     def __init__(
@@ -180,6 +182,7 @@ class ContactTracker:
 
     def reset(self) -> None:
         """Forgets the contact and the last blocks."""
+        self.gained = 0.0
         self._bank: Hypotheses | None = None
         self._track: Track | None = None
         self._rested = False
@@ -194,6 +197,7 @@ class ContactTracker:
     def push(self, volts: np.ndarray, touched: bool, usable: np.ndarray | None = None) -> Track | None:
         """One block: volts (C,) V of the tilt channels, subtracted, the lag undone; touched: whether the output is off
         the static one, which starts a track; usable: (C,) bool. -> the contact, None if none is tracked."""
+        self.gained = 0.0
         self._recent[:-1] = self._recent[1:]
         self._recent[-1] = volts
         self._filled = min(self._filled + 1, ONSET_BLOCKS)
@@ -269,6 +273,7 @@ class ContactTracker:
                 return
             self._bank = self._bank.take(sound)
             gained = 0.0
+        self.gained = gained
         way_mm = elapsed_s * abs(float(self._bank.state[self._bank.log_weight.argmax(), SPEED]))
         fades = elapsed_s / EVIDENCE_S + way_mm / EVIDENCE_MM
         if self._evidence < 0.0:
