@@ -4,10 +4,15 @@ Each subcommand is a function in commands/. Here is what holds for all of them: 
 `import softslide` offers some of these jobs as functions (docs/api.md).
 """
 
-import argparse
-import errno
 import os
 import sys
+
+# `python -m softslide` puts the current folder first, where features/ may be anybody's.
+if __name__ == "__main__" and sys.path[0] == os.getcwd() != os.path.dirname(os.path.abspath(__file__)):
+    del sys.path[0]
+
+import argparse
+import errno
 from collections.abc import Sequence
 from importlib import import_module
 from typing import Any

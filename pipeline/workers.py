@@ -9,6 +9,7 @@ from contextlib import ExitStack
 from typing import Any
 
 from features.errors import InputError
+from features.safe_path import safe_path
 
 
 def results(
@@ -30,6 +31,7 @@ def results(
 
     kind = "generator" if ordered else "generator_unordered"
     with ExitStack() as stack:
+        stack.enter_context(safe_path())
         if scheduler:
             client = stack.enter_context(cluster(scheduler))
             stack.enter_context(parallel_config(backend="dask", client=client))

@@ -28,6 +28,7 @@ import numpy as np
 from features.card import Card
 from features.errors import InputError
 from features.estimate import Estimate
+from features.safe_path import safe_path
 from serve.page.answers import answer
 from serve.page.server import FAREWELL_S, Server, about, frame
 
@@ -79,7 +80,8 @@ class Page:
             ),
             daemon=True,
         )
-        self._process.start()
+        with safe_path():
+            self._process.start()
         theirs.close()
         listener.close()
         # A short recording would be over before its page is there.

@@ -1,0 +1,61 @@
+"""A command called in somebody's folder runs nothing that lies there."""
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import softslide
+from pipeline.recordings.folder import SAMPLE
+
+ROOT = Path(softslide.__file__).parent
+TRAP = "open({!r}, 'a').write(__name__ + '\\n')\nraise SystemExit('a trap')\n"
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """A folder whose modules note that they were imported."""
+    for name in ("features", "pipeline", "multiprocessing", "joblib", "numpy", "json", "socket", "uvicorn"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "__init__.py").write_text(TRAP.format(str(tmp_path / "sprung")))
+    return tmp_path
+
+
+def called(folder: Path, *words: str) -> subprocess.Popen:
+    outside = {"cwd": folder, "env": os.environ | {"PYTHONPATH": str(ROOT)}}
+    return subprocess.Popen(
+        [sys.executable, *words],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        **outside,
+    )
+
+
+def test_the_module_is_called(folder: Path) -> None:
+    with called(folder, "-m", "softslide", "check", str(SAMPLE)) as running:
+        said, wrong = running.communicate(timeout=120)
+    assert running.returncode == 0, wrong
+    assert b"60 recordings, 0 errors" in said
+    assert not (folder / "sprung").exists()
+
+
+def test_the_page_has_a_process_of_its_own(folder: Path, bundle: Path) -> None:
+    serve = [softslide.__file__, "serve", "--model", str(bundle), "--source", "-", "--page", "0"]
+    with called(folder, *serve) as running:
+        lines = [running.stderr.readline() for _ in range(2)]
+        running.send_signal(signal.SIGINT)
+        running.communicate(timeout=60)
+    assert b"the page is at" in lines[1]
+    assert not (folder / "sprung").exists()
+
+
+def test_workers_are_processes_of_their_own(folder: Path) -> None:
+    work = "from pipeline.workers import results; print(list(results(pow, [(2, 3), (3, 2)], 2)))"
+    with called(folder, "-P", "-c", work) as running:
+        said, wrong = running.communicate(timeout=120)
+    assert said.strip() == b"[8, 9]", wrong
+    assert not (folder / "sprung").exists()
