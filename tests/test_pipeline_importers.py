@@ -157,6 +157,28 @@ def test_a_template_is_a_map(tmp_path: Path, capsys, kind: str) -> None:
     assert read_map(tmp_path / "map.toml").kind == kind
 
 
+def test_a_pattern_with_a_slash_sees_the_folders(tmp_path: Path) -> None:
+    map_path = write_lab(tmp_path, FORMATS["csv"])
+    for n, file in enumerate(sorted((tmp_path / "lab").iterdir())):
+        (tmp_path / "lab" / f"day{n}").mkdir()
+        file.rename(tmp_path / "lab" / f"day{n}" / f"run{file.suffix}")
+    text = map_path.read_text().replace("(?P<recording>[a-z]+)", "(?P<recording>day./run)")
+    map_path.write_text(text)
+    assert list(imported(map_path, tmp_path / "out").manifest.index) == ["day0_run", "day1_run"]
+
+
+@pytest.mark.parametrize("name", ["../../elsewhere", "=1+1", "a\\b"])
+def test_a_name_that_leads_elsewhere_is_refused_before_anything_is_written(
+    tmp_path: Path, capsys, name: str
+) -> None:
+    map_path = write_lab(tmp_path, FORMATS["csv"])
+    (tmp_path / "elsewhere.parquet").write_bytes(b"kept")
+    label = f"\n[labels.recording]\nname = 'recording'\nvalues = {{one = '{name}'}}\n"
+    map_path.write_text(map_path.read_text() + label)
+    assert "a name holds letters" in refused(map_path, capsys)
+    assert (tmp_path / "elsewhere.parquet").read_bytes() == b"kept"
+
+
 def test_labels_come_from_values_columns_names_and_a_sheet(tmp_path: Path) -> None:
     map_path = write_lab(tmp_path, FORMATS["csv"], ("x-slide-XF", "x-slide-XB"))
     for name in ("x-slide-XF", "x-slide-XB"):

@@ -38,9 +38,9 @@ def read_sheet(mapping: Map) -> dict[str, dict[Any, str]]:
 
 
 def recording_name(mapping: Map, path: Path, groups: Mapping[str, str]) -> str:
-    """The recording that a file belongs to: its label, the pattern's `recording`, or its name."""
+    """The recording that a file belongs to: its label, the pattern's `recording`, where _ stands for /, or its name."""
     label = mapping.labels.get("recording", Label(name="recording"))
-    name = groups.get(label.name) or path.stem
+    name = groups.get(label.name, "").replace("/", "_") or path.stem
     return str(label.values.get(name, name))
 
 

@@ -19,7 +19,8 @@ import pandas as pd
 import pyarrow.parquet as pq
 
 from features.clock import check_clock
-from features.errors import InputError
+from features.errors import InputError, printable
+from features.names import REMEDY, is_plain
 from features.units import impossible_output
 from pipeline.checks.zone_signs import sign_agreement, start_mm
 from pipeline.importers.import_map import Map
@@ -108,7 +109,8 @@ def find_sources(sources: Sequence[Path], mapping: Map) -> list[Source]:
     """The recordings in files and folders, sorted by name; folders are searched for the map's kind.
 
     Raises:
-        InputError: a source is missing, a file named does not fit the pattern, two files claim one place.
+        InputError: a source is missing, a file named does not fit the pattern, two files claim one place, a recording's
+            name is not plain.
     """
     pattern = re.compile(mapping.pattern)
     found: dict[str, Source] = {}
@@ -116,7 +118,7 @@ def find_sources(sources: Sequence[Path], mapping: Map) -> list[Source]:
         if not source.exists():
             raise InputError(f"{source}: no such file or folder; name one that exists")
         for path in _files(source, mapping.kind):
-            match = pattern.search(path.name)
+            match = pattern.search(_matched(path, source, mapping))
             if match is None:
                 if path == source:
                     raise InputError(
@@ -125,6 +127,8 @@ def find_sources(sources: Sequence[Path], mapping: Map) -> list[Source]:
                 continue
             groups = {key: text or "" for key, text in match.groupdict().items()}
             name, part = recording_name(mapping, path, groups), groups.get("part", "")
+            if not is_plain(name):
+                raise InputError(f"{path}: recording '{printable(name)}': a name holds {REMEDY}")
             job = found.setdefault(name, Source(name, groups))
             if part in job.files:
                 raise InputError(
@@ -135,6 +139,13 @@ def find_sources(sources: Sequence[Path], mapping: Map) -> list[Source]:
         kinds = ", ".join(READERS[mapping.kind].suffixes)
         raise InputError(f"{', '.join(map(str, sources))}: no file ({kinds}) fits the map; name its folder")
     return [found[name] for name in sorted(found)]
+
+
+def _matched(path: Path, source: Path, mapping: Map) -> str:
+    """What the map's pattern is looked for in: the file's name, or where that has a / its path below the source."""
+    if "/" in mapping.pattern and path != source:
+        return path.relative_to(source).as_posix()
+    return path.name
 
 
 def _files(source: Path, kind: str) -> list[Path]:
