@@ -29,8 +29,8 @@ class TrackLimits:
     it for partial_way_mm. evidence: least logarithm of the odds of a contact against a smooth signal of no known
     origin. way_mm: least way. stopped_mm_s: a contact slower than this has stopped; stopped_way_mm: its least way.
     agreement: largest squared Mahalanobis distance of the straight slide from the track, four degrees of freedom.
-    stopping_s: for which a line is held while the track is near it; the contact rests once it is slower than
-    creep_share, and has stopped for good after pause_s.
+    stopping_s: for which a line is held while a contact seems to be slower than slow_share of the slide, or is lost;
+    it rests once it is slower than creep_share, and has stopped for good after pause_s.
     press_mm_s, press_sd_mm: largest speed and standard deviation of the place of a valid press. straight_misfit:
     largest reduced chi-square of the straight slide; straight_way_mm: its least way. shared: share of the track's
     half-widths about its own estimate that the straight slide's intervals hold too; None: they stay as they are.
@@ -47,7 +47,7 @@ class TrackLimits:
     misfit: float = 2.2
     partial: float = 0.3
     partial_way_mm: float = 4.0
-    evidence: float = 0.0
+    evidence: float = -1.0
     way_mm: float = 1.5
     stopped_mm_s: float = 0.15
     stopped_way_mm: float = 4.0
@@ -56,6 +56,7 @@ class TrackLimits:
     agreement: float = 25.0
     stopping_s: float = 0.3
     pause_s: float = 0.6
+    slow_share: float = 0.5
     creep_share: float = 0.05
     straight_misfit: float = 2.0
     straight_way_mm: float = 8.0
@@ -247,12 +248,12 @@ def same_line(straight: Estimate, line: Estimate) -> bool:
 def stops_on(
     line: Estimate, track: Estimate, elapsed_s: float, longest_mm: float, limits: TrackLimits
 ) -> bool:
-    """Whether a track is of a contact that is still, or rests, on a line that it agreed with until `elapsed_s` ago.
+    """Whether a track is of a contact that slows down or rests on a line that it agreed with until `elapsed_s` ago.
 
     longest_mm: how far it would be along the line, had it gone on.
 
-    A track near the line says nothing against it for a while: over the boards its speed wanders, and a stop is quicker
-    than the skin, whose creep shows as a motion.
+    A stop is quicker than the skin, whose creep shows as a motion: until it is over, a track that has lost the contact
+    says nothing against the line.
     """
     along_mm, across_mm = _on_line(line, track)
     half_mm = math.hypot(
@@ -263,7 +264,8 @@ def stops_on(
         return False
     if track.reason in (Reason.NONE, Reason.AMBIGUOUS) and rests(track, line, limits):
         return True
-    return elapsed_s <= limits.stopping_s
+    slow = track.speed_mm_s < limits.slow_share * line.speed_mm_s
+    return elapsed_s <= limits.stopping_s and (slow or track.reason is Reason.NOT_THIS_SENSOR)
 
 
 def rests(track: Estimate, line: Estimate, limits: TrackLimits) -> bool:

@@ -3,7 +3,8 @@
 A setting is worth the logarithm of the odds that the tracker's hypotheses gain over signals that need no response map,
 summed over a path, the mean over the kinds of path, in nats. Each number is multiplied and divided by --factor in turn,
 and what is better by --least is kept. Fit on synthetic paths of a sensor drawn anew (softslide synthesize --paths), of
-which a bundle is trained; judge on another sensor with --rounds 0. A round of 80 paths takes half an hour of two cores.
+which a bundle is trained; judge on another sensor with --rounds 0. What is fitted on synthetic paths alone is too sure
+of itself on the emulated bench (experiments/LOG.md). A round of 80 paths takes half an hour of two cores.
 
     python -m experiments.studies.motion_noise --model my-model --recordings my-paths --jobs 2
     python -m experiments.studies.motion_noise --model other-model --recordings other-paths --rounds 0

@@ -26,9 +26,9 @@ RESIDUAL_MM = (
 )
 ACCELERATION_MM = 12.0  # of way, over which a change of speed goes on
 MANOEUVRE_MM = 25.0  # of way, over which manoeuvres are remembered
-# Of the present output: what friction's dependence on the path adds. Of solved paths 0.006 is likelier than 0.01, by 5
-# nats a path (experiments/LOG.md).
-PEAK_SHARE = 0.006
+PEAK_SHARE = (
+    0.01  # of the present output: what friction's dependence on the path adds at 0.1 (rms, simulated)
+)
 # Of the present output, over 1 s: how much the shape of the response changes while a contact is pressed on.
 PARTIAL_SHARE = 0.02
 MISFIT_S = 0.5  # memory of the misfit
@@ -38,21 +38,19 @@ MISFIT_S = 0.5  # memory of the misfit
 class MotionNoise:
     """Standard deviations that a hypothesis grows by over 1 mm of way between manoeuvres.
 
-    place: mm. heading: rad. speed, acceleration: shares (of the speed; of its square). unsteady: in place of `speed`
-    while the speed changes all the time. curvature: 1/mm. gain: 1. depth: mm. friction: 1. rise: 1/s, over 1 s, while
-    the contact is pressed on or lifted. Fitted by likelihood (experiments/studies/motion_noise.py).
+    place: mm. heading: rad. speed, acceleration: shares (of the speed; of its square). curvature: 1/mm. gain: 1.
+    depth: mm. friction: 1. rise: 1/s, over 1 s, while the contact is pressed on or lifted.
     """
 
-    place: float = 0.005
-    heading: float = 0.005
-    speed: float = 0.015
-    unsteady: float = 0.3
+    place: float = 0.01
+    heading: float = 0.01
+    speed: float = 0.03
     acceleration: float = 0.004
-    curvature: float = 0.0015
-    gain: float = 0.0015
+    curvature: float = 0.003
+    gain: float = 0.003
     depth: float = 0.005
-    friction: float = 0.025
-    rise: float = 0.1
+    friction: float = 0.05
+    rise: float = 0.2
 
 
 @dataclass
@@ -62,8 +60,7 @@ class Hypotheses:
     state: (N, n). covariance: (N, n, n).
     log_weight: (N,), the largest is 0. partial: (N,) bool, whether the contact is being pressed on or lifted.
     misfit: (N,), the innovation's chi-square over C, a running mean. way_mm: (N,) since the last branching; age_mm:
-    (N,) in all, forgotten over MANOEUVRE_MM, and so is manoeuvres: (N,). unsteady: (N,) bool, whether the speed changes
-    all the time, and not only in manoeuvres.
+    (N,) in all, forgotten over MANOEUVRE_MM, and so is manoeuvres: (N,).
     """
 
     state: np.ndarray
@@ -74,7 +71,6 @@ class Hypotheses:
     way_mm: np.ndarray
     age_mm: np.ndarray
     manoeuvres: np.ndarray
-    unsteady: np.ndarray
 
     def __len__(self) -> int:
         return len(self.state)
@@ -124,7 +120,6 @@ def started(state: np.ndarray, sd: np.ndarray, log_weight: np.ndarray, partial: 
         zero.copy(),
         zero.copy(),
         zero.copy(),
-        np.zeros(count, dtype=bool),
     )
 
 
@@ -164,7 +159,7 @@ def predict(bank: Hypotheses, elapsed_s: float, floor_v: float, partial_v: float
     grown[:, X] += noise.place**2 * way
     grown[:, Y] += noise.place**2 * way
     grown[:, HEADING] += noise.heading**2 * way
-    grown[:, SPEED] += (np.where(bank.unsteady, noise.unsteady, noise.speed) * speed) ** 2 * way
+    grown[:, SPEED] += (noise.speed * speed) ** 2 * way
     grown[:, ACCELERATION] += (noise.acceleration * speed * speed) ** 2 * way
     grown[:, CURVATURE] += noise.curvature**2 * way
     grown[:, GAIN] += noise.gain**2 * way

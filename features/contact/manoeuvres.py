@@ -1,6 +1,6 @@
-"""What a contact may do next: each hypothesis gets children that change speed, once or from now on, bend, stop, turn
-back, turn a corner, start again, lift off or finish being pressed on, and two for the halves of a place that is known
-badly. The likelihood of the next blocks decides between them.
+"""What a contact may do next: each hypothesis gets children that change speed, bend, stop, turn back, turn a corner,
+start again, lift off or finish being pressed on, and two for the halves of a place that is known badly. The likelihood
+of the next blocks decides between them.
 
 Manoeuvres are a renewal process along the way: a hypothesis that has made few expects few (the rate's posterior mean
 under a gamma prior), so that a straight slide grows sharp.
@@ -24,31 +24,30 @@ from features.contact.hypotheses import (
 
 @dataclass(frozen=True)
 class Manoeuvres:
-    """Chosen on synthetic paths, some by likelihood (experiments/studies/motion_noise.py).
+    """Chosen on synthetic paths (experiments/LOG.md).
 
     prior_count, prior_mm: gamma prior of the manoeuvres' rate, 1/mm. steering: shares of a change of speed, a bend and
     both. speed: standard deviation of a change, a share of the speed; speed_mm_s: and at least this.
     acceleration: a share of the speed's square, 1/mm. curvature: 1/mm.
-    stop, back, corner, lift: rates, 1/mm. unsteady: rate, 1/mm, at which a steady speed becomes unsteady or an unsteady
-    one steady. rise: of a lift's gain, 1/s. lift_at_rest, whole, restart: probabilities at each branching.
+    stop, back, corner, lift: rates, 1/mm. rise: of a lift's gain, 1/s. lift_at_rest, whole, restart: probabilities at
+    each branching.
     """
 
-    prior_count: float = 0.25
+    prior_count: float = 0.5
     prior_mm: float = 12.0
     steering: tuple[float, float, float] = (0.4, 0.4, 0.2)
     speed: float = 0.5
     speed_mm_s: float = 0.1
-    acceleration: float = 0.12
+    acceleration: float = 0.06
     curvature: float = 0.08
     stop: float = 0.012
     back: float = 0.006
     corner: float = 0.008
-    unsteady: float = 0.02
-    lift: float = 0.01
+    lift: float = 0.02
     rise: float = 0.7
     lift_at_rest: float = 0.02
     whole: float = 0.3
-    restart: float = 0.01
+    restart: float = 0.004
 
 
 SLOW_MM_S = 0.3  # a contact this slow may start again in any direction
@@ -102,17 +101,13 @@ def branched(
         corner.covariance[:, HEADING, HEADING] += 0.5**2
         _set(corner, CURVATURE, np.zeros(len(corner)), np.full(len(corner), 0.02))
         children.append(corner)
-    whole = ~parent.partial
-    other = _child(parent.take(whole), np.minimum(p.unsteady * way[whole], 0.1))
-    other.manoeuvres -= 1.0
-    other.unsteady = ~other.unsteady
-    children.append(other)
     slow = np.abs(bank.state[:, SPEED]) < SLOW_MM_S
     slow &= bank.log_weight > -log_odds
     if slow.any():
         at = np.flatnonzero(slow)
         at = at[np.argsort(-bank.log_weight[at], kind="stable")[:SLOW_PARENTS]]
         children += _restarts(bank.take(at), p.restart)
+    whole = ~parent.partial
     if whole.any():
         # One that stands still is lifted after a time, not after a way.
         at_rest = np.where(speed[whole] < SLOW_MM_S, p.lift_at_rest, 0.0)
@@ -144,7 +139,6 @@ def merged(bank: Hypotheses, most: int, most_partial: int, log_odds: float) -> H
         (apart < 0.6 * less).all(2)
         & (more < 1.6 * less).all(2)
         & (bank.partial[:, None] == bank.partial[None])
-        & (bank.unsteady[:, None] == bank.unsteady[None])
     )
     kept: list[int] = []
     left = {False: most, True: most_partial}

@@ -51,25 +51,16 @@ NEVER = 1e-9
 # Contacts bend and change speed, and no more: where presses stand for a motion, one that is held looks like a stop, and
 # hypotheses that stop, turn back or turn a corner follow these instead of the motion (experiments/LOG.md).
 SLIDING_ON = MotionNoise(
-    place=0.01,
-    heading=0.01,
-    speed=0.03,
-    acceleration=TINY,
-    curvature=0.01,
-    gain=0.002,
-    depth=TINY,
-    friction=0.05,
+    place=0.01, heading=0.01, speed=0.03, acceleration=TINY, curvature=0.01, gain=0.002, depth=TINY
 )
 BENDS = Manoeuvres(
     steering=(0.2, 0.6, 0.2),
     speed=0.3,
-    prior_count=0.5,
     acceleration=TINY,
     curvature=0.3,
     stop=NEVER,
     back=NEVER,
     corner=NEVER,
-    unsteady=NEVER,
     restart=NEVER,
     lift=NEVER,
     lift_at_rest=NEVER,

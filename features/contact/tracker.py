@@ -84,8 +84,8 @@ class TrackingConfig:
 
     noise: MotionNoise = field(default_factory=MotionNoise)
     manoeuvres: Manoeuvres = field(default_factory=Manoeuvres)
-    most: int = 20
-    most_partial: int = 20
+    most: int = 14
+    most_partial: int = 12
     touch_most: int = 100
     young_s: float = 4.0
     rest: float = -2.0
