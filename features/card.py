@@ -199,7 +199,8 @@ def _table(path: Path, unsigned: bool) -> dict[str, Any]:
         raise InputError(f"{path}: not a softslide model card; name a bundle that 'softslide train' made")
     if "card_sha256" not in table and not unsigned:
         raise InputError(
-            f"{path}: has no card_sha256, so that changes to it are not found; train again, or name --unsigned"
+            f"is needed to read {path}: it has no card_sha256, so that changes to it are not found; or train again",
+            "unsigned",
         )
     if table.get("card_sha256", card_hash(table)) != card_hash(table):
         raise InputError(f"{path}: altered since it was written; take the bundle from its source again")

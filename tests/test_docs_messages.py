@@ -13,6 +13,7 @@ sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "worlds")]
 
 from readers import manifest, recording, slide  # noqa: E402
 
+import softslide  # noqa: E402
 from features.errors import InputError  # noqa: E402
 from features.units import impossible_output  # noqa: E402
 from pipeline.recordings.folder import SAMPLE  # noqa: E402
@@ -110,7 +111,7 @@ def said(folder: Path, name: str, content: bytes, read: Callable[[Path], object]
     try:
         read(path)
     except InputError as error:
-        return str(error).replace(f"{folder}/", "")
+        return softslide._with_option(error).replace(f"{folder}/", "")
     return ""
 
 
