@@ -297,10 +297,7 @@ def test_every_bound_names_its_place_in_the_article() -> None:
     assert all("section 5." in b.source for b in bounds)
 
 
-@pytest.mark.parametrize(
-    "line",
-    ["limitt = 8", "limit = -1", "quantity = 'warmth'", ""],
-)
+@pytest.mark.parametrize("line", ["limitt = 8", "limit = -1", "quantity = 'warmth'", ""])
 def test_a_broken_bound_is_refused(tmp_path: Path, line: str) -> None:
     path = tmp_path / "bounds.toml"
     path.write_text(f"[[bound]]\nname = 'b'\n{line}\n")

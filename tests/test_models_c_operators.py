@@ -94,12 +94,7 @@ OPERATORS: dict[str, Callable[[GraphBuilder, str], str]] = {
     },
     "Equal": lambda g, x: truth(g, g.op("Equal", g.op("Relu", x), g.constant(0.0, np.float32))),
     "And, Or, Not": lambda g, x: truth(
-        g,
-        g.op(
-            "And",
-            g.op("Not", bright(g, x)),
-            g.op("Or", bright(g, x), bright(g, g.op("Neg", x))),
-        ),
+        g, g.op("And", g.op("Not", bright(g, x)), g.op("Or", bright(g, x), bright(g, g.op("Neg", x))))
     ),
     "Where": lambda g, x: g.op("Where", bright(g, x), x, randoms(g, 2, 1, 4)),
     "Pow": lambda g, x: g.op("Pow", x, g.constant(3.0, np.float32)),
