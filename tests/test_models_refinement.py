@@ -27,9 +27,7 @@ def chosen(batch: WindowBatch, which) -> WindowBatch:
 
 def refine(response, batch, start, steps=8, sd=0.5, vertical=None, cross_axis_sd=0.01):
     """heading (B, 2), state (B, 6), its variance (B, 6), misfit (B, 1) of one accelerometer's windows."""
-    refinement = Refinement(
-        response, BLOCK_S, RefinementConfig(steps=steps, trust=1.0, cross_axis_sd=cross_axis_sd)
-    )
+    refinement = Refinement(response, BLOCK_S, RefinementConfig(steps=steps, trust=1.0, askew=cross_axis_sd))
     third = torch.zeros_like(batch.volts[:, :1]) if vertical is None else vertical
     with torch.no_grad():
         columns = refinement(
@@ -97,7 +95,7 @@ def test_inverses_are_as_exact_as_their_matrices_allow(scale: float):
 
 def test_weights_are_the_inverse_of_the_residuals_covariance():
     response = bump_map()
-    refinement = Refinement(response, BLOCK_S, RefinementConfig(cross_axis_sd=0.05))
+    refinement = Refinement(response, BLOCK_S, RefinementConfig(askew=0.05))
     generator = torch.Generator().manual_seed(2)
     volts = 0.1 * torch.randn(1, 6, WINDOW_BINS, generator=generator, dtype=torch.float64)[:, :3]
     bins = volts.reshape(3, BINS, -1).mean(2)
