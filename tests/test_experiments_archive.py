@@ -28,20 +28,8 @@ def bundle(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def evaluate(bundle: Path, lab: Path, out: Path, *options: object) -> int:
-    command = [
-        "evaluate",
-        "--model",
-        bundle,
-        "--recordings",
-        lab,
-        "--out",
-        out,
-        "--jobs",
-        1,
-        "--no-report",
-        *options,
-    ]
-    return softslide.main([str(word) for word in command])
+    words = ["evaluate", "--model", bundle, "--recordings", lab, "--out", out, "--jobs", 1, "--no-report"]
+    return softslide.main([str(word) for word in (*words, *options)])
 
 
 def test_it_goes_on_where_it_was_stopped(

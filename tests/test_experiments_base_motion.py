@@ -84,7 +84,7 @@ def test_training_says_how_far_the_base_moved_and_what_is_left(trained: tuple[Pa
 
 
 @pytest.mark.parametrize(("late_s", "shows"), [(0.0, False), (0.03, True)])
-def test_a_base_that_comes_late_is_told(
+def test_a_base_that_comes_late_is_reported(
     lab: Folder, tmp_path: Path, capsys: pytest.CaptureFixture[str], late_s: float, shows: bool
 ) -> None:
     robot = lab.load("robot")
@@ -108,7 +108,7 @@ def test_estimates_on_a_moving_robot_are_those_on_a_table(bundle: Path, lab: Fol
     assert robot["valid_share"] == table["valid_share"]
     for name, allowance in (("direction_deg", 1.0), ("speed_percent", 1.5), ("offset_mm", 0.1)):
         assert robot[name]["mean"] <= table[name]["mean"] + allowance
-    # Hardly a contact can be told from the robot's motion.
+    # Hardly a contact can be known from the robot's motion.
     assert without["valid_share"] < 0.5 * table["valid_share"]
 
 

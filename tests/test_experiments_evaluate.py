@@ -182,7 +182,7 @@ def test_bounds_hold_at_the_folders_own_depth(tmp_path: Path) -> None:
         assert (speed["recordings"], speed["pass"]) == (tested, False if tested else None)
 
 
-def test_slides_along_taught_lines_are_scored_apart(tmp_path: Path) -> None:
+def test_slides_along_calibrated_lines_are_scored_apart(tmp_path: Path) -> None:
     """The slide along a calibration line is off in speed; neither the figures nor the verdicts hold it."""
     write_small_bundle(tmp_path / "b", SENSOR, direction_deg=0.0, speed_mm_s=2.0, offset_mm=3.0)
     a_folder(
@@ -201,7 +201,7 @@ def test_slides_along_taught_lines_are_scored_apart(tmp_path: Path) -> None:
     assert "1 more recording" in Page((tmp_path / "out/report.html").read_text()).words
 
 
-def test_a_folder_of_taught_lines_alone_has_no_figures(bundle: Path, tmp_path: Path) -> None:
+def test_a_folder_of_calibrated_lines_alone_has_no_figures(bundle: Path, tmp_path: Path) -> None:
     a_folder(tmp_path / "lab", one={}, two={"split": "calibration"})
     status, _ = evaluated(bundle, tmp_path / "lab", tmp_path / "out")
     metrics = json.loads((tmp_path / "out/metrics.json").read_text())
@@ -350,7 +350,7 @@ def test_errors_are_held_against_the_bound_of_the_bundles_own_map(bundle: Path, 
 
 
 def test_a_folder_without_any_bound_is_evaluated_all_the_same(bundle: Path, tmp_path: Path) -> None:
-    """Of no slide is there one: all are of another depth than the map."""
+    """No slide has one: all are of another depth than the map."""
     mapped = shutil.copytree(bundle, tmp_path / "mapped")
     card = read_card(bundle / "model.json")
     write_card(replace(card, contact=contact_calibration(bump_map())), mapped / "model.json")
@@ -363,7 +363,7 @@ def test_a_folder_without_any_bound_is_evaluated_all_the_same(bundle: Path, tmp_
     assert over_bound(scored, pd.concat(bounds_of(mapped, deep, Archive(1)))) == {}
 
 
-def test_every_figure_has_a_text_that_tells_it_and_its_unit(bundle: Path, tmp_path: Path) -> None:
+def test_every_figure_has_a_text_that_says_it_and_its_unit(bundle: Path, tmp_path: Path) -> None:
     a_folder(tmp_path / "lab", one={}, two={"split": "test-other", "direction_deg": 90.0})
     page = report_of(bundle, tmp_path / "lab", tmp_path / "out")
     assert len(page.alts) > 12

@@ -54,8 +54,8 @@ def found(
     cnn, taken = model_named("cnn").config(), []
     conditioning = replace(cnn.conditioning, delayed=0.1)
     calibration = config or replace(cnn.calibration, iterations=1)
-    told = kept_map(folder, None, conditioning, calibration, cnn.spread, taken=taken.append, **options)
-    return told, bool(taken)
+    found = kept_map(folder, None, conditioning, calibration, cnn.spread, taken=taken.append, **options)
+    return found, bool(taken)
 
 
 def assert_same(a: CalibratedMap, b: CalibratedMap) -> None:

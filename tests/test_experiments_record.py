@@ -229,7 +229,7 @@ def test_an_interrupted_run_leaves_a_whole_folder(lab: Path) -> None:
     assert not list((lab / "out").rglob("*.partial"))
 
 
-def test_lost_samples_are_told_by_the_rate(lab: Path) -> None:
+def test_lost_samples_are_found_by_the_rate(lab: Path) -> None:
     port = free_port()
     # At half the rate without times every second sample is missing.
     slow = UDP.replace("lines(seed", "lines(rate_hz=500, seed").replace('f"{n / rate_hz:.4f}," + ', "")
@@ -311,26 +311,26 @@ def test_a_folder_of_another_sensor_is_not_gone_on_with(tmp_path: Path) -> None:
         open_growing(tmp_path / "new", None)
 
 
-def test_the_operator_is_told_what_looks_wrong() -> None:
+def test_the_operator_is_shown_what_looks_wrong() -> None:
     phases = Phases(0.5, 0.2, 0.8)
     time_s = np.arange(2000) / RATE_HZ
     noise = np.random.default_rng(3).normal(0.0, 0.002, (2000, 3))
     bump = np.where((time_s > 0.8) & (time_s < 1.3), 0.1, 0.0)[:, None]
 
-    def told(volts: np.ndarray) -> str:
+    def shown(volts: np.ndarray) -> str:
         return "\n".join(remarks(Recording("x", time_s, volts), a_sensor(), phases)[1:])
 
-    assert told(1.65 + bump + noise) == ""
-    assert "no contact" in told(1.65 + noise)
-    assert "does not come back" in told(1.65 + noise + np.where(time_s > 0.8, 0.1, 0.0)[:, None])
+    assert shown(1.65 + bump + noise) == ""
+    assert "no contact" in shown(1.65 + noise)
+    assert "does not come back" in shown(1.65 + noise + np.where(time_s > 0.8, 0.1, 0.0)[:, None])
     dead = 1.65 + bump + noise
     dead[:, 1] = 1.65
-    assert "a0_vy does not change" in told(dead)
-    assert "a0_vx is clipped" in told(np.minimum(1.65 + bump + noise, [1.7, 9.0, 9.0]))
+    assert "a0_vy does not change" in shown(dead)
+    assert "a0_vx is clipped" in shown(np.minimum(1.65 + bump + noise, [1.7, 9.0, 9.0]))
 
 
 def test_a_robot_that_moves_is_a_row_of_the_plan(tmp_path: Path) -> None:
-    """Of the split `base`: no label is needed, and nobody is told that nothing touches."""
+    """Of the split `base`: no label is needed, and nobody is asked whether anything touches."""
     sensor = replace(a_sensor(), base=Base())
     write_sensor(tmp_path / "sensor.toml", sensor)
     (tmp_path / "plan.csv").write_text(f"{PLAN}one,calibration,0,40,-5,-29,-5,8,0.5\nmoves,base,,40,,,,8,\n")

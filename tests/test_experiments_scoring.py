@@ -115,13 +115,8 @@ def test_a_position_error_is_split_into_along_and_across_the_motion(
     along, across = (math.cos(angle), math.sin(angle)), (-math.sin(angle), math.cos(angle))
     offset_mm, travel_mm, moved_mm = 6.0, 58.0, 3.0
     start = [-29.0 * a + offset_mm * b for a, b in zip(along, across, strict=True)]
-    slide = {
-        "direction_deg": direction_deg,
-        "offset_mm": offset_mm,
-        "start_x_mm": start[0],
-        "start_y_mm": start[1],
-        "travel_mm": travel_mm,
-    }
+    slide = {"direction_deg": direction_deg, "offset_mm": offset_mm, "travel_mm": travel_mm}
+    slide |= {"start_x_mm": start[0], "start_y_mm": start[1]}
     there = [s + fraction * travel_mm * a for s, a in zip(start, along, strict=True)]
 
     def errors(shift: tuple[float, float]) -> tuple[float, float, float]:
@@ -170,21 +165,23 @@ def test_a_slide_that_starts_inside_or_runs_diagonally_enters_the_chamber_where_
 
 
 @pytest.mark.parametrize(
-    ("low", "high", "truth", "holds"),
+    ("interval", "inside", "outside"),
     [
-        (-5.0, 5.0, 2.0, 1),
-        (355.0, 365.0, 2.0, 1),
-        (355.0, 5.0, 2.0, 1),
-        (355.0, 5.0, 6.0, 0),
-        (-200.0, 200.0, 90.0, 1),
-        (10.0, 20.0, 5.0, 0),
+        ((-5.0, 5.0), 2.0, 6.0),
+        ((355.0, 365.0), 2.0, 6.0),
+        ((355.0, 5.0), 2.0, 6.0),
+        ((10.0, 20.0), 15.0, 5.0),
     ],
 )
 def test_an_interval_across_zero_degrees_holds_what_lies_in_it(
-    low: float, high: float, truth: float, holds: int
+    interval: tuple[float, float], inside: float, outside: float
 ) -> None:
-    table = scored(predicted(direction_lo_deg=low, direction_hi_deg=high), s={"direction_deg": truth})
-    assert table["direction_deg_covered"].tolist() == [holds]
+    low, high = interval
+    for truth, holds in ((inside, 1), (outside, 0)):
+        table = scored(predicted(direction_lo_deg=low, direction_hi_deg=high), s={"direction_deg": truth})
+        assert table["direction_deg_covered"].tolist() == [holds]
+    whole = scored(predicted(direction_lo_deg=-200.0, direction_hi_deg=200.0), s={"direction_deg": outside})
+    assert whole["direction_deg_covered"].tolist() == [1]
 
 
 def test_what_is_not_valid_is_no_estimate() -> None:
@@ -208,10 +205,8 @@ def test_a_summary_is_mean_percentile_and_maximum() -> None:
 
 def test_groups_are_the_articles() -> None:
     headings = {"xf": 359.5, "yf": 90.4, "xb": 180.0, "yb": 270.0, "d": 45.0, "e": 300.0}
-    rows = {
-        name: {"direction_deg": angle, "offset_mm": -3.0, "speed_mm_s": 9.0}
-        for name, angle in headings.items()
-    }
+    known = {"offset_mm": -3.0, "speed_mm_s": 9.0}
+    rows = {name: known | {"direction_deg": angle} for name, angle in headings.items()}
     table = scored(*(predicted(name) for name in rows), **rows)
     assert list(by_direction(table)) == [
         *("X forward", "Y forward", "X backward", "Y backward"),
@@ -297,10 +292,7 @@ def test_every_bound_names_its_place_in_the_article() -> None:
     assert all("section 5." in b.source for b in bounds)
 
 
-@pytest.mark.parametrize(
-    "line",
-    ["limitt = 8", "limit = -1", "quantity = 'warmth'", ""],
-)
+@pytest.mark.parametrize("line", ["limitt = 8", "limit = -1", "quantity = 'warmth'", ""])
 def test_a_broken_bound_is_refused(tmp_path: Path, line: str) -> None:
     path = tmp_path / "bounds.toml"
     path.write_text(f"[[bound]]\nname = 'b'\n{line}\n")

@@ -197,7 +197,7 @@ def paths(tmp_path_factory: pytest.TempPathFactory) -> Folder:
     return write_folder(root, sensor_of(read_atlas()), pd.DataFrame(rows), recordings)
 
 
-def test_evaluate_scores_whole_contacts_beside_the_live_ones(
+def test_evaluate_scores_whole_contacts_next_to_the_live_ones(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """On a skin that is touched anywhere."""

@@ -133,10 +133,10 @@ def test_what_differs_is_named(
         tmp_path / "again",
     ]
     assert softslide.main([str(word) for word in command]) == 1
-    told = capsys.readouterr()
-    assert "not as it was: the recordings' manifest" in told.err.splitlines()
-    assert "model.onnx: differs" in told.out.splitlines()
-    assert "provenance.data.manifest" in told.out
+    printed = capsys.readouterr()
+    assert "not as it was: the recordings' manifest" in printed.err.splitlines()
+    assert "model.onnx: differs" in printed.out.splitlines()
+    assert "provenance.data.manifest" in printed.out
     assert (tmp_path / "again/model.onnx").exists()
 
 
@@ -222,9 +222,9 @@ def _relabelled(lab: Path, root: Path, **labels: str) -> Path:
     """A copy of the lab's folder with these labels in its first two calibration recordings, or in all for `all_`."""
     shutil.copytree(lab, root)
     table = pd.read_csv(root / "manifest.csv", dtype=str)
-    taught = table.index[table["split"].str.startswith("calibration")]
+    calibration = table.index[table["split"].str.startswith("calibration")]
     for name, value in labels.items():
-        rows = taught if name.startswith("all_") else taught[:2]
+        rows = calibration if name.startswith("all_") else calibration[:2]
         table.loc[rows, name.removeprefix("all_")] = value
     table.to_csv(root / "manifest.csv", index=False)
     return root

@@ -41,15 +41,15 @@ both_and_one = pytest.mark.parametrize("dead", [False, True], ids=["both", "one 
 @pytest.fixture(scope="module")
 def localizer(tmp_path_factory: pytest.TempPathFactory) -> Localizer:
     root = tmp_path_factory.mktemp("abstention")
-    taught = lines((0, 45, 90, 180, 225, 270), (-9, -6, -3, 0, 3, 6, LARGEST_OFFSET_MM), (5, 9, 15))
-    folder = bump_folder(root / "lab", SENSOR, {"calibration": taught})
+    calibrated = lines((0, 45, 90, 180, 225, 270), (-9, -6, -3, 0, 3, 6, LARGEST_OFFSET_MM), (5, 9, 15))
+    folder = bump_folder(root / "lab", SENSOR, {"calibration": calibrated})
     fitted = fit_cnn(folder, CONFIG)
     windows = labelled_windows(folder, fitted.conditioning)
     write_bundle(fitted, SENSOR, windows, {}, root / "bundle")
     return Localizer.load(root / "bundle")
 
 
-def told(localizer: Localizer, volts: np.ndarray, dead: bool = False) -> list[Estimate]:
+def estimates_of(localizer: Localizer, volts: np.ndarray, dead: bool = False) -> list[Estimate]:
     """Every estimate of a fresh stream; dead: the second accelerometer's channels stand still."""
     if dead:
         volts = volts.copy()
@@ -64,16 +64,16 @@ def shares_valid(localizer: Localizer, signals: list[np.ndarray], dead: bool, **
     shares = []
     for seed, signal in enumerate(signals):
         volts = as_recorded(SENSOR, np.concatenate([rest, signal, rest]), seed, **noise)
-        shares.append(float(np.mean([estimate.valid for estimate in told(localizer, volts, dead)])))
+        shares.append(float(np.mean([estimate.valid for estimate in estimates_of(localizer, volts, dead)])))
     return shares
 
 
 def errors(localizer: Localizer, dead: bool) -> np.ndarray:
-    """Direction deg, speed %, offset mm (n, 3) at the end of slides on lines not taught; NaN where not valid."""
+    """Direction deg, speed %, offset mm (n, 3) at the end of slides on lines not calibrated; NaN where not valid."""
     slides = lines((20, 70, 110, 200, 250, 340), (-6.5, -1.5, 4.5), (12, 20))
     rows = []
     for seed, (direction, offset, speed) in enumerate(slides):
-        last = told(localizer, slide_volts(SENSOR, direction, offset, speed, 1000 + seed), dead)[-1]
+        last = estimates_of(localizer, slide_volts(SENSOR, direction, offset, speed, 1000 + seed), dead)[-1]
         assert last.accelerometers == (1 if dead else 2)
         _, turn = off_the_line(last, direction, offset, speed)
         row = [turn, 100 * abs(last.speed_mm_s / speed - 1), abs(last.offset_mm - offset)]
@@ -98,7 +98,7 @@ def test_an_estimate_survives_a_dead_accelerometer(localizer: Localizer) -> None
 def test_an_accelerometer_that_dies_in_a_slide_is_left_out(localizer: Localizer) -> None:
     volts = slide_volts(SENSOR, 30.0, 2.0, 6.0, seed=1)
     volts[round(4.0 * RATE_HZ) :, 3:] = DEAD_V
-    last = told(localizer, volts)[-1]
+    last = estimates_of(localizer, volts)[-1]
     assert (last.valid, last.accelerometers) == (True, 1)
     assert last.direction_deg == pytest.approx(30.0, abs=3.0)
     assert last.offset_mm == pytest.approx(2.0, abs=1.0)
@@ -144,14 +144,14 @@ def test_another_sensor_s_signal_is_no_slide(localizer: Localizer, dead: bool) -
 
 @both_and_one
 @pytest.mark.parametrize("offset_mm", [-12.0, 12.0])
-def test_a_line_beyond_the_taught_offsets_is_tracked_with_intervals_that_hold(
+def test_a_line_beyond_the_calibrated_offsets_is_tracked_with_intervals_that_hold(
     localizer: Localizer, dead: bool, offset_mm: float
 ) -> None:
     """No recording vouches for a straight slide there, but others cross the places: the contact is tracked."""
     speed_mm_s, held = 8.0, []
     for direction_deg in (0.0, 90.0, 180.0):
         volts = slide_volts(SENSOR, direction_deg, offset_mm, speed_mm_s, seed=5)
-        estimates = told(localizer, volts, dead)
+        estimates = estimates_of(localizer, volts, dead)
         assert SlideState.SLIDE in {estimate.state for estimate in estimates}
         for estimate in estimates:
             if not (estimate.valid and estimate.state is SlideState.SLIDE):

@@ -10,14 +10,7 @@ import pytest
 import softslide
 from features.errors import InputError
 from features.stream.conditioning import Conditioning
-from models.design.board_places import (
-    GAP_MM,
-    arrangement,
-    best_places,
-    information,
-    lines_over,
-    response_of,
-)
+from models.design.board_places import GAP_MM, arrangement, best_places, information, lines_over, response_of
 from models.design.line_information import GAIN_SD, LINE_SPEED_MM_S, Line, places, slopes
 from models.response_map.calibrate import MAP_VARIANCE
 from models.response_map.from_atlas import DESIGN_DRIFT_V, DESIGN_NOISE_V, SAMPLE_MM

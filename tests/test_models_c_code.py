@@ -140,9 +140,9 @@ def test_a_graph_that_loses_its_digits_stays_as_it_was_trained(tmp_path: Path) -
     )
     (bundle / "model.onnx").write_bytes(graph.SerializeToString())
     resigned(bundle)
-    told = export(bundle, "c", tmp_path / "c")
-    assert told["precision"] == "as trained"
-    assert told["single_differs"] > PARITY
+    report = export(bundle, "c", tmp_path / "c")
+    assert report["precision"] == "as trained"
+    assert report["single_differs"] > PARITY
     assert "double" in (tmp_path / "c" / "model.c").read_text()
 
 
@@ -174,10 +174,10 @@ def test_export_writes_c_that_works_its_own_example(tmp_path: Path, capsys: pyte
     bundle = write_small_bundle(tmp_path / "b", a_sensor(2), offset_mm_per_v=50.0)
     out = tmp_path / "c"
     assert softslide.main(["export", "--model", str(bundle), "--to", "c", "--out", str(out)]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told["operators"] == {"Gemm": 1, "output": 1}
-    assert told["constants_kb"] == pytest.approx((6 * 64 * 5 + 5) * 4 / 1e3)
-    assert told["static_ram_kb"] == pytest.approx(5 * 4 / 1e3)
+    report = json.loads(capsys.readouterr().out)
+    assert report["operators"] == {"Gemm": 1, "output": 1}
+    assert report["constants_kb"] == pytest.approx((6 * 64 * 5 + 5) * 4 / 1e3)
+    assert report["static_ram_kb"] == pytest.approx(5 * 4 / 1e3)
     assert (out / "model.json").read_bytes() == (bundle / "model.json").read_bytes()
     assert "const float volts[384], float elapsed_s, const float weight[2]" in (out / "model.h").read_text()
     compiled(out, "check")
@@ -196,7 +196,7 @@ def test_what_has_no_form_in_c_is_one_line(tmp_path: Path, capsys: pytest.Captur
     (bundle / "model.onnx").write_bytes(graph.SerializeToString())
     resigned(bundle)
     assert softslide.main(["export", "--model", str(bundle), "--to", "c", "--out", str(tmp_path / "c")]) == 2
-    told = capsys.readouterr().err
-    assert len(told.splitlines()) == 1
-    assert "Elu" in told
+    error = capsys.readouterr().err
+    assert len(error.splitlines()) == 1
+    assert "Elu" in error
     assert not (tmp_path / "c").exists()

@@ -54,29 +54,11 @@ def unreal(g: GraphBuilder, x: str) -> str:
     return g.op("Sqrt", x)
 
 
+IN_DOUBLES = ("Abs", "Cos", "Exp", "Log", "Neg", "Reciprocal", "Sin", "Sqrt", "Tanh")
 # Each takes x (1, 2, 3, 4), uneven numbers about 0, and gives a value of any shape.
 OPERATORS: dict[str, Callable[[GraphBuilder, str], str]] = {
-    **{
-        kind: lambda g, x, kind=kind: g.op(kind, x)
-        for kind in (
-            "Abs",
-            "Cos",
-            "Exp",
-            "Log",
-            "Neg",
-            "Reciprocal",
-            "Relu",
-            "Sigmoid",
-            "Sign",
-            "Sin",
-            "Sqrt",
-            "Tanh",
-        )
-    },
-    **{
-        f"{kind} in doubles": lambda g, x, kind=kind: g.op(kind, double(g, x))
-        for kind in ("Abs", "Cos", "Exp", "Log", "Neg", "Reciprocal", "Sin", "Sqrt", "Tanh")
-    },
+    **{kind: lambda g, x, kind=kind: g.op(kind, x) for kind in (*IN_DOUBLES, "Relu", "Sigmoid", "Sign")},
+    **{f"{kind} in doubles": lambda g, x, kind=kind: g.op(kind, double(g, x)) for kind in IN_DOUBLES},
     **{
         f"{kind} along axis {axis}": lambda g, x, kind=kind, axis=axis: g.op(
             kind, x, ints(g, axis), keepdims=axis % 2
@@ -94,12 +76,7 @@ OPERATORS: dict[str, Callable[[GraphBuilder, str], str]] = {
     },
     "Equal": lambda g, x: truth(g, g.op("Equal", g.op("Relu", x), g.constant(0.0, np.float32))),
     "And, Or, Not": lambda g, x: truth(
-        g,
-        g.op(
-            "And",
-            g.op("Not", bright(g, x)),
-            g.op("Or", bright(g, x), bright(g, g.op("Neg", x))),
-        ),
+        g, g.op("And", g.op("Not", bright(g, x)), g.op("Or", bright(g, x), bright(g, g.op("Neg", x))))
     ),
     "Where": lambda g, x: g.op("Where", bright(g, x), x, randoms(g, 2, 1, 4)),
     "Pow": lambda g, x: g.op("Pow", x, g.constant(3.0, np.float32)),
@@ -153,16 +130,11 @@ OPERATORS: dict[str, Callable[[GraphBuilder, str], str]] = {
 
 def graph_of(g: GraphBuilder, outputs: dict[str, int | None]) -> bytes:
     """`features` (B, 24) -> values (B, n) by name."""
-    graph = onnx.helper.make_graph(
-        g.nodes,
-        "operators",
-        [onnx.helper.make_tensor_value_info("features", TensorProto.FLOAT, ["B", 24])],
-        [
-            onnx.helper.make_tensor_value_info(name, TensorProto.FLOAT, ["B", n])
-            for name, n in outputs.items()
-        ],
-        g.constants,
+    features, *values = (
+        onnx.helper.make_tensor_value_info(name, TensorProto.FLOAT, ["B", n])
+        for name, n in ({"features": 24} | outputs).items()
     )
+    graph = onnx.helper.make_graph(g.nodes, "operators", [features], values, g.constants)
     opsets = [onnx.helper.make_opsetid("", OPSET)]
     return onnx.helper.make_model(graph, opset_imports=opsets, ir_version=10).SerializeToString()
 
@@ -172,25 +144,16 @@ def of_operators(card: Card, tmp_path_factory: pytest.TempPathFactory) -> dict[s
     """(2, entries) for each operator: C's and ONNX Runtime's, for two inputs, from one graph of them all."""
     g = GraphBuilder()
     x = g.op("Reshape", "features", ints(g, 1, 2, 3, 4))
-    parts = [
-        g.cast(g.op("Reshape", build(g, x), ints(g, 1, -1)), TensorProto.FLOAT)
-        for build in OPERATORS.values()
-    ]
+    parts = [truth(g, g.op("Reshape", build(g, x), ints(g, 1, -1))) for build in OPERATORS.values()]
     session = ort.InferenceSession(graph_of(g, dict.fromkeys(parts)), providers=["CPUExecutionProvider"])
     x = np.random.default_rng(0).normal(0.0, 1.0, (2, 24)).astype(np.float32)
     rows = [session.run(None, {"features": x[n : n + 1]}) for n in range(2)]
     wanted = np.concatenate([np.hstack(row) for row in rows])
     ends = np.cumsum([part.shape[1] for part in rows[0]])
     graph = graph_of(g, {g.op("Concat", *parts, axis=1): wanted.shape[1]})
-    code = Case(onnx.load_model_from_string(graph), {"features": x}).c_rows(
-        tmp_path_factory.mktemp("operators"), card
-    )
-    return {
-        name: np.stack([ours, theirs])
-        for name, ours, theirs in zip(
-            OPERATORS, np.split(code, ends[:-1], 1), np.split(wanted, ends[:-1], 1), strict=True
-        )
-    }
+    case = Case(onnx.load_model_from_string(graph), {"features": x})
+    both = np.stack([case.c_rows(tmp_path_factory.mktemp("operators"), card), wanted])
+    return dict(zip(OPERATORS, np.split(both, ends[:-1], 2), strict=True))
 
 
 @pytest.mark.parametrize("name", OPERATORS)

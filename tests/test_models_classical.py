@@ -83,8 +83,8 @@ def test_labels_cannot_be_seen_when_predicting(case):
         name: np.random.default_rng(0).permutation(getattr(UNSEEN, name))
         for name in ("direction_deg", "speed_mm_s", "offset_mm", "along_mm", "stroke_fraction", "recording")
     }
-    told, untold = float_features(UNSEEN), float_features(replace(UNSEEN, **scrambled))
-    assert model.predict(told).tobytes() == model.predict(untold).tobytes()
+    known, unknown = float_features(UNSEEN), float_features(replace(UNSEEN, **scrambled))
+    assert model.predict(known).tobytes() == model.predict(unknown).tobytes()
 
 
 @pytest.mark.parametrize("name", ["interpolation", "trees", "gp"])

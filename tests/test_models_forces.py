@@ -61,7 +61,7 @@ def test_the_map_is_the_solved_force_at_any_place_and_heading(
     atlas: Atlas, reader: ForceReader, depth_mm: float
 ) -> None:
     """Over the skin as far as a ball's radius from the rim, where the clamp is felt; of the tangential force the error
-    is judged beside the whole force, since it vanishes where slope and friction cancel."""
+    is judged next to the whole force, since it vanishes where slope and friction cancel."""
     rng = np.random.default_rng(1)
     x, y = rng.uniform(-22.0, 22.0, (2, 300))
     direction = rng.uniform(0.0, 360.0, 300)
@@ -121,15 +121,15 @@ def estimated(**values: float) -> Estimate:
 
 
 def test_an_estimate_carries_the_force_where_it_is(atlas: Atlas, reader: ForceReader) -> None:
-    told = reader.with_force(estimated())
+    estimate = reader.with_force(estimated())
     x, y, z = solved_mn(atlas, np.array([4.0]), np.array([-8.3]), np.zeros(1), DEPTH_MM)[0]
-    assert told.force_mn == pytest.approx(z, rel=0.03)
-    assert told.tangential_force_mn == pytest.approx(math.hypot(x, y), abs=0.05 * z)
-    assert told.force_lo_mn < told.force_mn < told.force_hi_mn
-    assert told.tangential_force_lo_mn < told.tangential_force_mn < told.tangential_force_hi_mn
+    assert estimate.force_mn == pytest.approx(z, rel=0.03)
+    assert estimate.tangential_force_mn == pytest.approx(math.hypot(x, y), abs=0.05 * z)
+    assert estimate.force_lo_mn < estimate.force_mn < estimate.force_hi_mn
+    assert estimate.tangential_force_lo_mn < estimate.tangential_force_mn < estimate.tangential_force_hi_mn
     vague = reader.with_force(estimated(x_lo_mm=2.0, x_hi_mm=6.0, y_lo_mm=-14.0, y_hi_mm=-2.0))
-    assert vague.force_mn == told.force_mn
-    assert vague.force_hi_mn - vague.force_lo_mn > told.force_hi_mn - told.force_lo_mn
+    assert vague.force_mn == estimate.force_mn
+    assert vague.force_hi_mn - vague.force_lo_mn > estimate.force_hi_mn - estimate.force_lo_mn
 
 
 def test_a_press_that_grows_has_a_part_of_the_force_and_a_wider_interval(reader: ForceReader) -> None:
@@ -144,7 +144,7 @@ def test_a_press_that_grows_has_a_part_of_the_force_and_a_wider_interval(reader:
 
 
 @pytest.mark.long
-def test_a_solved_press_s_force_grows_with_its_outputs_as_told() -> None:
+def test_a_solved_press_s_force_grows_with_its_outputs_by_its_law() -> None:
     """At two places on the article's design, down from clear of the skin; the law is that of `ForceReader`."""
     sensor = read_sensor(DEFAULT_SENSOR)
     skin = skin_of(sensor)
@@ -206,7 +206,7 @@ def test_a_bundle_carries_the_map_and_one_without_it_works_as_before(tmp_path: P
         ("relative_sd", 0.0),
     ],
 )
-def test_a_force_map_that_is_none_is_refused(
+def test_a_force_map_out_of_shape_is_refused(
     tmp_path: Path, atlas: Atlas, key: str, value: float | str | list
 ) -> None:
     import json
@@ -225,13 +225,13 @@ def test_the_force_of_estimated_slides_is_the_solved_one_on_held_out_lines(
     tmp_path: Path, atlas: Atlas
 ) -> None:
     """Synthetic slides: the map calibrated on their calibration lines, test lines estimated by inverting it, and the
-    force where the estimate says, beside the solved one where the object is. The height is fitted, not told: that alone
+    force where the estimate says, next to the solved one where the object is. The height is fitted: that alone
     is 5 % of the force here; one slide with a scale takes it away."""
     folder = synthesize(None, None, 60, 3, tmp_path / "made")
     config = CnnConfig()
-    taught = folder.select("calibration")
-    conditioning = conditioning_for(taught, config.conditioning)
-    found = calibrated_map(taught, atlas, conditioning, config.calibration, config.spread)
+    calibration = folder.select("calibration")
+    conditioning = conditioning_for(calibration, config.conditioning)
+    found = calibrated_map(calibration, atlas, conditioning, config.calibration, config.spread)
     fitted = calibrated_forces(found.folder, atlas, found.summary, found.response.depth_mm)
     weighed = _weighed(found.folder, atlas)
     by_scale = calibrated_forces(weighed, atlas, found.summary, found.response.depth_mm)

@@ -1,4 +1,4 @@
-"""One map over heights of the skin: what slides tell of it, the graph that takes a height, and what tells one."""
+"""One map over heights of the skin: what slides show of it, the graph that takes a height, and what shows one."""
 
 import json
 import math
@@ -151,33 +151,35 @@ def test_a_graph_as_c_is_for_the_main_height(tmp_path: Path, graph: bytes) -> No
 
 
 @pytest.fixture(scope="module")
-def told(slides: list[CalibrationSlide]) -> HeightCalibration:
+def heights(slides: list[CalibrationSlide]) -> HeightCalibration:
     found = calibrated_heights(over_heights(), slides)
     assert found is not None
     return found
 
 
-def test_the_static_output_tells_the_height_of_this_mounting(told: HeightCalibration) -> None:
+def test_the_static_output_shows_the_height_of_this_mounting(heights: HeightCalibration) -> None:
     at = np.array([1.7, 1.65])
     for height_mm in (6.0, 7.3, 8.0):
-        assert told.estimate(at + height_mm * np.array(STATIC_V_PER_MM)) == pytest.approx(height_mm, abs=1e-6)
-    assert told.estimate(at + 8.1 * np.array(STATIC_V_PER_MM)) == pytest.approx(8.0)
-    assert math.isnan(told.estimate(at + 9.5 * np.array(STATIC_V_PER_MM)))
+        assert heights.estimate(at + height_mm * np.array(STATIC_V_PER_MM)) == pytest.approx(
+            height_mm, abs=1e-6
+        )
+    assert heights.estimate(at + 8.1 * np.array(STATIC_V_PER_MM)) == pytest.approx(8.0)
+    assert math.isnan(heights.estimate(at + 9.5 * np.array(STATIC_V_PER_MM)))
     # Half a degree of another mounting.
-    assert math.isnan(told.estimate(at + 7.3 * np.array(STATIC_V_PER_MM) + [0.0, 0.007]))
+    assert math.isnan(heights.estimate(at + 7.3 * np.array(STATIC_V_PER_MM) + [0.0, 0.007]))
 
 
-def test_a_static_output_that_does_not_change_tells_no_height(told: HeightCalibration) -> None:
-    assert math.isnan(replace(told, static_v_per_mm=(1e-5, 0.0)).estimate(np.array(told.static_v)))
+def test_a_static_output_that_does_not_change_shows_no_height(heights: HeightCalibration) -> None:
+    assert math.isnan(replace(heights, static_v_per_mm=(1e-5, 0.0)).estimate(np.array(heights.static_v)))
 
 
-def test_gains_scale_the_change_with_height(told: HeightCalibration) -> None:
-    scaled = with_gains(told, np.array([1.1, 0.9]))
-    np.testing.assert_allclose(scaled.splines(), told.splines() * [1.1, 0.9], rtol=2e-3, atol=1e-6)
+def test_gains_scale_the_change_with_height(heights: HeightCalibration) -> None:
+    scaled = with_gains(heights, np.array([1.1, 0.9]))
+    np.testing.assert_allclose(scaled.splines(), heights.splines() * [1.1, 0.9], rtol=2e-3, atol=1e-6)
 
 
 @pytest.fixture
-def bundle(tmp_path: Path, graph: bytes, told: HeightCalibration) -> Path:
+def bundle(tmp_path: Path, graph: bytes, heights: HeightCalibration) -> Path:
     row = ort.InferenceSession(graph).run(None, window())[0][0]
     card = Card(
         "cnn",
@@ -194,7 +196,7 @@ def bundle(tmp_path: Path, graph: bytes, told: HeightCalibration) -> Path:
         {"inputs": {k: v.tolist() for k, v in window().items()}, "estimate": row.tolist()},
         sha256(graph).hexdigest(),
         contact=contact_calibration(over_heights()),
-        heights=told,
+        heights=heights,
     )
     (tmp_path / "model.onnx").write_bytes(graph)
     write_card(card, tmp_path / "model.json")
@@ -234,7 +236,7 @@ def test_a_graph_that_takes_no_height_is_refused_where_its_card_has_several(bund
         open_bundle(bundle)
 
 
-def test_a_stream_is_read_at_the_height_it_tells_or_is_given(bundle: Path) -> None:
+def test_a_stream_is_read_at_the_height_it_shows_or_is_given(bundle: Path) -> None:
     assert read_card(bundle / "model.json").heights is not None
     localizer = Localizer.load(bundle)
     assert localizer.push(resting(7.6))[-1].skin_height_mm == pytest.approx(7.6, abs=0.1)
@@ -263,7 +265,7 @@ def test_a_tracker_does_not_depend_on_an_earlier_stream(bundle: Path) -> None:
 
 
 def test_no_column_of_a_lab_is_taken_for_a_height_or_a_weight() -> None:
-    """Synthetic recordings have `height_mm`; it is what was drawn, and not told to a calibration."""
+    """Synthetic recordings have `height_mm`; it is what was drawn, and not known to a calibration."""
     folder = read_folder(SAMPLE).select("calibration")
     table = folder.manifest.iloc[:2].assign(height_mm=["6.0", "8.0"], calibration_weight="none")
     learnt = recordings_to_learn_from(replace(folder, manifest=table), True)
@@ -272,7 +274,7 @@ def test_no_column_of_a_lab_is_taken_for_a_height_or_a_weight() -> None:
     assert all(math.isnan(slide.height_mm) for slide in slides)
 
 
-def test_a_reading_that_is_no_height_counts_as_none() -> None:
+def test_a_reading_that_is_not_a_height_is_left_out() -> None:
     folder = read_folder(SAMPLE)
     table = folder.manifest.iloc[:3].assign(pressure_mpa=[0.035, 0.035, 0.028], **{LASER: ["7.1", "0", "-1"]})
     heights = with_heights(replace(folder, manifest=table)).manifest[HEIGHT]

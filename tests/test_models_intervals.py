@@ -25,8 +25,8 @@ def test_windows_of_one_slide_count_as_one():
     covered: dict[bool, list[float]] = {True: [], False: []}
     for _ in range(400):
         errors, fresh = np.repeat(rng.standard_normal(36), 10), np.abs(rng.standard_normal(400))
-        for told, values in covered.items():
-            interval = conformal_interval(errors, np.zeros(360), slide if told else None)
+        for grouped, values in covered.items():
+            interval = conformal_interval(errors, np.zeros(360), slide if grouped else None)
             values.append(float(np.mean(fresh <= interval.half_width(0.0))))
     assert np.mean(covered[True]) == pytest.approx(34 / 37, abs=0.007)
     assert np.mean(covered[False]) == pytest.approx(33 / 37, abs=0.007)

@@ -73,7 +73,7 @@ def test_what_comes_after_does_not_matter(localizer, slide):
 
 
 def test_training_slides_tie_no_side_and_no_travel_to_a_direction():
-    # About the chamber's centre: from a point beside it, lines to one side are rarer by geometry alone.
+    # About the chamber's centre: from a point next to it, lines to one side are rarer by geometry alone.
     batch = WindowSource(bump_map(reference_mm=(0.0, 0.0)), 0.02, SynthesisConfig()).draw(
         6000, torch.Generator().manual_seed(2)
     )

@@ -85,7 +85,7 @@ def test_labels_that_do_not_say_where_the_contact_was_give_no_place(folder):
 
 
 @pytest.mark.parametrize("share", [0.0, -0.1, 1.1])
-def test_a_share_that_is_none_is_refused(share):
+def test_a_share_out_of_range_is_refused(share):
     with pytest.raises(ValueError, match="recorded_share"):
         SharesConfig(recorded_share=share)
 

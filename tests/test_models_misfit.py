@@ -28,8 +28,8 @@ INTERPOLATION = model_named("interpolation")
 @pytest.fixture(scope="module")
 def axes(tmp_path_factory: pytest.TempPathFactory) -> Folder:
     """Slides along the axes alone."""
-    taught = lines((0, 90, 180, 270), (-9, -6, -3, 3, 6, 9), (12, 20))
-    return bump_folder(tmp_path_factory.mktemp("axes"), SENSOR, {"calibration": taught})
+    calibration = lines((0, 90, 180, 270), (-9, -6, -3, 3, 6, 9), (12, 20))
+    return bump_folder(tmp_path_factory.mktemp("axes"), SENSOR, {"calibration": calibration})
 
 
 @pytest.fixture(scope="module")
@@ -58,10 +58,10 @@ def test_what_is_no_slide_is_not_valid(localizer: Localizer, cycle_s: float) -> 
     waves = np.sin(2 * np.pi * hertz * time_s[:, None] + phase).sum(axis=0)
     signal = np.concatenate([at_rest(SENSOR, 1.5), 0.03 * (waves - waves[0]) * [1.0, 1.0, 0.0]])
     localizer.reset()
-    told = localizer.push(as_recorded(SENSOR, signal, seed=1))
-    reasons = {estimate.reason for estimate in told}
+    estimates = localizer.push(as_recorded(SENSOR, signal, seed=1))
+    reasons = {estimate.reason for estimate in estimates}
     assert Reason.NOT_THIS_SENSOR in reasons
-    assert np.mean([estimate.valid for estimate in told]) < 0.02
+    assert np.mean([estimate.valid for estimate in estimates]) < 0.02
 
 
 def test_a_direction_that_no_recording_showed_is_held_by_the_interval_or_not_valid(
@@ -79,9 +79,9 @@ def test_nothing_is_valid_where_too_few_slides_show_what_is_usual(tmp_path: Path
     fitted = fit_model(INTERPOLATION, folder, INTERPOLATION.config())
     assert fitted.validity.misfit == 0.0
     write_bundle(fitted, SENSOR, labelled_windows(folder, fitted.conditioning), {}, tmp_path / "bundle")
-    told = Localizer.load(tmp_path / "bundle").push(slide_volts(SENSOR, 0.0, 2.0, 12.0, seed=3))
-    assert np.isfinite([estimate.speed_mm_s for estimate in told]).any()
-    assert not any(estimate.valid for estimate in told)
+    estimates = Localizer.load(tmp_path / "bundle").push(slide_volts(SENSOR, 0.0, 2.0, 12.0, seed=3))
+    assert np.isfinite([estimate.speed_mm_s for estimate in estimates]).any()
+    assert not any(estimate.valid for estimate in estimates)
 
 
 def test_the_graph_s_misfit_is_the_model_s() -> None:

@@ -42,7 +42,7 @@ def gaps_mm(found: Folder, truth: Folder) -> np.ndarray:
 
 
 @pytest.fixture(scope="module")
-def taught() -> Folder:
+def learnable() -> Folder:
     folder = recordings_to_learn_from(read_folder(SAMPLE))
     axis = folder.manifest[folder.manifest["direction_deg"] % 90 == 0]
     chosen = axis.groupby("direction_deg").head(SLIDES // 4)
@@ -51,15 +51,15 @@ def taught() -> Folder:
 
 
 @pytest.mark.parametrize("label", [x for x in LABELS if x not in ("direction_deg", *START, "pressure_mpa")])
-def test_a_label_that_follows_from_the_others_is_not_missed(taught: Folder, label: str) -> None:
-    found = with_derived_labels(without(taught, label)).manifest[label]
+def test_a_label_that_follows_from_the_others_is_not_missed(learnable: Folder, label: str) -> None:
+    found = with_derived_labels(without(learnable, label)).manifest[label]
     # A stage's ramps, 0.1 s at most, are no part of a speed or a moment that is derived.
-    ramp = taught.manifest["speed_mm_s"].max() * 0.1
-    np.testing.assert_allclose(found, taught.manifest[label], atol=ramp, rtol=0.01)
+    ramp = learnable.manifest["speed_mm_s"].max() * 0.1
+    np.testing.assert_allclose(found, learnable.manifest[label], atol=ramp, rtol=0.01)
 
 
-def test_a_path_with_its_truth_keeps_its_labels(taught: Folder, tmp_path) -> None:
-    bare = without(taught, "speed_mm_s")
+def test_a_path_with_its_truth_keeps_its_labels(learnable: Folder, tmp_path) -> None:
+    bare = without(learnable, "speed_mm_s")
     files = []
     for name in bare.manifest.index:
         (tmp_path / f"{name}.truth.csv").touch()
@@ -69,18 +69,18 @@ def test_a_path_with_its_truth_keeps_its_labels(taught: Folder, tmp_path) -> Non
 
 
 @pytest.mark.parametrize("absent", [(*MOMENTS, *START, "travel_mm"), MOMENTS, START])
-def test_the_signal_tells_the_onset_that_labels_do_not(taught: Folder, absent: tuple[str, ...]) -> None:
-    bare = with_derived_labels(without(taught, *absent))
+def test_the_signal_shows_the_onset_that_labels_lack(learnable: Folder, absent: tuple[str, ...]) -> None:
+    bare = with_derived_labels(without(learnable, *absent))
     assert bare.manifest[list(absent)].isna().all(axis=None)
-    atlas = atlas_of(taught.sensor)
+    atlas = atlas_of(learnable.sensor)
     onsets = with_onsets(bare, atlas, Conditioning(), SensorSpread(), CalibrationConfig())
-    assert onsets.fitted == frozenset(taught.manifest.index)
+    assert onsets.fitted == frozenset(learnable.manifest.index)
     assert not onsets.left_out
     # Eight slides of a design that is not quite this sensor's: 0.14 mm with 35 (experiments/LOG.md).
-    gaps = gaps_mm(onsets.folder, taught)
+    gaps = gaps_mm(onsets.folder, learnable)
     assert np.sqrt(np.mean(gaps**2)) < 0.5
     for label in set(MOMENTS) - set(absent):
-        np.testing.assert_array_equal(onsets.folder.manifest[label], taught.manifest[label])
+        np.testing.assert_array_equal(onsets.folder.manifest[label], learnable.manifest[label])
 
 
 def test_a_slide_that_nothing_shows_is_left_out_with_its_reason(tmp_path) -> None:

@@ -121,12 +121,12 @@ def test_one_stroke_or_press_renews_the_gains_of_map_and_graph(
     before = {path.name: path.read_bytes() for path in bundle.iterdir()}
     day, out = write_day(tmp_path / "day", pressed), tmp_path / "new"
     assert main(["recalibrate", "--model", str(bundle), "--recordings", str(day), "--out", str(out)]) == 0
-    told = json.loads(capsys.readouterr().out)
-    gain = np.array(list(told["gain"].values()))
-    assert (told["strokes"], told["presses"]) == (int(not pressed), int(pressed))
+    report = json.loads(capsys.readouterr().out)
+    gain = np.array(list(report["gain"].values()))
+    assert (report["strokes"], report["presses"]) == (int(not pressed), int(pressed))
     # A press has shown one place of each channel; a stroke all of a line.
     np.testing.assert_allclose(gain, TRUE, atol=0.06 if pressed else 0.02)
-    assert told["residual"] < 0.5 * told["residual_before"]
+    assert report["residual"] < 0.5 * report["residual_before"]
     # What opens has a graph and a card that belong together, and an example that it gives.
     card, _ = open_bundle(out)
     ratio = response_of(card).coefficients / np.where(
@@ -172,7 +172,7 @@ def test_what_cannot_be_renewed_is_refused_in_one_line(
 ) -> None:
     day = write_day(tmp_path / "day", False)
     small = write_small_bundle(tmp_path / "small", SENSOR)
-    for model, extra, told in (
+    for model, extra, reason in (
         (small, [], "holds no response map"),
         (bundle, ["--split", "tomorrow"], "label one"),
     ):
@@ -187,6 +187,6 @@ def test_what_cannot_be_renewed_is_refused_in_one_line(
         ]
         assert main([*command, *extra]) == 2
         error = capsys.readouterr().err
-        assert told in error
+        assert reason in error
         assert error.count("\n") == 1
     assert not (tmp_path / "o").exists()

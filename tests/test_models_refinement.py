@@ -25,9 +25,9 @@ def chosen(batch: WindowBatch, which) -> WindowBatch:
     return WindowBatch(*(getattr(batch, field.name)[which] for field in fields(batch)))
 
 
-def refine(response, batch, start, steps=8, sd=0.5, vertical=None, askew=0.01):
+def refine(response, batch, start, steps=8, sd=0.5, vertical=None, cross_axis_sd=0.01):
     """heading (B, 2), state (B, 6), its variance (B, 6), misfit (B, 1) of one accelerometer's windows."""
-    refinement = Refinement(response, BLOCK_S, RefinementConfig(steps=steps, trust=1.0, askew=askew))
+    refinement = Refinement(response, BLOCK_S, RefinementConfig(steps=steps, trust=1.0, askew=cross_axis_sd))
     third = torch.zeros_like(batch.volts[:, :1]) if vertical is None else vertical
     with torch.no_grad():
         columns = refinement(
@@ -121,7 +121,7 @@ def test_ripple_of_v_z_in_v_x_and_v_y_costs_little(windows):
     truth = windows.targets[:, :5]
 
     def turn_deg(batch, vertical) -> float:
-        heading, _, _, _ = refine(bump_map(), batch, truth, vertical=vertical, askew=0.04)
+        heading, _, _, _ = refine(bump_map(), batch, truth, vertical=vertical, cross_axis_sd=0.04)
         return np.degrees(np.arccos(np.clip((heading * truth[:, :2]).sum(1).numpy(), -1, 1))).mean()
 
     clean = turn_deg(windows, 0 * ripple)
@@ -129,7 +129,7 @@ def test_ripple_of_v_z_in_v_x_and_v_y_costs_little(windows):
     assert turn_deg(turned, ripple) < 1.2 * clean
 
 
-def test_refinement_finds_the_line_from_a_start_beside_it(windows):
+def test_refinement_finds_the_line_from_a_start_next_to_it(windows):
     truth = windows.targets[:, :5]
     angle = 0.15
     cos, sin = np.cos(angle), np.sin(angle)
@@ -188,7 +188,7 @@ def test_a_signal_of_something_else_leaves_a_large_misfit(windows):
 
 @pytest.fixture(scope="module")
 def half():
-    """Windows of slides that have just passed the accelerometer: the lean is not yet told apart by both flanks."""
+    """Windows of slides that have just passed the accelerometer: the lean is not yet seen by both flanks."""
     cut = SynthesisConfig(complete=0.0, paused=0.0, midway=0.0, depth_mm=0.0)
     batch = WindowSource(bump_map(), BLOCK_S, cut).draw(6000, torch.Generator().manual_seed(5))
     past = (batch.targets[:, 4] > 2) & (batch.targets[:, 4] < 8)
@@ -209,11 +209,7 @@ def turn_error_deg(response, batch, config) -> float:
     )
     with torch.no_grad():
         heading, _, _, _ = Refinement(response, BLOCK_S, config)(
-            volts,
-            batch.elapsed_s,
-            torch.ones(len(truth), boards),
-            truth,
-            torch.full((len(truth), 4), -0.7),
+            volts, batch.elapsed_s, torch.ones(len(truth), boards), truth, torch.full((len(truth), 4), -0.7)
         )
     aligned = (heading.flatten(1) * truth[:, :2]).sum(1).numpy()
     return float(np.degrees(np.arccos(np.clip(aligned, -1, 1))).mean())
@@ -228,7 +224,7 @@ def test_a_device_that_turns_slowly_is_borne_if_it_is_expected(windows):
     assert expected < 0.6 * unexpected
 
 
-def test_an_accelerometer_off_the_skin_tells_the_device_s_turn(half):
+def test_an_accelerometer_off_the_skin_measures_the_device_s_turn(half):
     one = bump_map()
     flat = np.zeros_like(one.coefficients)
     both = bump_map(
@@ -238,9 +234,11 @@ def test_an_accelerometer_off_the_skin_tells_the_device_s_turn(half):
         drift_v=np.full(4, 5e-4),
     )
     leaning = replace(half, volts=half.volts + lean(half))
-    beside = replace(half, volts=torch.cat([leaning.volts, lean(half)], 1), weight=half.weight.repeat(1, 2))
+    both_boards = replace(
+        half, volts=torch.cat([leaning.volts, lean(half)], 1), weight=half.weight.repeat(1, 2)
+    )
     moving = RefinementConfig(steps=8, trust=1.0, lean_v=5e-3)
     clean = turn_error_deg(one, half, RefinementConfig(steps=8, trust=1.0))
-    alone, told = turn_error_deg(one, leaning, moving), turn_error_deg(both, beside, moving)
-    assert told < 1.3 * clean
-    assert told < 0.8 * alone
+    alone, measured = turn_error_deg(one, leaning, moving), turn_error_deg(both, both_boards, moving)
+    assert measured < 1.3 * clean
+    assert measured < 0.8 * alone

@@ -147,7 +147,7 @@ def test_errors_of_each_bins_place_and_gain_are_part_of_its_covariance() -> None
     )
 
 
-def test_calibration_recovers_the_map_and_tells_how_its_residuals_hang_together() -> None:
+def test_calibration_recovers_the_map_and_finds_how_its_residuals_hang_together() -> None:
     truth = dome_map()
     slides = slides_over(truth, 60, noise_v=2e-3)
     found, figures = calibrate(slides, blank_map(SENSOR, 0.5, 2.0), False, CalibrationConfig())

@@ -121,7 +121,7 @@ def _preorder(
     bound: list[float] = []
     other: list[int] = []
     weights: list[np.ndarray] = []
-    # Every exporter lists the root first. Beside a node that waits: whose `other` it is, if anyone's.
+    # Every exporter lists the root first. Next to a node that waits: whose `other` it is, if anyone's.
     waiting: list[tuple[int, int | None]] = [(next(iter(nodes)), None)]
     while waiting:
         node, parent = waiting.pop()
