@@ -6,7 +6,7 @@ export MLFLOW_DISABLE_TELEMETRY = true
 # Tests start many processes: what they import is compiled once, whatever the environment says.
 export PYTHONDONTWRITEBYTECODE =
 
-.PHONY: help demo real test test-long format
+.PHONY: help demo real test test-long types format
 
 help: ## what there is to make
 	@sed -n 's/^\([a-z-]*\):.*## /\1	/p' $(MAKEFILE_LIST)
@@ -20,16 +20,20 @@ real: .venv/installed ## the table of docs/real.md, in hours
 	$(BIN)/softslide import pipeline/presses/run2_20250317_fixed_depth.csv --map pipeline/presses/five.toml --out real/five
 	$(BIN)/softslide import pipeline/presses/run2_20250317_fixed_depth.csv --map pipeline/presses/few.toml --out real/few
 	$(BIN)/softslide compare --recordings real/one real/five --models trees inversion cnn --out real/comparison
-	$(BIN)/python -m experiments.studies.few_recordings --recordings real/few --slides 48 12 --draws 1
+	$(BIN)/python -m softslide.experiments.studies.few_recordings --recordings real/few --slides 48 12 --draws 1
 	$(BIN)/softslide evaluate --model real/comparison/one/cnn/bundle --recordings real/one --split track-circle track-s --out real/curves-one --allow-untested
 	$(BIN)/softslide evaluate --model real/comparison/five/cnn/bundle --recordings real/five --split track-circle track-s --out real/curves-five --allow-untested
 
 test: .venv/installed ## linters, types, import contracts, tests
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/mypy
-	$(BIN)/lint-imports
+	$(MAKE) types
 	$(BIN)/pytest -n 2 --dist loadfile
+
+types: .venv/installed ## types and import contracts, on the package as it is when installed, by links
+	$(BIN)/python tests/worlds/linked.py .linked
+	$(BIN)/mypy
+	cd .linked && ../$(BIN)/lint-imports --config ../pyproject.toml
 
 test-long: .venv/installed ## tests that take minutes each
 	$(BIN)/pytest -m long --timeout 7200

@@ -1,7 +1,7 @@
 """Tables of README.md and docs/results.md, written from one file of figures, and measuring these anew.
 
-    python -m experiments.bench --stale
-    python -m experiments.bench --renew --recordings-root recordings --work work
+    python -m softslide.experiments.bench --stale
+    python -m softslide.experiments.bench --renew --recordings-root recordings --work work
 
 `docs/results.json` holds the figures by source, each source with the commands that make it, the day they were run, the
 code that they depend on and its hash on that day; `docs/tables.toml` the tables as Markdown with a place for each
@@ -25,10 +25,10 @@ from typing import Any
 
 import pandas as pd
 
-from experiments.code_hash import ROOT, code_hash
-from experiments.pages.page import number
-from features.errors import InputError
-from pipeline.toml_tables import read_toml
+from softslide.experiments.code_hash import ROOT, code_hash
+from softslide.experiments.pages.page import number
+from softslide.features.errors import InputError
+from softslide.pipeline.toml_tables import read_toml
 
 RESULTS = ROOT / "docs" / "results.json"
 DOCUMENTS = (ROOT / "README.md", ROOT / "docs" / "results.md")
@@ -250,7 +250,7 @@ def renew(
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
-        prog="python -m experiments.bench",
+        prog="python -m softslide.experiments.bench",
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )

@@ -20,8 +20,8 @@ def code_hash(modules: Iterable[str] = (), root: Path | None = None) -> str:
     """SHA-256 of the statements of modules, and of those that they import from the rooms, anywhere in them.
 
     Files of package data count by their bytes where a module names one that lies next to it. What is imported by a name
-    that is computed is not found: name it too. modules: by their dotted names, or files by their paths from root; none:
-    all modules. root: the folder that holds the rooms (default: this project's).
+    that is computed is not found: name it too. modules: by their dotted names in softslide, or files by their paths
+    from root; none: all modules. root: the folder that holds the rooms (default: this project's).
 
     Raises:
         ValueError: there is no such module or file.
@@ -57,11 +57,16 @@ def _closure(modules: Iterable[str], root: Path) -> list[Path]:
             continue
         imported, files = _names(path.read_bytes())
         found |= {path.parent / file for file in files if (path.parent / file).is_file()}
-        waiting += [name for name in imported if name.partition(".")[0] in ROOMS]
+        waiting += [name for name in map(_in_rooms, imported) if name.partition(".")[0] in ROOMS]
     return sorted(found)
 
 
+def _in_rooms(module: str) -> str:
+    return module.removeprefix("softslide.")
+
+
 def _file_of(module: str, root: Path) -> Path | None:
+    module = _in_rooms(module)
     place = root.joinpath(*module.split("."))
     files = (
         (root / module,) if "/" in module else (place.with_name(f"{place.name}.py"), place / "__init__.py")

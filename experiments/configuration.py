@@ -4,9 +4,9 @@ import json
 from pathlib import Path
 from typing import Any, TypeVar
 
-from features.errors import InputError
-from features.regular_file import read_regular
-from pipeline.toml_tables import changed, read_toml
+from softslide.features.errors import InputError
+from softslide.features.regular_file import read_regular
+from softslide.pipeline.toml_tables import changed, read_toml
 
 Config = TypeVar("Config")
 # A run's configuration has some hundred numbers.

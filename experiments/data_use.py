@@ -5,14 +5,14 @@ import sys
 
 import numpy as np
 
-from features.height import HeightCalibration
-from features.stream.conditioning import Conditioning
-from models.fitted_model import FittedModel
-from models.response_map.slides import LEAST_APART_MM
-from pipeline.recordings.at_rest import REFERENCE_V_PER_G
-from pipeline.recordings.base_motion import moved_and_left
-from pipeline.recordings.derived_labels import why_not_labelled, with_derived_labels
-from pipeline.recordings.folder import Folder
+from softslide.features.height import HeightCalibration
+from softslide.features.stream.conditioning import Conditioning
+from softslide.models.fitted_model import FittedModel
+from softslide.models.response_map.slides import LEAST_APART_MM
+from softslide.pipeline.recordings.at_rest import REFERENCE_V_PER_G
+from softslide.pipeline.recordings.base_motion import moved_and_left
+from softslide.pipeline.recordings.derived_labels import why_not_labelled, with_derived_labels
+from softslide.pipeline.recordings.folder import Folder
 
 EXAMPLES = 3  # recordings named for each reason
 TRIGGER_RMS = 3.0  # what is left of the base's motion reaches three times its rms every few seconds

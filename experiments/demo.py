@@ -6,12 +6,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from experiments.evaluate import Evaluation, evaluate
-from experiments.evaluation.scoring import QUANTITIES
-from experiments.pages.page import number, render
-from experiments.train import train
-from pipeline.recordings.folder import SAMPLE
-from pipeline.staging import whole, writing
+from softslide.experiments.evaluate import Evaluation, evaluate
+from softslide.experiments.evaluation.scoring import QUANTITIES
+from softslide.experiments.pages.page import number, render
+from softslide.experiments.train import train
+from softslide.pipeline.recordings.folder import SAMPLE
+from softslide.pipeline.staging import whole, writing
 
 HERE = Path(__file__).parent
 DEMO_MODELS = ("interpolation", "trees", "cnn")

@@ -6,19 +6,19 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 
-from features.errors import InputError
-from features.stream.conditioning import Conditioning
-from models.response_map.from_atlas import SensorSpread
-from models.response_map.onset import with_onsets
-from models.response_map.slide_fit import CalibrationConfig
-from models.response_map.slides import LABELS as OF_A_SLIDE
-from pipeline.atlas.library import atlas_at_hand
-from pipeline.recordings.at_rest import conditioning_for
-from pipeline.recordings.base_motion import without_base_motion
-from pipeline.recordings.derived_labels import UNTIMED, with_derived_labels
-from pipeline.recordings.folder import Folder
-from pipeline.recordings.manifest import LABELS
-from pipeline.recordings.truth import truth_path
+from softslide.features.errors import InputError
+from softslide.features.stream.conditioning import Conditioning
+from softslide.models.response_map.from_atlas import SensorSpread
+from softslide.models.response_map.onset import with_onsets
+from softslide.models.response_map.slide_fit import CalibrationConfig
+from softslide.models.response_map.slides import LABELS as OF_A_SLIDE
+from softslide.pipeline.atlas.library import atlas_at_hand
+from softslide.pipeline.recordings.at_rest import conditioning_for
+from softslide.pipeline.recordings.base_motion import without_base_motion
+from softslide.pipeline.recordings.derived_labels import UNTIMED, with_derived_labels
+from softslide.pipeline.recordings.folder import Folder
+from softslide.pipeline.recordings.manifest import LABELS
+from softslide.pipeline.recordings.truth import truth_path
 
 
 def derived(folder: Folder) -> Folder:

@@ -15,13 +15,13 @@ from typing import Any
 
 import pandas as pd
 
-from experiments.derived_labels import derived
-from experiments.evaluation.archive import Archive
-from experiments.evaluation.bounds import Verdict, check, read_bounds
-from experiments.evaluation.efficiency import bounds_of, over_bound
-from experiments.evaluation.readout import check_fits, open_localizer, predictions
-from experiments.evaluation.report import write_report
-from experiments.evaluation.scoring import (
+from softslide.experiments.derived_labels import derived
+from softslide.experiments.evaluation.archive import Archive
+from softslide.experiments.evaluation.bounds import Verdict, check, read_bounds
+from softslide.experiments.evaluation.efficiency import bounds_of, over_bound
+from softslide.experiments.evaluation.readout import check_fits, open_localizer, predictions
+from softslide.experiments.evaluation.report import write_report
+from softslide.experiments.evaluation.scoring import (
     along_the_stroke,
     by_direction,
     by_distance,
@@ -30,16 +30,16 @@ from experiments.evaluation.scoring import (
     score,
     summary,
 )
-from experiments.evaluation.tracks import Track, by_split, line, tracks, with_truth
-from experiments.provenance import bundle_hash, data_tags
-from experiments.tracking import Run, flattened, tracked
-from features.errors import InputError
-from pipeline.progress import progress_bar
-from pipeline.recordings.derived_labels import with_derived_labels
-from pipeline.recordings.folder import Folder, read_folder
-from pipeline.recordings.learned import learned_depths_mm, learned_lines
-from pipeline.staging import alone, staged
-from serve.whole_contacts import has_whole_contacts
+from softslide.experiments.evaluation.tracks import Track, by_split, line, tracks, with_truth
+from softslide.experiments.provenance import bundle_hash, data_tags
+from softslide.experiments.tracking import Run, flattened, tracked
+from softslide.features.errors import InputError
+from softslide.pipeline.progress import progress_bar
+from softslide.pipeline.recordings.derived_labels import with_derived_labels
+from softslide.pipeline.recordings.folder import Folder, read_folder
+from softslide.pipeline.recordings.learned import learned_depths_mm, learned_lines
+from softslide.pipeline.staging import alone, staged
+from softslide.serve.whole_contacts import has_whole_contacts
 
 WHOLE = "from whole contacts"
 # A verdict as a run's tag.

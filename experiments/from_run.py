@@ -7,15 +7,15 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from experiments.configuration import read_configuration
-from experiments.provenance import code_revision, data_hashes, machine, packages
-from experiments.tracking import LoggedRun, flattened, logged_run
-from experiments.train import BUNDLE_FILES, to_learn_from, train
-from features.errors import InputError
-from models.registry import model_named
-from pipeline.recordings.base_motion import without_base_motion
-from pipeline.recordings.pooled import read_folders
-from pipeline.toml_tables import changed
+from softslide.experiments.configuration import read_configuration
+from softslide.experiments.provenance import code_revision, data_hashes, machine, packages
+from softslide.experiments.tracking import LoggedRun, flattened, logged_run
+from softslide.experiments.train import BUNDLE_FILES, to_learn_from, train
+from softslide.features.errors import InputError
+from softslide.models.registry import model_named
+from softslide.pipeline.recordings.base_motion import without_base_motion
+from softslide.pipeline.recordings.pooled import read_folders
+from softslide.pipeline.toml_tables import changed
 
 SHOWN = 6  # names in a line
 

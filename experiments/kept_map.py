@@ -13,24 +13,24 @@ from typing import Any
 
 import numpy as np
 
-from experiments.cached import Arrays, cached
-from experiments.code_hash import code_hash
-from experiments.provenance import data_hashes, machine
-from features.height import HeightCalibration
-from features.stream.conditioning import Conditioning
-from models.response_map.from_atlas import SensorSpread
-from models.response_map.map import ResponseMap
-from models.response_map.select import CalibratedMap, calibrated_map
-from models.response_map.slide_fit import CalibrationConfig
-from models.response_map.slides import LABELS
-from pipeline.atlas.atlas import Atlas, atlas_hash
-from pipeline.atlas.library import cache_folder
-from pipeline.recordings.folder import Folder
+from softslide.experiments.cached import Arrays, cached
+from softslide.experiments.code_hash import code_hash
+from softslide.experiments.provenance import data_hashes, machine
+from softslide.features.height import HeightCalibration
+from softslide.features.stream.conditioning import Conditioning
+from softslide.models.response_map.from_atlas import SensorSpread
+from softslide.models.response_map.map import ResponseMap
+from softslide.models.response_map.select import CalibratedMap, calibrated_map
+from softslide.models.response_map.slide_fit import CalibrationConfig
+from softslide.models.response_map.slides import LABELS
+from softslide.pipeline.atlas.atlas import Atlas, atlas_hash
+from softslide.pipeline.atlas.library import cache_folder
+from softslide.pipeline.recordings.folder import Folder
 
 # Files of some 200 kB each.
 MOST = 50
 # What computes the map.
-MAKER = "models.response_map.select"
+MAKER = "softslide.models.response_map.select"
 LIBRARIES = ("numpy", "scipy")
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from serve.bundle import open_session
+from softslide.serve.bundle import open_session
 
 # A graph of one Identity over one float32 (opset 18), serialized, so that only ONNX Runtime is needed.
 ONE_NODE = (

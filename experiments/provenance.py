@@ -10,8 +10,8 @@ from importlib.metadata import distributions
 from pathlib import Path
 from typing import Any
 
-from experiments.code_hash import code_hash
-from pipeline.recordings.folder import Folder
+from softslide.experiments.code_hash import code_hash
+from softslide.pipeline.recordings.folder import Folder
 
 
 def data_hashes(folder: Folder) -> dict[str, str]:

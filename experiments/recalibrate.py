@@ -4,10 +4,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from experiments.derived_labels import derived
-from experiments.provenance import data_hashes
-from models.export.recalibrate import recalibrate
-from pipeline.recordings.folder import read_folder
+from softslide.experiments.derived_labels import derived
+from softslide.experiments.provenance import data_hashes
+from softslide.models.export.recalibrate import recalibrate
+from softslide.pipeline.recordings.folder import read_folder
 
 
 def recalibrate_bundle(

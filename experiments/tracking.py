@@ -34,10 +34,10 @@ from mlflow.exceptions import MlflowException
 from mlflow.utils.mlflow_tags import MLFLOW_DATASET_CONTEXT, MLFLOW_PARENT_RUN_ID
 from sqlalchemy.exc import SQLAlchemyError
 
-from experiments import provenance
-from features.errors import InputError
-from pipeline.recordings.folder import Folder
-from pipeline.staging import locked
+from softslide.experiments import provenance
+from softslide.features.errors import InputError
+from softslide.pipeline.recordings.folder import Folder
+from softslide.pipeline.staging import locked
 
 DEFAULT_STORE = "sqlite:///mlflow.db"
 LOCAL = "sqlite:///"

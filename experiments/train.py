@@ -11,36 +11,36 @@ from typing import Any
 import onnx
 import pandas as pd
 
-from experiments.configuration import configured
-from experiments.data_use import report_base, report_plan, report_use
-from experiments.evaluation import figures
-from experiments.evaluation.archive import Archive
-from experiments.evaluation.readout import predictions
-from experiments.evaluation.scoring import score, summary
-from experiments.kept_map import kept_map
-from experiments.pages.page import panels_page
-from experiments.provenance import bundle_hash, code_revision, data_hashes
-from experiments.tracking import Run, last_duration_s, tracked
-from features.card import read_card
-from features.errors import InputError
-from models.export.bundle import read_graph, write_bundle
-from models.fitted_model import FittedModel, Given, Model
-from models.registry import fit_model, model_named
-from pipeline.atlas.atlas import Atlas, atlas_hash
-from pipeline.atlas.library import atlas_at_hand, atlas_of
-from pipeline.progress import progress_bar
-from pipeline.recordings.base_motion import without_base_motion
-from pipeline.recordings.derived_labels import (
+from softslide.experiments.configuration import configured
+from softslide.experiments.data_use import report_base, report_plan, report_use
+from softslide.experiments.evaluation import figures
+from softslide.experiments.evaluation.archive import Archive
+from softslide.experiments.evaluation.readout import predictions
+from softslide.experiments.evaluation.scoring import score, summary
+from softslide.experiments.kept_map import kept_map
+from softslide.experiments.pages.page import panels_page
+from softslide.experiments.provenance import bundle_hash, code_revision, data_hashes
+from softslide.experiments.tracking import Run, last_duration_s, tracked
+from softslide.features.card import read_card
+from softslide.features.errors import InputError
+from softslide.models.export.bundle import read_graph, write_bundle
+from softslide.models.fitted_model import FittedModel, Given, Model
+from softslide.models.registry import fit_model, model_named
+from softslide.pipeline.atlas.atlas import Atlas, atlas_hash
+from softslide.pipeline.atlas.library import atlas_at_hand, atlas_of
+from softslide.pipeline.progress import progress_bar
+from softslide.pipeline.recordings.base_motion import without_base_motion
+from softslide.pipeline.recordings.derived_labels import (
     LINE,
     recordings_to_learn_from,
     why_not_labelled,
     with_derived_labels,
 )
-from pipeline.recordings.folder import Folder
-from pipeline.recordings.pooled import read_folders
-from pipeline.recordings.windows import labelled_windows
-from pipeline.staging import check_replaceable
-from serve.localizer import Localizer
+from softslide.pipeline.recordings.folder import Folder
+from softslide.pipeline.recordings.pooled import read_folders
+from softslide.pipeline.recordings.windows import labelled_windows
+from softslide.pipeline.staging import check_replaceable
+from softslide.serve.localizer import Localizer
 
 LEARNT = ("calibration", "train")
 BUNDLE_FILES = ("model.onnx", "model.json")

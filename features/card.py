@@ -6,15 +6,15 @@ from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
-from features.base_motion import BASE_COLUMNS, BaseMotion
-from features.card_fields import check_fields
-from features.contact.calibration import ContactCalibration
-from features.contact.force_map import ForceMap
-from features.digest import sha256
-from features.errors import InputError
-from features.height import HeightCalibration
-from features.regular_file import read_regular
-from features.stream.conditioning import ROUNDING, Conditioning
+from softslide.features.base_motion import BASE_COLUMNS, BaseMotion
+from softslide.features.card_fields import check_fields
+from softslide.features.contact.calibration import ContactCalibration
+from softslide.features.contact.force_map import ForceMap
+from softslide.features.digest import sha256
+from softslide.features.errors import InputError
+from softslide.features.height import HeightCalibration
+from softslide.features.regular_file import read_regular
+from softslide.features.stream.conditioning import ROUNDING, Conditioning
 
 FORMAT = "softslide-model"
 VERSION = 1

@@ -5,11 +5,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
-from features.names import check_plain
-from features.stream.drift import measures_gravity
+from softslide.features.names import check_plain
+from softslide.features.stream.drift import measures_gravity
 
 if TYPE_CHECKING:
-    from features.card import Card
+    from softslide.features.card import Card
 
 # Orders of magnitude beyond any sensor that is built; they bound the memory and the work of a stream.
 MOST_ACCELEROMETERS = 64

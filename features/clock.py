@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from features.errors import InputError
+from softslide.features.errors import InputError
 
 # A crystal keeps time to 0.01 %. A clock off by 0.2 % shifts every speed by 0.2 %, as much as the best models err.
 RATE_TOLERANCE = 0.002

@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 
-from features.estimate import Estimate
-from features.stream.tracker import SlideState
+from softslide.features.estimate import Estimate
+from softslide.features.stream.tracker import SlideState
 
 
 def beyond_rim_mm(indenter_mm: float, depth_mm: np.ndarray) -> np.ndarray:

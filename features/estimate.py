@@ -6,10 +6,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from features.card import Card, Interval
-from features.contact.places import Place
-from features.stream.tracker import SlideState
-from features.window import Window
+from softslide.features.card import Card, Interval
+from softslide.features.contact.places import Place
+from softslide.features.stream.tracker import SlideState
+from softslide.features.window import Window
 
 
 class Contact(StrEnum):

@@ -4,10 +4,10 @@ import math
 
 import numpy as np
 
-from features.card import HALF_WIDTH_SD
-from features.contact.force_map import ForceMap, weights
-from features.estimate import Contact, Estimate
-from features.stream.tracker import SlideState
+from softslide.features.card import HALF_WIDTH_SD
+from softslide.features.contact.force_map import ForceMap, weights
+from softslide.features.estimate import Contact, Estimate
+from softslide.features.stream.tracker import SlideState
 
 # The skin's force as a share of the full contact's, while its outputs are the share g of the full contact's:
 # g (1 + PRESS_BEND (1 - g)), with a 90 % half-width of PRESS_SPREAD (1 - g) of itself (ten presses of the solved skin,

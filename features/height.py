@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from features.contact.calibration import LARGEST, check_map, decoded
-from features.errors import InputError
+from softslide.features.contact.calibration import LARGEST, check_map, decoded
+from softslide.features.errors import InputError
 
 # A graph's input that need not be given: the skin's height less height_mm, mm.
 HEIGHT_INPUT = "height_off_mm"

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from features.errors import InputError
-from features.regular_file import check_regular
-from features.table_text import table_text
+from softslide.features.errors import InputError
+from softslide.features.regular_file import check_regular
+from softslide.features.table_text import table_text
 
 # An hour of ten accelerometers at 25.6 kHz; beyond it a recording is many.
 MOST_BYTES = 1 << 32

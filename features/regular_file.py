@@ -4,7 +4,7 @@ import os
 import stat
 from pathlib import Path
 
-from features.errors import InputError
+from softslide.features.errors import InputError
 
 
 def read_regular(path: Path, most_bytes: int, remedy: str) -> bytes:

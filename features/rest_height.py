@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from features.contact.calibration import ContactCalibration
-from features.height import LEAST_OFF_MM, MOUNTED_SD, HeightCalibration
-from features.stream.drift import nominal_outputs
+from softslide.features.contact.calibration import ContactCalibration
+from softslide.features.height import LEAST_OFF_MM, MOUNTED_SD, HeightCalibration
+from softslide.features.stream.drift import nominal_outputs
 
 # Priors so wide that the static output decides: the data sheet's tolerance of the gain is 7.5 %; six degrees.
 GAIN_SD = 0.1

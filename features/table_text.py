@@ -5,8 +5,8 @@ A spreadsheet saves many things under the name of a table. Each gets the remedy 
 
 from pathlib import Path
 
-from features.errors import InputError
-from features.regular_file import read_regular
+from softslide.features.errors import InputError
+from softslide.features.regular_file import read_regular
 
 # A line of names beyond this is not a header.
 MOST_HEADER_BYTES = 1 << 16

@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from features.angles import wrapped_deg
-from features.card import HALF_WIDTH_SD
-from features.contact.tracker import StraightFit, Track
-from features.estimate import Contact, Estimate, Reason
-from features.stream.tracker import SlideState
+from softslide.features.angles import wrapped_deg
+from softslide.features.card import HALF_WIDTH_SD
+from softslide.features.contact.tracker import StraightFit, Track
+from softslide.features.estimate import Contact, Estimate, Reason
+from softslide.features.stream.tracker import SlideState
 
 
 @dataclass(frozen=True)

@@ -10,10 +10,10 @@ import math
 
 import numpy as np
 
-from features.angles import wrapped_deg
-from features.card import HALF_WIDTH_SD
-from features.estimate import Estimate
-from features.stream.tracker import SlideState
+from softslide.features.angles import wrapped_deg
+from softslide.features.card import HALF_WIDTH_SD
+from softslide.features.estimate import Estimate
+from softslide.features.stream.tracker import SlideState
 
 # Standard deviation of the acceleration, and the share of an estimate's information that the one before did not hold.
 # With these the filter takes four fifths of the jitter; a smaller acceleration lags (experiments/LOG.md).

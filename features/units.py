@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from features.stream.drift import measures_gravity
+from softslide.features.stream.drift import measures_gravity
 
 STANDARD_GRAVITY = 9.80665  # m/s2
 # Beyond the supply by this share no output is possible, not even of a supply that is off.

@@ -7,15 +7,15 @@ from typing import Any
 import numpy as np
 import onnx
 
-from features.card import Interval, Validity
-from features.contact.calibration import ContactCalibration
-from features.contact.force_map import ForceMap
-from features.height import HeightCalibration
-from features.stream.conditioning import Conditioning
-from models.response_map.select import CalibratedMap, calibrated_map
-from pipeline.atlas.atlas import Atlas
-from pipeline.recordings.folder import Folder
-from pipeline.recordings.windows import LabelledWindows
+from softslide.features.card import Interval, Validity
+from softslide.features.contact.calibration import ContactCalibration
+from softslide.features.contact.force_map import ForceMap
+from softslide.features.height import HeightCalibration
+from softslide.features.stream.conditioning import Conditioning
+from softslide.models.response_map.select import CalibratedMap, calibrated_map
+from softslide.pipeline.atlas.atlas import Atlas
+from softslide.pipeline.recordings.folder import Folder
+from softslide.pipeline.recordings.windows import LabelledWindows
 
 
 @dataclass(frozen=True)

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from features.angles import wrapped_deg
-from features.vector.energy import energy_width_s
-from pipeline.recordings.windows import LabelledWindows
+from softslide.features.angles import wrapped_deg
+from softslide.features.vector.energy import energy_width_s
+from softslide.pipeline.recordings.windows import LabelledWindows
 
 WHOLE = 0.99  # a stroke fraction beyond it is the whole stroke
 REACH_MM = 1.5  # beyond the outermost recorded line a model may still be believed; lines are 5 mm apart

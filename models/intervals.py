@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from features.card import Interval
+from softslide.features.card import Interval
 
 COVERAGE = 0.9
 LEAST_WINDOWS = 20  # to set intervals on: with fewer a 90 % quantile is the largest error

@@ -4,19 +4,19 @@ from dataclasses import replace
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from features.errors import InputError
+from softslide.features.errors import InputError
 
 if TYPE_CHECKING:
-    from models.fitted_model import FittedModel, Given, Model
-    from pipeline.recordings.folder import Folder
+    from softslide.models.fitted_model import FittedModel, Given, Model
+    from softslide.pipeline.recordings.folder import Folder
 
 # Imported when they are asked for: the names cost nothing, so that `train --help` needs the base install alone.
 MODELS = {
-    "interpolation": "models.classical.interpolation",
-    "trees": "models.classical.trees",
-    "mlp": "models.classical.mlp",
-    "gp": "models.classical.gaussian_process",
-    "cnn": "models.cnn.fit",
+    "interpolation": "softslide.models.classical.interpolation",
+    "trees": "softslide.models.classical.trees",
+    "mlp": "softslide.models.classical.mlp",
+    "gp": "softslide.models.classical.gaussian_process",
+    "cnn": "softslide.models.cnn.fit",
 }
 DEFAULT = "cnn"
 # Least output of a slide that is believed, in triggers: 8 mV at the default of 5.
@@ -40,8 +40,8 @@ def fit_model(model: "Model", folder: "Folder", config: Any, given: "Given | Non
     Raises:
         InputError: there is nothing to fit it to, or it cannot take an atlas or a bundle that is given.
     """
-    from models.fitted_model import Given
-    from pipeline.recordings.at_rest import conditioning_for
+    from softslide.models.fitted_model import Given
+    from softslide.pipeline.recordings.at_rest import conditioning_for
 
     given = given or Given()
     if given.atlas is not None and not model.uses_design:

@@ -12,12 +12,12 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from features.base_motion import BASE
-from features.errors import InputError
-from features.names import check_plain
-from features.stream.conditioning import TOUCH_AXES
-from pipeline.ranges import SHARE, check_one_of, check_positive, check_ranges
-from pipeline.toml_tables import from_table, read_toml
+from softslide.features.base_motion import BASE
+from softslide.features.errors import InputError
+from softslide.features.names import check_plain
+from softslide.features.stream.conditioning import TOUCH_AXES
+from softslide.pipeline.ranges import SHARE, check_one_of, check_positive, check_ranges
+from softslide.pipeline.toml_tables import from_table, read_toml
 
 # Noise density of an accelerometer by its data sheet, g / sqrt(Hz). MMA7361L: Freescale, rev. 0, 350 ug / sqrt(Hz).
 NOISE_G_RTHZ = {"MMA7361L": 350e-6}

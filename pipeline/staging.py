@@ -13,7 +13,7 @@ from contextlib import contextmanager, suppress
 from glob import escape
 from pathlib import Path
 
-from features.errors import InputError
+from softslide.features.errors import InputError
 
 # A folder next to `out` holds `new` while that is written, and `old` while `out` is replaced.
 UNFINISHED = ".unfinished-"

@@ -13,8 +13,8 @@ from pathlib import Path
 from types import NoneType, UnionType
 from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
 
-from features.errors import InputError
-from features.regular_file import read_regular
+from softslide.features.errors import InputError
+from softslide.features.regular_file import read_regular
 
 # A hundred times the largest map or design that a person writes; beyond it the file is something else.
 MOST_BYTES = 1 << 20

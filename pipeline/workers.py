@@ -8,8 +8,8 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack
 from typing import Any
 
-from features.errors import InputError
-from features.safe_path import safe_path
+from softslide.features.errors import InputError
+from softslide.features.safe_path import safe_path
 
 
 def results(

@@ -9,14 +9,14 @@ import numpy as np
 import onnxruntime as ort
 from onnxruntime.capi.onnxruntime_pybind11_state import NotImplemented as MissingOperator
 
-from features.card import Card, read_card
-from features.digest import sha256
-from features.errors import InputError
-from features.height import HEIGHT_INPUT
-from features.regular_file import read_regular
-from features.vector.feature_vector import feature_names
-from features.window import WINDOW_BINS
-from serve.graph_limits import MOST_BYTES, check_graph
+from softslide.features.card import Card, read_card
+from softslide.features.digest import sha256
+from softslide.features.errors import InputError
+from softslide.features.height import HEIGHT_INPUT
+from softslide.features.regular_file import read_regular
+from softslide.features.vector.feature_vector import feature_names
+from softslide.features.window import WINDOW_BINS
+from softslide.serve.graph_limits import MOST_BYTES, check_graph
 
 # Largest difference between two processors' arithmetic, relative or absolute. Graph and original differ by 4e-5
 # (experiments/LOG.md); more than 1e-3 is another graph.

@@ -5,12 +5,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from features.card import Card
-from features.contact.replay import ReplayingTracker
-from features.contact.response_surface import ResponseSurface
-from features.contact.touch_down import TouchDownConfig, TouchDownTracker
-from features.contact.tracker import ContactTracker, TrackingConfig
-from features.stream.conditioning import ONSETS
+from softslide.features.card import Card
+from softslide.features.contact.replay import ReplayingTracker
+from softslide.features.contact.response_surface import ResponseSurface
+from softslide.features.contact.touch_down import TouchDownConfig, TouchDownTracker
+from softslide.features.contact.tracker import ContactTracker, TrackingConfig
+from softslide.features.stream.conditioning import ONSETS
 
 
 def contact_tracker(

@@ -5,11 +5,11 @@ from pathlib import Path
 
 import numpy as np
 
-from features.card import Card
-from features.clock import check_clock
-from features.errors import InputError
-from features.recording_file import finite, read_samples
-from features.units import impossible_output
+from softslide.features.card import Card
+from softslide.features.clock import check_clock
+from softslide.features.errors import InputError
+from softslide.features.recording_file import finite, read_samples
+from softslide.features.units import impossible_output
 
 
 def read_recording(path: Path, channels: Sequence[str], rate_hz: float) -> np.ndarray:

@@ -10,7 +10,7 @@ import struct
 from collections.abc import Iterator
 from pathlib import Path
 
-from features.errors import InputError
+from softslide.features.errors import InputError
 
 MOST_BYTES = 1 << 28
 MOST_NODES = 100_000

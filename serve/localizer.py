@@ -9,23 +9,23 @@ from typing import Any, NamedTuple
 import numpy as np
 import onnxruntime as ort
 
-from features.angles import touch_channels
-from features.card import Card
-from features.contact.touch_down import TouchDownTracker
-from features.contact.tracker import Track
-from features.departure import held_at_rim
-from features.errors import InputError
-from features.estimate import Contact, Estimate, Reason, decode
-from features.force import ForceReader
-from features.height import HEIGHT_INPUT, given_height
-from features.rest_height import rest_height
-from features.stream.attitude import Attitude
-from features.stream.conditioning import ONSETS, Blocks, LagUndone
-from features.stream.drift import UNKNOWN, DriftWatch, measures_gravity
-from features.stream.faults import BRIDGED_BLOCKS, Judged, SignalWatch
-from features.stream.gravity import GravityWatch
-from features.stream.tracker import SlideState, SlideTracker
-from features.track_estimate import (
+from softslide.features.angles import touch_channels
+from softslide.features.card import Card
+from softslide.features.contact.touch_down import TouchDownTracker
+from softslide.features.contact.tracker import Track
+from softslide.features.departure import held_at_rim
+from softslide.features.errors import InputError
+from softslide.features.estimate import Contact, Estimate, Reason, decode
+from softslide.features.force import ForceReader
+from softslide.features.height import HEIGHT_INPUT, given_height
+from softslide.features.rest_height import rest_height
+from softslide.features.stream.attitude import Attitude
+from softslide.features.stream.conditioning import ONSETS, Blocks, LagUndone
+from softslide.features.stream.drift import UNKNOWN, DriftWatch, measures_gravity
+from softslide.features.stream.faults import BRIDGED_BLOCKS, Judged, SignalWatch
+from softslide.features.stream.gravity import GravityWatch
+from softslide.features.stream.tracker import SlideState, SlideTracker
+from softslide.features.track_estimate import (
     TOUCH_LIMITS,
     TrackLimits,
     apart,
@@ -38,12 +38,12 @@ from features.track_estimate import (
     straight_fit,
     with_track,
 )
-from features.vector.energy import energy_width_s
-from features.vector.feature_vector import feature_vector
-from features.window import WINDOW_BINS, Window
-from serve.bundle import open_bundle
-from serve.contact_tracker import contact_tracker
-from serve.sample_slots import SampleClock
+from softslide.features.vector.energy import energy_width_s
+from softslide.features.vector.feature_vector import feature_vector
+from softslide.features.window import WINDOW_BINS, Window
+from softslide.serve.bundle import open_bundle
+from softslide.serve.contact_tracker import contact_tracker
+from softslide.serve.sample_slots import SampleClock
 
 # Largest share of a slide's blocks whose means may be old ones (features/stream/faults.py); above it none is valid.
 BRIDGED_SHARE = 0.05

@@ -4,11 +4,11 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from features.errors import InputError
-from serve.files import read_for
-from serve.localizer import Localizer
-from serve.records import record
-from serve.whole_contacts import whole_contacts
+from softslide.features.errors import InputError
+from softslide.serve.files import read_for
+from softslide.serve.localizer import Localizer
+from softslide.serve.records import record
+from softslide.serve.whole_contacts import whole_contacts
 
 
 def predict(

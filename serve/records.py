@@ -3,7 +3,7 @@
 import math
 from typing import Any
 
-from features.estimate import Estimate
+from softslide.features.estimate import Estimate
 
 
 def record(estimate: Estimate) -> dict[str, Any]:

@@ -4,18 +4,18 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from features.angles import touch_channels
-from features.card import Card
-from features.contact.first_places import Measured
-from features.contact.tracker import Track
-from features.contact.whole_path import PathConfig, WholePath, whole_path
-from features.errors import InputError
-from features.estimate import Estimate, Reason
-from features.stream.conditioning import ONSETS, LagUndone
-from features.stream.tracker import SlideState
-from features.track_estimate import TOUCH_LIMITS, judged
-from serve.contact_tracker import response_surface
-from serve.localizer import Localizer
+from softslide.features.angles import touch_channels
+from softslide.features.card import Card
+from softslide.features.contact.first_places import Measured
+from softslide.features.contact.tracker import Track
+from softslide.features.contact.whole_path import PathConfig, WholePath, whole_path
+from softslide.features.errors import InputError
+from softslide.features.estimate import Estimate, Reason
+from softslide.features.stream.conditioning import ONSETS, LagUndone
+from softslide.features.stream.tracker import SlideState
+from softslide.features.track_estimate import TOUCH_LIMITS, judged
+from softslide.serve.contact_tracker import response_surface
+from softslide.serve.localizer import Localizer
 
 # A contact comes down and is lifted within a block each, which then show a part of it.
 PARTIAL_BLOCKS = 1

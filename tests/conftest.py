@@ -8,7 +8,7 @@ import pytest
 from small_bundle import write_small_bundle
 from streams import a_sensor
 
-from serve.localizer import Localizer
+from softslide.serve.localizer import Localizer
 
 
 @pytest.fixture(scope="session", autouse=True)

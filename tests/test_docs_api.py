@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 import softslide
-from features.errors import InputError
-from pipeline.recordings.folder import SAMPLE, read_folder
+from softslide.features.errors import InputError
+from softslide.pipeline.recordings.folder import SAMPLE, read_folder
 
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs" / "api.md").read_text(encoding="utf-8")
@@ -60,22 +60,3 @@ def test_texts_are_taken_for_paths() -> None:
     ):
         with pytest.raises(InputError, match="no-such"):
             call()
-
-
-def test_a_package_of_the_same_name_is_named(tmp_path: Path) -> None:
-    """Without site-packages: a development install's finder would lend the modules that are missing."""
-    (tmp_path / "features").mkdir()
-    (tmp_path / "features" / "__init__.py").write_text("")
-    done = subprocess.run(
-        [sys.executable, "-S", "-c", "import softslide"],
-        cwd=tmp_path,
-        env={"PYTHONPATH": str(ROOT), "PATH": ""},
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=60,
-    )
-    assert done.returncode == 1
-    last = done.stderr.splitlines()[-1]
-    assert "another package 'features'" in last
-    assert str(tmp_path) in last

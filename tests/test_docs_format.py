@@ -10,12 +10,12 @@ from pathlib import Path
 import pandas as pd
 
 import softslide
-from experiments.evaluation import tracks
-from experiments.evaluation.readout import COLUMNS
-from features.card import Card
-from features.estimate import Estimate, Reason
-from pipeline.recordings import truth
-from pipeline.recordings.manifest import LABELS, REQUIRED
+from softslide.experiments.evaluation import tracks
+from softslide.experiments.evaluation.readout import COLUMNS
+from softslide.features.card import Card
+from softslide.features.estimate import Estimate, Reason
+from softslide.pipeline.recordings import truth
+from softslide.pipeline.recordings.manifest import LABELS, REQUIRED
 
 TEXT = (Path(__file__).parents[1] / "docs" / "format.md").read_text(encoding="utf-8")
 

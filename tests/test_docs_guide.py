@@ -15,8 +15,9 @@ from joblib.externals.loky import get_reusable_executor
 from small_bundle import write_small_bundle
 
 import softslide
-from pipeline.recordings.folder import SAMPLE, read_folder
-from pipeline.sensor import read_sensor
+from softslide.command_line import parser
+from softslide.pipeline.recordings.folder import SAMPLE, read_folder
+from softslide.pipeline.sensor import read_sensor
 
 TEXT = (Path(__file__).parents[1] / "docs" / "guide.md").read_text(encoding="utf-8")
 # Of the sample's slides: quick ones are short. Fewer do for commands that fit nothing.
@@ -96,7 +97,7 @@ def test_every_command_is_one_that_the_program_has() -> None:
         if words[0] == "python":
             assert find_spec(words[2])
         else:
-            softslide.parser().parse_args(words[: words.index(">")] if ">" in words else words)
+            parser().parse_args(words[: words.index(">")] if ">" in words else words)
     for name, where in ELSEWHERE.items():
         assert any(begins(command, [name]) for command in found)
         for file in where.split(", "):

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from serve.stream.framing import framing_of
+from softslide.serve.stream.framing import framing_of
 
 HARDWARE = Path(__file__).parents[1] / "docs" / "hardware"
 # What the firmware uses of a board: a clock that each call moves on, a converter of 12 bits whose inputs hold a

@@ -13,13 +13,13 @@ sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "worlds")]
 
 from readers import manifest, recording, slide  # noqa: E402
 
-import softslide  # noqa: E402
-from features.errors import InputError  # noqa: E402
-from features.units import impossible_output  # noqa: E402
-from pipeline.recordings.folder import SAMPLE  # noqa: E402
-from pipeline.sensor import read_sensor  # noqa: E402
-from serve.bundle import open_bundle  # noqa: E402
-from serve.stream.framing import framing_of  # noqa: E402
+from softslide.command_line import with_option  # noqa: E402
+from softslide.features.errors import InputError  # noqa: E402
+from softslide.features.units import impossible_output  # noqa: E402
+from softslide.pipeline.recordings.folder import SAMPLE  # noqa: E402
+from softslide.pipeline.sensor import read_sensor  # noqa: E402
+from softslide.serve.bundle import open_bundle  # noqa: E402
+from softslide.serve.stream.framing import framing_of  # noqa: E402
 
 PAGE = ROOT / "docs" / "messages.md"
 SENSOR = (SAMPLE / "sensor.toml").read_text()
@@ -92,7 +92,7 @@ def said(folder: Path, name: str, content: bytes, read: Callable[[Path], object]
     try:
         read(path)
     except InputError as error:
-        return softslide._with_option(error).replace(f"{folder}/", "")
+        return with_option(error).replace(f"{folder}/", "")
     return ""
 
 

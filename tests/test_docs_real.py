@@ -8,8 +8,9 @@ from pathlib import Path
 import pytest
 
 import softslide
-from pipeline.importers.grid.grid_map import read_grid_map
-from pipeline.sensor import read_sensor
+from softslide.command_line import parser
+from softslide.pipeline.importers.grid.grid_map import read_grid_map
+from softslide.pipeline.sensor import read_sensor
 
 ROOT = Path(__file__).parents[1]
 PRESSES = ROOT / "pipeline" / "presses"
@@ -38,7 +39,7 @@ def test_its_commands_are_those_of_make_and_are_understood() -> None:
     assert re.findall(r"^\t\$\(BIN\)/(.+)$", recipe.group(1), re.MULTILINE) == shown
     for program, *words in map(shlex.split, shown):
         if program == "softslide":
-            softslide.parser().parse_args(words)
+            parser().parse_args(words)
         else:
             assert find_spec(words[1])
 

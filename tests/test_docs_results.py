@@ -12,8 +12,8 @@ from typing import Any
 
 import pytest
 
-import softslide
-from experiments.bench import (
+from softslide.command_line import parser
+from softslide.experiments.bench import (
     figures_in,
     filled,
     hash_of,
@@ -24,7 +24,7 @@ from experiments.bench import (
     read_tables,
     rewrite,
 )
-from experiments.code_hash import ROOMS
+from softslide.experiments.code_hash import ROOMS
 
 ROOT = Path(__file__).parents[1]
 RESULTS, TABLES = ROOT / "docs" / "results.json", ROOT / "docs" / "tables.toml"
@@ -38,7 +38,7 @@ def test_the_documents_are_what_the_figures_give(tmp_path: Path) -> None:
         copy = tmp_path / Path(name).name
         shutil.copy(ROOT / name, copy)
         shown |= set(re.findall(r"<!-- table: ([\w-]+) -->", copy.read_text(encoding="utf-8")))
-        assert not rewrite(copy, results, tables), f"{name}: run python -m experiments.bench"
+        assert not rewrite(copy, results, tables), f"{name}: run python -m softslide.experiments.bench"
     assert shown == set(tables)
 
 
@@ -50,7 +50,7 @@ def test_every_figure_has_its_commands_its_day_and_a_table() -> None:
         for command in source["commands"]:
             words = shlex.split(re.sub(r"^\w+=\S+ ", "", command))
             if words[0] == "softslide":
-                softslide.parser().parse_args(words[1:])
+                parser().parse_args(words[1:])
             if words[0] == "python":
                 assert find_spec(words[2])
         assert keys_of(name, tables)
@@ -59,7 +59,7 @@ def test_every_figure_has_its_commands_its_day_and_a_table() -> None:
 def test_no_figure_is_of_earlier_code_unless_its_source_says_so() -> None:
     results = read_results(RESULTS)
     silent = [name for name in outdated(results) if "stale" not in results[name]]
-    assert not silent, "run python -m experiments.bench with --renew, or with --mark and the reason"
+    assert not silent, "run python -m softslide.experiments.bench with --renew, or with --mark and the reason"
 
 
 @pytest.fixture
@@ -68,12 +68,12 @@ def claims(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     for room in ROOMS:
         (tmp_path / room).mkdir()
     (tmp_path / "models" / "level.py").write_text("LEVEL = 1  # V\n")
-    monkeypatch.setattr("experiments.code_hash.ROOT", tmp_path)
+    monkeypatch.setattr("softslide.experiments.code_hash.ROOT", tmp_path)
     source = {
         "commands": ["A=1 python -m study --json lab.json"],
         "date": "2026-01-01",
-        "code": ["models.level"],
-        "hash": hash_of({"code": ["models.level"]}),
+        "code": ["softslide.models.level"],
+        "hash": hash_of({"code": ["softslide.models.level"]}),
         "figures": {"splits/a/mean": 0.12345, "share": 1},
     }
     (tmp_path / "results.json").write_text(json.dumps({"lab": source}))

@@ -6,7 +6,7 @@ import socket
 from pathlib import Path
 from typing import Any
 
-from features.estimate import Reason
+from softslide.features.estimate import Reason
 
 PAGE = (Path(__file__).parents[1] / "docs" / "robot.md").read_text(encoding="utf-8")
 

@@ -14,9 +14,9 @@ from team_server import PATIENCE_S, free_port
 from trial_folder import SENSOR, a_folder
 
 import softslide
-from experiments.evaluation.archive import CHUNK, Archive
-from experiments.evaluation.readout import predictions
-from pipeline.recordings.folder import read_folder
+from softslide.experiments.evaluation.archive import CHUNK, Archive
+from softslide.experiments.evaluation.readout import predictions
+from softslide.pipeline.recordings.folder import read_folder
 
 HERE = Path(__file__).parents[1]
 RECORDINGS = 2 * CHUNK + 1
@@ -81,14 +81,14 @@ def test_each_uncommitted_edit_has_chunks_of_its_own(
     """But not one of a comment."""
     code = tmp_path / "code"
     (code / "experiments").mkdir(parents=True)
-    monkeypatch.setattr("experiments.code_hash.ROOT", code)
+    monkeypatch.setattr("softslide.experiments.code_hash.ROOT", code)
     folder, work = a_folder(tmp_path / "lab", one={}), tmp_path / "work"
     work.mkdir()
 
     def make(*_: object) -> pd.DataFrame:
         return pd.DataFrame({"a": [1]})
 
-    make.__module__ = "experiments.reader"
+    make.__module__ = "softslide.experiments.reader"
 
     def count(source: str) -> int:
         """How many chunks are kept after a call with this code."""

@@ -10,17 +10,17 @@ import pandas as pd
 import pytest
 
 import softslide
-from experiments.article.answer_figures import PUBLISHED_CHI, published_minimum
-from experiments.article.article import Article, article
-from experiments.article.axis_slides import AxisSlides, edges_mm, read_axis_slides, seen_from_board
-from experiments.article.method import BEST, PUBLISHED, Variant, fit_method
-from experiments.article.skin_figures import pressure, static_output
-from experiments.article.slide_figures import whole_slides
-from features.stream.conditioning import Conditioning
-from features.vector.feature_vector import feature_names
-from models.classical.interpolation import DIRECTIONS_DEG
-from pipeline.atlas.atlas import DEFAULT_ATLAS, read_atlas
-from pipeline.recordings.folder import SAMPLE, read_folder
+from softslide.experiments.article.answer_figures import PUBLISHED_CHI, published_minimum
+from softslide.experiments.article.article import Article, article
+from softslide.experiments.article.axis_slides import AxisSlides, edges_mm, read_axis_slides, seen_from_board
+from softslide.experiments.article.method import BEST, PUBLISHED, Variant, fit_method
+from softslide.experiments.article.skin_figures import pressure, static_output
+from softslide.experiments.article.slide_figures import whole_slides
+from softslide.features.stream.conditioning import Conditioning
+from softslide.features.vector.feature_vector import feature_names
+from softslide.models.classical.interpolation import DIRECTIONS_DEG
+from softslide.pipeline.atlas.atlas import DEFAULT_ATLAS, read_atlas
+from softslide.pipeline.recordings.folder import SAMPLE, read_folder
 
 NAMES = {name: n for n, name in enumerate(feature_names(1))}
 EDGE_MM, EXTREMES_MM = -30.0, (20.0, 38.0)  # of X forward; the extremes past the edge

@@ -13,13 +13,13 @@ import pytest
 from moving_robot import BASE, felt_g, on_a_robot, wandering
 
 import softslide
-from experiments.data_use import report_base
-from features.units import STANDARD_GRAVITY
-from pipeline.checks.findings import examine
-from pipeline.recordings.base_motion import without_base_motion
-from pipeline.recordings.folder import SAMPLE, Folder, Recording, read_folder, write_folder
-from pipeline.sensor import write_sensor
-from serve.localizer import Localizer
+from softslide.experiments.data_use import report_base
+from softslide.features.units import STANDARD_GRAVITY
+from softslide.pipeline.checks.findings import examine
+from softslide.pipeline.recordings.base_motion import without_base_motion
+from softslide.pipeline.recordings.folder import SAMPLE, Folder, Recording, read_folder, write_folder
+from softslide.pipeline.sensor import write_sensor
+from softslide.serve.localizer import Localizer
 
 
 @pytest.fixture(scope="module")

@@ -4,13 +4,13 @@ from pathlib import Path
 
 import pytest
 
-from experiments.code_hash import ROOMS, code_hash
+from softslide.experiments.code_hash import ROOMS, code_hash
 
 LEVEL = '''"""What a level is."""
 
 def level(volts):
     """Its mean."""
-    from features.gain import GAIN  # found in a function, too
+    from softslide.features.gain import GAIN  # found in a function, too
 
     return GAIN * sum(volts)
 '''
@@ -35,7 +35,7 @@ def tree(tmp_path: Path) -> Path:
 
 
 def entry_hash(tree: Path) -> str:
-    return code_hash(["experiments.entry"], tree)
+    return code_hash(["softslide.experiments.entry"], tree)
 
 
 @pytest.mark.parametrize(
@@ -84,12 +84,12 @@ def test_without_names_it_is_that_of_all(tree: Path) -> None:
 def test_a_file_is_named_by_its_path(tree: Path) -> None:
     (tree / "docs").mkdir()
     (tree / "docs" / "six.toml").write_text("a = 1\n")
-    before = code_hash(["models.other", "docs/six.toml"], tree)
+    before = code_hash(["softslide.models.other", "docs/six.toml"], tree)
     (tree / "docs" / "six.toml").write_text("a = 2\n")
-    assert code_hash(["models.other", "docs/six.toml"], tree) != before
+    assert code_hash(["softslide.models.other", "docs/six.toml"], tree) != before
 
 
-@pytest.mark.parametrize("name", ["models.none", "docs/none.toml"])
+@pytest.mark.parametrize("name", ["softslide.models.none", "docs/none.toml"])
 def test_what_is_not_there_is_named(tree: Path, name: str) -> None:
     with pytest.raises(ValueError, match=f"holds no {name}"):
         code_hash([name], tree)

@@ -14,15 +14,15 @@ from pandas.testing import assert_frame_equal
 from small_bundle import OUTPUTS, write_small_bundle
 
 import softslide
-from experiments.comparison.compare import Findings, error_rows
-from experiments.comparison.inversion import window_card, window_predictions
-from experiments.comparison.page import verdict
-from experiments.comparison.paired import interval, paired
-from experiments.evaluation.archive import Archive
-from experiments.evaluation.readout import predictions
-from features.card import Interval, Validity
-from features.stream.conditioning import Conditioning
-from pipeline.recordings.folder import Folder
+from softslide.experiments.comparison.compare import Findings, error_rows
+from softslide.experiments.comparison.inversion import window_card, window_predictions
+from softslide.experiments.comparison.page import verdict
+from softslide.experiments.comparison.paired import interval, paired
+from softslide.experiments.evaluation.archive import Archive
+from softslide.experiments.evaluation.readout import predictions
+from softslide.features.card import Interval, Validity
+from softslide.features.stream.conditioning import Conditioning
+from softslide.pipeline.recordings.folder import Folder
 
 AXES, OFFSETS = (0.0, 90.0, 180.0, 270.0), (-9.0, -6.0, -3.0, 3.0, 6.0, 9.0)
 

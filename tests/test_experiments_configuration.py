@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from experiments.configuration import configured
-from features.errors import InputError
+from softslide.experiments.configuration import configured
+from softslide.features.errors import InputError
 
 
 @dataclass(frozen=True)

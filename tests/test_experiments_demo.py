@@ -10,10 +10,10 @@ from small_bundle import write_small_bundle
 from trial_folder import SENSOR, a_folder
 
 import softslide
-from experiments import demo
-from experiments.demo import DEMO_MODELS, _shortened
-from experiments.evaluate import evaluate
-from models.registry import model_named
+from softslide.experiments import demo
+from softslide.experiments.demo import DEMO_MODELS, _shortened
+from softslide.experiments.evaluate import evaluate
+from softslide.models.registry import model_named
 
 
 @pytest.mark.parametrize("model", DEMO_MODELS)

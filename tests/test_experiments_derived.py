@@ -10,15 +10,15 @@ import pytest
 from small_bundle import write_small_bundle
 
 import softslide
-from experiments.derived_labels import derived
-from features.stream.conditioning import Conditioning
-from models.response_map.from_atlas import SensorSpread
-from models.response_map.select import calibrated_map
-from models.response_map.slide_fit import CalibrationConfig
-from pipeline.atlas.library import atlas_at_hand
-from pipeline.recordings.at_rest import conditioning_for
-from pipeline.recordings.derived_labels import recordings_to_learn_from, with_derived_labels
-from pipeline.recordings.folder import SAMPLE, Folder, read_folder, write_folder
+from softslide.experiments.derived_labels import derived
+from softslide.features.stream.conditioning import Conditioning
+from softslide.models.response_map.from_atlas import SensorSpread
+from softslide.models.response_map.select import calibrated_map
+from softslide.models.response_map.slide_fit import CalibrationConfig
+from softslide.pipeline.atlas.library import atlas_at_hand
+from softslide.pipeline.recordings.at_rest import conditioning_for
+from softslide.pipeline.recordings.derived_labels import recordings_to_learn_from, with_derived_labels
+from softslide.pipeline.recordings.folder import SAMPLE, Folder, read_folder, write_folder
 
 MOMENTS = ["motion_start_s", "motion_end_s"]
 SLIDES = 8  # of each kind of split, along both axes and forward and backward

@@ -15,16 +15,16 @@ from small_bundle import write_small_bundle
 from trial_folder import SENSOR, a_folder
 
 import softslide
-from experiments.evaluation import figures
-from experiments.evaluation.archive import Archive
-from experiments.evaluation.efficiency import bounds_of, over_bound
-from experiments.evaluation.readout import COLUMNS
-from experiments.evaluation.scoring import score
-from experiments.pages.figures import COLOURS, INK, inline, log_with_zero, panel
-from features.card import read_card, write_card
-from models.response_map.card import contact_calibration
-from pipeline.recordings.folder import SAMPLE, read_folder
-from serve.localizer import Localizer
+from softslide.experiments.evaluation import figures
+from softslide.experiments.evaluation.archive import Archive
+from softslide.experiments.evaluation.efficiency import bounds_of, over_bound
+from softslide.experiments.evaluation.readout import COLUMNS
+from softslide.experiments.evaluation.scoring import score
+from softslide.experiments.pages.figures import COLOURS, INK, inline, log_with_zero, panel
+from softslide.features.card import read_card, write_card
+from softslide.models.response_map.card import contact_calibration
+from softslide.pipeline.recordings.folder import SAMPLE, read_folder
+from softslide.serve.localizer import Localizer
 
 
 @pytest.fixture

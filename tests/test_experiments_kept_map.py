@@ -8,16 +8,16 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from experiments import kept_map as module
-from experiments.kept_map import kept_map
-from experiments.train import train
-from features.errors import InputError
-from models.registry import model_named
-from models.response_map import select
-from models.response_map.select import CalibratedMap
-from models.response_map.slide_fit import CalibrationConfig
-from pipeline.recordings.folder import SAMPLE, Folder, Recording, read_folder, write_folder
-from pipeline.recordings.heights import HEIGHT
+from softslide.experiments import kept_map as module
+from softslide.experiments.kept_map import kept_map
+from softslide.experiments.train import train
+from softslide.features.errors import InputError
+from softslide.models.registry import model_named
+from softslide.models.response_map import select
+from softslide.models.response_map.select import CalibratedMap
+from softslide.models.response_map.slide_fit import CalibrationConfig
+from softslide.pipeline.recordings.folder import SAMPLE, Folder, Recording, read_folder, write_folder
+from softslide.pipeline.recordings.heights import HEIGHT
 
 CONFIG = """
 calibration.iterations = 1
@@ -131,7 +131,7 @@ def test_other_settings_and_other_code_are_noticed(
 ) -> None:
     found(lab)
     assert found(lab, CalibrationConfig(iterations=1, gain_sd=0.02))[1] is False
-    monkeypatch.setattr(module, "MAKER", "models.registry")
+    monkeypatch.setattr(module, "MAKER", "softslide.models.registry")
     assert found(lab)[1] is False
 
 

@@ -18,12 +18,12 @@ from sender import PLAN, SENDER, TIMES, UDP, free_port, sending
 from streams import a_sensor
 
 import softslide
-from experiments.acquisition.capture import Phases, remarks
-from experiments.acquisition.record import read_plan
-from features.errors import InputError
-from pipeline.recordings.folder import Recording, read_folder
-from pipeline.recordings.growing_folder import add_recording, open_growing
-from pipeline.sensor import Base, write_sensor
+from softslide.experiments.acquisition.capture import Phases, remarks
+from softslide.experiments.acquisition.record import read_plan
+from softslide.features.errors import InputError
+from softslide.pipeline.recordings.folder import Recording, read_folder
+from softslide.pipeline.recordings.growing_folder import add_recording, open_growing
+from softslide.pipeline.sensor import Base, write_sensor
 
 RATE_HZ = 1000.0
 
@@ -50,7 +50,7 @@ def command(lab: Path, source: str, *more: str) -> list[str]:
         "--out",
         str(lab / "out"),
     ]
-    return [sys.executable, str(softslide.__file__), "record", "--source", source, *options, *TIMES, *more]
+    return [sys.executable, "-m", "softslide", "record", "--source", source, *options, *TIMES, *more]
 
 
 def test_a_second_process_sends_and_the_folder_passes_the_check(

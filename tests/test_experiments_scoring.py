@@ -8,10 +8,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from experiments.evaluation.bounds import Bound, check, read_bounds
-from experiments.evaluation.efficiency import over_bound
-from experiments.evaluation.readout import COLUMNS
-from experiments.evaluation.scoring import (
+from softslide.experiments.evaluation.bounds import Bound, check, read_bounds
+from softslide.experiments.evaluation.efficiency import over_bound
+from softslide.experiments.evaluation.readout import COLUMNS
+from softslide.experiments.evaluation.scoring import (
     along_the_stroke,
     by_direction,
     by_distance,
@@ -20,9 +20,9 @@ from experiments.evaluation.scoring import (
     signed_errors,
     summary,
 )
-from features.errors import InputError
-from pipeline.recordings.manifest import LABELS
-from pipeline.sensor import Accelerometer, Sensor
+from softslide.features.errors import InputError
+from softslide.pipeline.recordings.manifest import LABELS
+from softslide.pipeline.sensor import Accelerometer, Sensor
 
 SENSOR = Sensor(
     "trial", 1000.0, (50.0, 50.0), 4.0, 6.0, 0.035, (5.0, 0.0), 5e-4, (Accelerometer("a0", 5.0, 0.0),)

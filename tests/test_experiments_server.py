@@ -13,8 +13,8 @@ from small_bundle import write_small_bundle
 from team_server import PATIENCE_S, binaries, free_port, mlflow_server, postgres
 from trial_folder import SENSOR
 
-from experiments.tracking import fetched, find_run
-from serve.localizer import Localizer
+from softslide.experiments.tracking import fetched, find_run
+from softslide.serve.localizer import Localizer
 
 HERE = Path(__file__).parents[1]
 

@@ -13,7 +13,7 @@ from small_bundle import write_small_bundle
 from streams import a_sensor
 
 import softslide
-from experiments.studies import (
+from softslide.experiments.studies import (
     decision_time,
     false_alarms,
     feature_speed,
@@ -26,19 +26,19 @@ from experiments.studies import (
     sweep,
     tracker_constants,
 )
-from experiments.studies.skin_changes import CHANGES, DEPTH_MM, HEIGHT_MM, changed
-from features.card import read_card
-from features.contact.tracker import TrackingConfig
-from features.stream.conditioning import Conditioning
-from pipeline.atlas.atlas import DEFAULT_SENSOR, read_atlas
-from pipeline.recordings.folder import SAMPLE, Folder, read_folder
-from pipeline.recordings.manifest import write_manifest
-from pipeline.sensor import check_design, read_sensor
-from pipeline.synthesis.distribution import Distribution
-from pipeline.synthesis.no_contact import SIGNALS
-from pipeline.synthesis.paths.draw import draw_path
-from pipeline.synthesis.specimen import draw_specimen
-from pipeline.synthesis.synthesize import noise_of, record, sensor_of
+from softslide.experiments.studies.skin_changes import CHANGES, DEPTH_MM, HEIGHT_MM, changed
+from softslide.features.card import read_card
+from softslide.features.contact.tracker import TrackingConfig
+from softslide.features.stream.conditioning import Conditioning
+from softslide.pipeline.atlas.atlas import DEFAULT_SENSOR, read_atlas
+from softslide.pipeline.recordings.folder import SAMPLE, Folder, read_folder
+from softslide.pipeline.recordings.manifest import write_manifest
+from softslide.pipeline.sensor import check_design, read_sensor
+from softslide.pipeline.synthesis.distribution import Distribution
+from softslide.pipeline.synthesis.no_contact import SIGNALS
+from softslide.pipeline.synthesis.paths.draw import draw_path
+from softslide.pipeline.synthesis.specimen import draw_specimen
+from softslide.pipeline.synthesis.synthesize import noise_of, record, sensor_of
 
 SCRIPTS = (decision_time, false_alarms, feature_speed, few_recordings, motion_noise, partial_contact)
 SCRIPTS += (sensor_drift, skin_sensitivity, skin_speed, sweep, tracker_constants)
@@ -289,8 +289,8 @@ def test_a_sweep_never_reads_test_slides_and_its_best_trains(
 
 
 def test_settings_of_a_sweep_are_a_models_own() -> None:
-    from models.registry import model_named
-    from pipeline.toml_tables import changed as configured
+    from softslide.models.registry import model_named
+    from softslide.pipeline.toml_tables import changed as configured
 
     for model, settings in sweep.SETTINGS.items():
         table = settings(optuna.create_study().ask())

@@ -10,10 +10,10 @@ import mlflow
 import pytest
 from small_bundle import write_small_bundle
 
-from experiments.provenance import code_revision, data_hashes
-from experiments.tracking import client_of, fetched, find_run, flattened, tracked
-from features.errors import InputError
-from pipeline.recordings.folder import SAMPLE, Folder, read_folder, write_folder
+from softslide.experiments.provenance import code_revision, data_hashes
+from softslide.experiments.tracking import client_of, fetched, find_run, flattened, tracked
+from softslide.features.errors import InputError
+from softslide.pipeline.recordings.folder import SAMPLE, Folder, read_folder, write_folder
 
 HERE = Path(__file__).parents[1]
 

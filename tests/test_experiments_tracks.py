@@ -13,11 +13,11 @@ import touched_skin
 from small_bundle import write_small_bundle
 
 import softslide
-from experiments.evaluation.tracks import estimate_table, judge, summarize
-from pipeline.atlas.atlas import read_atlas
-from pipeline.recordings.folder import Folder, Recording, write_folder
-from pipeline.synthesis.paths.distribution import PathDistribution
-from pipeline.synthesis.synthesize import sensor_of, synthetic_paths
+from softslide.experiments.evaluation.tracks import estimate_table, judge, summarize
+from softslide.pipeline.atlas.atlas import read_atlas
+from softslide.pipeline.recordings.folder import Folder, Recording, write_folder
+from softslide.pipeline.synthesis.paths.distribution import PathDistribution
+from softslide.pipeline.synthesis.synthesize import sensor_of, synthetic_paths
 
 REFERENCE = (5.0, 0.0)
 SCORER = Path(__file__).parents[1].parent / "shared" / "tools" / "score_track.py"

@@ -13,16 +13,16 @@ import pandas as pd
 import pytest
 
 import softslide
-from experiments.configuration import configured
-from experiments.data_use import report_use
-from experiments.provenance import bundle_hash
-from experiments.tracking import find_run
-from features.card import Validity
-from features.stream.conditioning import Conditioning
-from models.fitted_model import FittedModel
-from models.registry import model_named
-from pipeline.recordings.folder import SAMPLE, read_folder
-from serve.localizer import Localizer
+from softslide.experiments.configuration import configured
+from softslide.experiments.data_use import report_use
+from softslide.experiments.provenance import bundle_hash
+from softslide.experiments.tracking import find_run
+from softslide.features.card import Validity
+from softslide.features.stream.conditioning import Conditioning
+from softslide.models.fitted_model import FittedModel
+from softslide.models.registry import model_named
+from softslide.pipeline.recordings.folder import SAMPLE, read_folder
+from softslide.serve.localizer import Localizer
 
 
 @pytest.fixture(scope="module")

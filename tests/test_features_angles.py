@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from features.angles import tilt_channels, wrapped_deg
+from softslide.features.angles import tilt_channels, wrapped_deg
 
 
 @given(st.integers(-180, 179), st.integers(-5, 5))

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from features.stream.attitude import MOST_FROM_Z_DEG, MOST_TURN_DEG, Attitude
+from softslide.features.stream.attitude import MOST_FROM_Z_DEG, MOST_TURN_DEG, Attitude
 
 ZERO_V, SENSITIVITY = 1.65, 0.8
 BOARD = {"zero_g_v": ZERO_V, "sensitivity_v_per_g": SENSITIVITY}

@@ -10,7 +10,7 @@ from hypothesis.extra import numpy as hnp
 from moving_robot import exact_motion, felt_g, on_a_robot
 from streams import GRAVITY_V, ZERO_V, a_sensor
 
-from features.base_motion import LEAST_SHARE, BaseMotion
+from softslide.features.base_motion import LEAST_SHARE, BaseMotion
 
 SENSOR = a_sensor(2)
 MOTION = exact_motion(SENSOR)

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from resampled import resampled_folder
 
-from features.stream.conditioning import Blocks, Conditioning, block_mean, block_means, blocks_in
-from features.stream.faults import SignalWatch
-from models.response_map.slides import calibration_slides
-from pipeline.recordings.folder import SAMPLE, read_folder
-from pipeline.recordings.windows import labelled_windows
+from softslide.features.stream.conditioning import Blocks, Conditioning, block_mean, block_means, blocks_in
+from softslide.features.stream.faults import SignalWatch
+from softslide.models.response_map.slides import calibration_slides
+from softslide.pipeline.recordings.folder import SAMPLE, read_folder
+from softslide.pipeline.recordings.windows import labelled_windows
 
 CONDITIONING = Conditioning()
 RATES_HZ = (100.0, 128.0, 333.0, 1024.0, 25_600.0, 100_000.0)

@@ -17,8 +17,8 @@ from tracked_map import (
     volts_along,
 )
 
-from features.contact.calibration import ContactCalibration
-from features.contact.hypotheses import (
+from softslide.features.contact.calibration import ContactCalibration
+from softslide.features.contact.hypotheses import (
     FRICTION_X,
     FRICTION_Y,
     GAIN,
@@ -33,13 +33,13 @@ from features.contact.hypotheses import (
     predict,
     started,
 )
-from features.contact.manoeuvres import HALF, Manoeuvres, branched
-from features.contact.smooth_signal import SmoothSignal
-from features.contact.tracker import Track, TrackingConfig
-from features.stream.tracker import SlideState
-from features.track_estimate import TrackLimits, judged
-from models.response_map.card import contact_calibration
-from models.response_map.map import ResponseMap
+from softslide.features.contact.manoeuvres import HALF, Manoeuvres, branched
+from softslide.features.contact.smooth_signal import SmoothSignal
+from softslide.features.contact.tracker import Track, TrackingConfig
+from softslide.features.stream.tracker import SlideState
+from softslide.features.track_estimate import TrackLimits, judged
+from softslide.models.response_map.card import contact_calibration
+from softslide.models.response_map.map import ResponseMap
 
 
 def bank_of(response: ResponseMap, count: int = 6, seed: int = 0) -> Hypotheses:

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from features.departure import held_at_rim
-from features.estimate import Estimate
-from features.stream.tracker import SlideState
+from softslide.features.departure import held_at_rim
+from softslide.features.estimate import Estimate
+from softslide.features.stream.tracker import SlideState
 
 CHAMBER_MM = (50.0, 40.0)
 BALL_MM = 6.0

@@ -9,11 +9,11 @@ from small_bundle import OUTPUTS, write_small_bundle
 from streams import a_sensor
 from tracked_map import noisy_map
 
-from features.card import read_card
-from features.estimate import SPEED_PER_DEPTH, decode
-from features.stream.tracker import SlideState
-from features.window import WINDOW_BINS, Window
-from models.response_map.card import contact_calibration
+from softslide.features.card import read_card
+from softslide.features.estimate import SPEED_PER_DEPTH, decode
+from softslide.features.stream.tracker import SlideState
+from softslide.features.window import WINDOW_BINS, Window
+from softslide.models.response_map.card import contact_calibration
 
 
 def test_speed_and_depth_are_less_sure_beyond_the_calibrations_depth(tmp_path: Path) -> None:

@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from features.stream.conditioning import Conditioning
-from features.stream.gravity import MEMORY_S, GravityWatch
-from pipeline.recordings.folder import SAMPLE, read_folder
-from pipeline.recordings.gravity_length import LEAST_SD_G, gravity_sd_g
+from softslide.features.stream.conditioning import Conditioning
+from softslide.features.stream.gravity import MEMORY_S, GravityWatch
+from softslide.pipeline.recordings.folder import SAMPLE, read_folder
+from softslide.pipeline.recordings.gravity_length import LEAST_SD_G, gravity_sd_g
 
 USUAL = Conditioning(gravity_sd_g=0.008)
 BLOCK_S = USUAL.block_s

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from features.stream.conditioning import Conditioning, without_lag
-from features.stream.slide_history import SlideHistory
+from softslide.features.stream.conditioning import Conditioning, without_lag
+from softslide.features.stream.slide_history import SlideHistory
 
 
 def output(blocks: int) -> np.ndarray:

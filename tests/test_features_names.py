@@ -2,7 +2,7 @@
 
 import pytest
 
-from features.names import check_plain, is_plain
+from softslide.features.names import check_plain, is_plain
 
 
 @pytest.mark.parametrize(

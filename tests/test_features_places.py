@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from tracked_map import followed, line, noisy_map
 
-from features.contact.places import LEAST_WEIGHT, MOST_PLACES, likeliest_places
+from softslide.features.contact.places import LEAST_WEIGHT, MOST_PLACES, likeliest_places
 
 NEAR_MM = 2.5
 

@@ -6,11 +6,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from tracked_map import BLOCK_S, INFLATION, TWO_BOARDS, noisy_map, pressed, tracks_of
 
-from features.contact.tracker import PRESS_ON_S, Track
-from features.contact.whole_device import beyond_device
-from features.estimate import Contact, Estimate, Reason
-from features.stream.tracker import SlideState
-from features.track_estimate import TrackLimits, judged
+from softslide.features.contact.tracker import PRESS_ON_S, Track
+from softslide.features.contact.whole_device import beyond_device
+from softslide.features.estimate import Contact, Estimate, Reason
+from softslide.features.stream.tracker import SlideState
+from softslide.features.track_estimate import TrackLimits, judged
 
 ON_S, HELD_S = 0.4, 1.5
 RESPONSE = noisy_map(places=TWO_BOARDS)

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from tracked_map import line, noisy_map, touched, tracker, volts_along
 
-from features.contact.replay import ReplayingTracker
-from features.contact.tracker import Track
-from features.stream.faults import FROZEN_BLOCKS
+from softslide.features.contact.replay import ReplayingTracker
+from softslide.features.contact.tracker import Track
+from softslide.features.stream.faults import FROZEN_BLOCKS
 
 TWO_BOARDS = noisy_map(places=((-4.0, 0.0), (4.0, 0.0)))
 FIRST_ALONE = np.array([True, True, False, False])

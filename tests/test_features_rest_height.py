@@ -10,15 +10,15 @@ from small_bundle import write_small_bundle
 from streams import RATE_HZ, a_sensor
 from tracked_map import TWO_BOARDS, noisy_map
 
-from features.contact.calibration import ContactCalibration, encoded
-from features.estimate import Reason
-from features.height import LEAST_OFF_MM, HeightCalibration
-from features.rest_height import RestHeight, rest_height
-from features.stream.conditioning import Conditioning
-from models.response_map.card import contact_calibration
-from models.response_map.slides import LEAST_RECORDINGS, scatter_about, static_scatter
-from pipeline.recordings.folder import SAMPLE, read_folder
-from serve.localizer import Localizer
+from softslide.features.contact.calibration import ContactCalibration, encoded
+from softslide.features.estimate import Reason
+from softslide.features.height import LEAST_OFF_MM, HeightCalibration
+from softslide.features.rest_height import RestHeight, rest_height
+from softslide.features.stream.conditioning import Conditioning
+from softslide.models.response_map.card import contact_calibration
+from softslide.models.response_map.slides import LEAST_RECORDINGS, scatter_about, static_scatter
+from softslide.pipeline.recordings.folder import SAMPLE, read_folder
+from softslide.serve.localizer import Localizer
 
 # Volts of 0.8 V/g about 1.65 V; two boards that lean over by 5 degrees, away from each other, as the chamber's do.
 LEVEL = np.array([1.65, 1.65, 2.45])

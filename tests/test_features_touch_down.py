@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from dome_map import dome_map
 
-from features.contact.hypotheses import LocalErrors, update
-from features.contact.response_surface import ResponseSurface
-from features.contact.touch_down import TouchDownConfig, TouchDownTracker, at_touch_down
+from softslide.features.contact.hypotheses import LocalErrors, update
+from softslide.features.contact.response_surface import ResponseSurface
+from softslide.features.contact.touch_down import TouchDownConfig, TouchDownTracker, at_touch_down
 
 BLOCK_S = 0.02
 RADIUS_MM, SPEED_MM_S = 6.0, 25.0

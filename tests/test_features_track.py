@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from streams import RATE_HZ, pass_over, still, stream
 
-from features.stream.conditioning import Conditioning, block_means
-from features.stream.faults import BRIDGED_BLOCKS, FROZEN_BLOCKS, SignalWatch
-from features.stream.static_output import StaticOutput
-from features.stream.tracker import SlideState, SlideTracker, track
+from softslide.features.stream.conditioning import Conditioning, block_means
+from softslide.features.stream.faults import BRIDGED_BLOCKS, FROZEN_BLOCKS, SignalWatch
+from softslide.features.stream.static_output import StaticOutput
+from softslide.features.stream.tracker import SlideState, SlideTracker, track
 
 CONDITIONING = Conditioning()
 

@@ -5,11 +5,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from features.angles import wrapped_deg
-from features.contact.tracker import Track
-from features.estimate import Contact, Estimate, Reason
-from features.stream.tracker import SlideState
-from features.track_estimate import TOUCH_LIMITS, TrackLimits, apart, judged, with_track
+from softslide.features.angles import wrapped_deg
+from softslide.features.contact.tracker import Track
+from softslide.features.estimate import Contact, Estimate, Reason
+from softslide.features.stream.tracker import SlideState
+from softslide.features.track_estimate import TOUCH_LIMITS, TrackLimits, apart, judged, with_track
 
 QUANTITIES = (("speed", "mm_s"), ("offset", "mm"), ("x", "mm"), ("y", "mm"), ("vx", "mm_s"), ("vy", "mm_s"))
 

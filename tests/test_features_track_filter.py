@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from features.estimate import Estimate
-from features.stream.tracker import SlideState
-from features.track_filter import PATIENCE, TrackFilter
+from softslide.features.estimate import Estimate
+from softslide.features.stream.tracker import SlideState
+from softslide.features.track_filter import PATIENCE, TrackFilter
 
 BLOCK_S = 0.02
 SD = {"turn": math.radians(1.0), "speed": 0.05, "place": 0.2}

@@ -9,11 +9,11 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from slide_windows import slide_window
 
-from features.vector.arc import arc_curve
-from features.vector.energy import energy_clock, energy_width_s
-from features.vector.extrema import maximum, minimum, value_at
-from features.vector.feature_vector import feature_matrix, feature_names, feature_vector
-from features.vector.zones import signs, zone, zones_in_order
+from softslide.features.vector.arc import arc_curve
+from softslide.features.vector.energy import energy_clock, energy_width_s
+from softslide.features.vector.extrema import maximum, minimum, value_at
+from softslide.features.vector.feature_vector import feature_matrix, feature_names, feature_vector
+from softslide.features.vector.zones import signs, zone, zones_in_order
 
 NAMES = np.array(feature_names(1))
 SECONDS = np.char.endswith(NAMES, "_s")

@@ -14,7 +14,7 @@ from a_device import write_device
 from lab_files import FORMATS, write_lab
 from test_front_door import CALLS
 
-from pipeline.recordings.folder import SAMPLE
+from softslide.pipeline.recordings.folder import SAMPLE
 
 pytestmark = pytest.mark.long
 HERE = Path(__file__).parents[1]

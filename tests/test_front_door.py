@@ -3,22 +3,28 @@
 import ast
 import importlib
 import json
+import os
 import re
 import resource
+import shutil
 import signal
 import subprocess
 import sys
 import time
+import tomllib
+import zipfile
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
 import pytest
 from a_device import write_device
+from linked import ROOMS
 
 import softslide
-from pipeline.recordings.folder import SAMPLE
-from pipeline.sensor import read_sensor
+from softslide.command_line import parser
+from softslide.pipeline.recordings.folder import SAMPLE
+from softslide.pipeline.sensor import read_sensor
 
 HERE = Path(__file__).parents[1]
 # What a device does not have: everything but the base install, numpy and onnxruntime.
@@ -27,15 +33,46 @@ HEAVY = (
     *("joblib", "dask", "matplotlib", "jinja2", "tqdm", "tomli_w", "h5py", "optuna"),
     *("fastapi", "uvicorn", "websockets", "serial"),
 )
-SUBPARSERS = next(a for a in softslide.parser()._actions if a.dest == "command").choices
+SUBPARSERS = next(a for a in parser()._actions if a.dest == "command").choices
 COMMANDS = sorted(SUBPARSERS)  # type: ignore[arg-type]
 
 
 def test_packages_are_those_of_this_tree() -> None:
-    rooms = [path.parent.name for path in HERE.glob("*/__init__.py")]
-    assert {"commands", "features", "pipeline", "models", "experiments", "serve"} <= set(rooms)
-    for room in rooms:
-        assert Path(importlib.import_module(room).__file__ or "").parent == HERE / room
+    packages = tomllib.loads((HERE / "pyproject.toml").read_text())["tool"]["setuptools"]["packages"]
+    inits = [path.relative_to(HERE).parent for room in ROOMS for path in (HERE / room).rglob("__init__.py")]
+    assert set(packages) == {
+        "softslide",
+        "softslide.commands",
+        *(".".join(("softslide", *i.parts)) for i in inits),
+    }
+    for name in packages:
+        assert Path(importlib.import_module(name).__file__ or "").is_relative_to(HERE), name
+
+
+def test_a_wheel_is_one_name_next_to_anybody_s_folders(tmp_path: Path) -> None:
+    """A lab's own `features` and `models` are neither replaced nor imported; all data comes along."""
+    tree = tmp_path / "tree"
+    for name in ("softslide", *ROOMS):
+        shutil.copytree(HERE / name, tree / name, ignore=shutil.ignore_patterns("__pycache__"))
+    for name in ("pyproject.toml", "README.md"):
+        shutil.copyfile(HERE / name, tree / name)
+    pip = [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--no-build-isolation", str(tree)]
+    subprocess.run([*pip, "--wheel-dir", str(tmp_path)], check=True, capture_output=True, timeout=300)
+    (wheel,) = tmp_path.glob("softslide-*.whl")
+    site = tmp_path / "site"
+    with zipfile.ZipFile(wheel) as archive:
+        names = archive.namelist()
+        archive.extractall(site)
+    assert {name.partition("/")[0].partition("-")[0] for name in names} == {"softslide"}
+    files = [path.relative_to(tree) for room in ROOMS for path in (tree / room).rglob("*") if path.is_file()]
+    assert {f"softslide/{file.as_posix()}" for file in files if file.name != "LOG.md"} <= set(names)
+    for name in ("features", "models"):
+        (tmp_path / "lab" / name).mkdir(parents=True)
+        (tmp_path / "lab" / name / "__init__.py").write_text("raise SystemExit('the lab\\'s own')")
+    command = [sys.executable, "-m", "softslide", "check", str(site / "softslide" / "pipeline" / "sample")]
+    outside = {"cwd": tmp_path / "lab", "env": os.environ | {"PYTHONPATH": str(site)}}
+    done = subprocess.run(command, **outside, capture_output=True, text=True, timeout=120)
+    assert "60 recordings, 0 errors" in done.stdout, done.stderr
 
 
 def run(*arguments: object, absent: Sequence[str] = HEAVY) -> subprocess.CompletedProcess[str]:
@@ -63,11 +100,11 @@ import softslide
 
 def test_the_runtime_imports_numpy_and_onnxruntime_alone() -> None:
     modules = [
-        ".".join(path.relative_to(HERE).with_suffix("").parts)
+        ".".join(("softslide", *path.relative_to(HERE).with_suffix("").parts))
         for room in ("features", "serve")
         for path in sorted((HERE / room).rglob("*.py"))
     ]
-    assert "serve.localizer" in modules
+    assert "softslide.serve.localizer" in modules
     code = f"import importlib\nfor name in {modules!r}: importlib.import_module(name)\n"
     done = python(f"{code}sys.exit(', '.join(set({HEAVY!r}) & set(sys.modules)) or 0)", absent=())
     assert done.stderr.strip() == ""
@@ -218,8 +255,8 @@ def test_a_registered_bundle_needs_the_extra_that_has_the_registry(device: Path)
 
 
 def test_a_module_of_our_own_that_is_missing_is_not_an_extra(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "pipeline.recordings.folder", None)
-    monkeypatch.delitem(sys.modules, "pipeline.checks.findings", raising=False)
+    monkeypatch.setitem(sys.modules, "softslide.pipeline.recordings.folder", None)
+    monkeypatch.delitem(sys.modules, "softslide.pipeline.checks.findings", raising=False)
     with pytest.raises(ModuleNotFoundError, match=r"pipeline\.recordings"):
         softslide.main(["check", str(SAMPLE)])
 
@@ -272,7 +309,7 @@ def test_no_library_knows_an_option() -> None:
 
 
 def test_ctrl_c_is_one_line_and_130(tmp_path: Path) -> None:
-    command = [sys.executable, str(HERE / "softslide.py"), "synthesize", "--slides", "500"]
+    command = [sys.executable, "-m", "softslide", "synthesize", "--slides", "500"]
     command += ["--out", str(tmp_path / "out")]
     # What is started in the background is deaf to Ctrl-C, and hands that on.
     heard = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)
@@ -297,7 +334,7 @@ def test_bad_usage_is_2(arguments: list[str], capsys: pytest.CaptureFixture[str]
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /dev/full here")
 def test_a_full_disk_is_one_line() -> None:
-    command = [sys.executable, str(HERE / "softslide.py"), "import", "--sensor-template"]
+    command = [sys.executable, "-m", "softslide", "import", "--sensor-template"]
     with open("/dev/full", "wb") as full:
         done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, check=False, timeout=120)
     assert done.returncode == 1

@@ -13,8 +13,8 @@ from long_commands import SYNTHESIZE, TRAIN, a_simulation, an_evaluation, an_imp
 from sender import PLAN, TIMES, free_port, sending
 from streams import a_sensor
 
-from pipeline.recordings.folder import read_folder
-from pipeline.sensor import write_sensor
+from softslide.pipeline.recordings.folder import read_folder
+from softslide.pipeline.sensor import write_sensor
 
 # A mount that only the commands see, and no other rights than the tests' own.
 MOUNT = ("unshare", "-rm", "sh", "-c", 'mount -t tmpfs -o size=256m small "$0" && exec "$@"')

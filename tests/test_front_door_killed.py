@@ -11,7 +11,7 @@ import pytest
 from forked import Commands, commands
 from long_commands import SYNTHESIZE, TRAIN, a_simulation, an_evaluation, an_import, contents
 
-from pipeline.atlas.atlas import read_atlas
+from softslide.pipeline.atlas.atlas import read_atlas
 
 KILLS = 20
 

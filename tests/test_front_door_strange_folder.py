@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 
 import softslide
-from pipeline.recordings.folder import SAMPLE
+from softslide.pipeline.recordings.folder import SAMPLE
 
-ROOT = Path(softslide.__file__).parent
+ROOT = Path(softslide.__file__).parents[1]
 TRAP = "open({!r}, 'a').write(__name__ + '\\n')\nraise SystemExit('a trap')\n"
 
 
@@ -44,7 +44,7 @@ def test_the_module_is_called(folder: Path) -> None:
 
 
 def test_the_page_has_a_process_of_its_own(folder: Path, bundle: Path) -> None:
-    serve = [softslide.__file__, "serve", "--model", str(bundle), "--source", "-", "--page", "0"]
+    serve = ["-m", "softslide", "serve", "--model", str(bundle), "--source", "-", "--page", "0"]
     with called(folder, *serve) as running:
         lines = [running.stderr.readline() for _ in range(2)]
         running.send_signal(signal.SIGINT)

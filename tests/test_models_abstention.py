@@ -21,13 +21,13 @@ from bump_slides import (
     slide_volts,
 )
 
-from features.estimate import Estimate
-from features.stream.tracker import SlideState
-from models.cnn.fit import CnnConfig, fit_cnn
-from models.cnn.training import TrainingConfig
-from models.export.bundle import write_bundle
-from pipeline.recordings.windows import labelled_windows
-from serve.localizer import Localizer
+from softslide.features.estimate import Estimate
+from softslide.features.stream.tracker import SlideState
+from softslide.models.cnn.fit import CnnConfig, fit_cnn
+from softslide.models.cnn.training import TrainingConfig
+from softslide.models.export.bundle import write_bundle
+from softslide.pipeline.recordings.windows import labelled_windows
+from softslide.serve.localizer import Localizer
 
 # Training and export take a minute or two.
 pytestmark = pytest.mark.long

@@ -8,16 +8,23 @@ import pandas as pd
 import pytest
 
 import softslide
-from features.errors import InputError
-from features.stream.conditioning import Conditioning
-from models.design.board_places import GAP_MM, arrangement, best_places, information, lines_over, response_of
-from models.design.line_information import GAIN_SD, LINE_SPEED_MM_S, Line, places, slopes
-from models.response_map.calibrate import MAP_VARIANCE
-from models.response_map.from_atlas import DESIGN_DRIFT_V, DESIGN_NOISE_V, SAMPLE_MM
-from pipeline.atlas.atlas import read_atlas
-from pipeline.atlas.bare_skin import TiltField, board_places, solve_tilts
-from pipeline.recordings.folder import SAMPLE, read_folder
-from pipeline.sensor import Sensor, read_sensor
+from softslide.features.errors import InputError
+from softslide.features.stream.conditioning import Conditioning
+from softslide.models.design.board_places import (
+    GAP_MM,
+    arrangement,
+    best_places,
+    information,
+    lines_over,
+    response_of,
+)
+from softslide.models.design.line_information import GAIN_SD, LINE_SPEED_MM_S, Line, places, slopes
+from softslide.models.response_map.calibrate import MAP_VARIANCE
+from softslide.models.response_map.from_atlas import DESIGN_DRIFT_V, DESIGN_NOISE_V, SAMPLE_MM
+from softslide.pipeline.atlas.atlas import read_atlas
+from softslide.pipeline.atlas.bare_skin import TiltField, board_places, solve_tilts
+from softslide.pipeline.recordings.folder import SAMPLE, read_folder
+from softslide.pipeline.sensor import Sensor, read_sensor
 
 BOARD_MM = (10.0, 10.0)
 LARGE_MM = 6.0  # of the bump by which a contact tilts a place

@@ -8,12 +8,12 @@ from onnx import TensorProto, helper
 from slide_windows import labelled_slides
 from streams import a_sensor
 
-from features.card import Interval, Validity
-from features.stream.conditioning import Conditioning
-from features.window import WINDOW_BINS
-from models.export.bundle import ParityError, write_bundle
-from models.fitted_model import FittedModel
-from pipeline.sensor import Sensor
+from softslide.features.card import Interval, Validity
+from softslide.features.stream.conditioning import Conditioning
+from softslide.features.window import WINDOW_BINS
+from softslide.models.export.bundle import ParityError, write_bundle
+from softslide.models.fitted_model import FittedModel
+from softslide.pipeline.sensor import Sensor
 
 WINDOWS = labelled_slides(np.arange(0.0, 360.0, 15.0), np.linspace(-12.0, 12.0, 10))
 OUTPUTS = ("direction_cos", "direction_sin", "offset_mm")

@@ -15,26 +15,26 @@ from small_bundle import resigned, write_small_bundle
 from streams import a_sensor
 
 import softslide
-from features.card import Card
-from models.classical import interpolation
-from models.classical.fit import WithMisfit, graph_of
-from models.classical.gaussian_process import GpConfig, fit_gp
-from models.classical.interpolation import InterpolationConfig, fit_interpolation
-from models.classical.misfit import Misfit
-from models.classical.mlp import MlpConfig, fit_mlp
-from models.classical.regression import float_features
-from models.classical.trees import TreesConfig, fit_trees
-from models.cnn.gauss_newton import Refinement
-from models.cnn.network import OUTPUTS, NetworkConfig, SlideNetwork
-from models.cnn.training import TrainingConfig, train_proposal
-from models.cnn.training_windows import SynthesisConfig, WindowBatch, WindowSource
-from models.export.bundle import PARITY
-from models.export.c99.memory import layout
-from models.export.c99.precision import in_single
-from models.export.c99.program import program
-from models.export.c99.tensors import Buffer
-from models.export.formats import export
-from models.graph.from_torch import export_graph
+from softslide.features.card import Card
+from softslide.models.classical import interpolation
+from softslide.models.classical.fit import WithMisfit, graph_of
+from softslide.models.classical.gaussian_process import GpConfig, fit_gp
+from softslide.models.classical.interpolation import InterpolationConfig, fit_interpolation
+from softslide.models.classical.misfit import Misfit
+from softslide.models.classical.mlp import MlpConfig, fit_mlp
+from softslide.models.classical.regression import float_features
+from softslide.models.classical.trees import TreesConfig, fit_trees
+from softslide.models.cnn.gauss_newton import Refinement
+from softslide.models.cnn.network import OUTPUTS, NetworkConfig, SlideNetwork
+from softslide.models.cnn.training import TrainingConfig, train_proposal
+from softslide.models.cnn.training_windows import SynthesisConfig, WindowBatch, WindowSource
+from softslide.models.export.bundle import PARITY
+from softslide.models.export.c99.memory import layout
+from softslide.models.export.c99.precision import in_single
+from softslide.models.export.c99.program import program
+from softslide.models.export.c99.tensors import Buffer
+from softslide.models.export.formats import export
+from softslide.models.graph.from_torch import export_graph
 
 pytestmark = NEEDS_COMPILER
 

@@ -9,10 +9,10 @@ import pytest
 from c_case import NEEDS_COMPILER, Case, any_card, difference
 from onnx import TensorProto
 
-from features.card import Card
-from models.export.c99.node import NoForm
-from models.export.c99.source import sources
-from models.graph.builder import OPSET, GraphBuilder
+from softslide.features.card import Card
+from softslide.models.export.c99.node import NoForm
+from softslide.models.export.c99.source import sources
+from softslide.models.graph.builder import OPSET, GraphBuilder
 
 pytestmark = NEEDS_COMPILER
 

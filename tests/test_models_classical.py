@@ -8,17 +8,17 @@ import onnxruntime as ort
 import pytest
 from slide_windows import labelled_slides
 
-from features.vector.energy import energy_width_s
-from models.classical import interpolation, regression
-from models.classical.augmentation import with_lines_between
-from models.classical.fit import graph_of
-from models.classical.gaussian_process import GpConfig, fit_gp
-from models.classical.interpolation import InterpolationConfig, fit_interpolation
-from models.classical.mlp import MlpConfig, fit_mlp
-from models.classical.regression import float_features
-from models.classical.trees import TreesConfig, fit_trees
-from pipeline.recordings.folder import SAMPLE, read_folder
-from pipeline.recordings.windows import labelled_windows
+from softslide.features.vector.energy import energy_width_s
+from softslide.models.classical import interpolation, regression
+from softslide.models.classical.augmentation import with_lines_between
+from softslide.models.classical.fit import graph_of
+from softslide.models.classical.gaussian_process import GpConfig, fit_gp
+from softslide.models.classical.interpolation import InterpolationConfig, fit_interpolation
+from softslide.models.classical.mlp import MlpConfig, fit_mlp
+from softslide.models.classical.regression import float_features
+from softslide.models.classical.trees import TreesConfig, fit_trees
+from softslide.pipeline.recordings.folder import SAMPLE, read_folder
+from softslide.pipeline.recordings.windows import labelled_windows
 
 OFFSETS = np.array([-15.0, -12.5, -10.0, -7.5, -5.0, -2.5, 2.5, 5.0, 7.5, 10.0, 12.5, 15.0])
 SLIDES = labelled_slides(interpolation.DIRECTIONS_DEG, OFFSETS)

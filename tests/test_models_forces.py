@@ -9,24 +9,24 @@ import pytest
 from small_bundle import write_small_bundle, write_table
 from streams import a_sensor, pass_over, still, stream
 
-from features.card import read_card, write_card
-from features.errors import InputError
-from features.estimate import Contact, Estimate
-from features.force import PRESS_BEND, PRESS_SPREAD, ForceReader
-from features.stream.tracker import SlideState
-from models.cnn.fit import CnnConfig
-from models.cnn.inversion import Inversion
-from models.response_map.card import calibrated_forces, force_map
-from models.response_map.select import calibrated_map
-from pipeline.atlas.atlas import DEFAULT_SENSOR, Atlas, read_atlas
-from pipeline.recordings.at_rest import conditioning_for
-from pipeline.recordings.folder import Folder, read_folder
-from pipeline.recordings.windows import labelled_windows
-from pipeline.sensor import read_sensor
-from pipeline.skin.lines import Line
-from pipeline.skin.solved_line import channels, skin_of, solve_line
-from pipeline.synthesis.synthesize import synthesize
-from serve.localizer import Localizer
+from softslide.features.card import read_card, write_card
+from softslide.features.errors import InputError
+from softslide.features.estimate import Contact, Estimate
+from softslide.features.force import PRESS_BEND, PRESS_SPREAD, ForceReader
+from softslide.features.stream.tracker import SlideState
+from softslide.models.cnn.fit import CnnConfig
+from softslide.models.cnn.inversion import Inversion
+from softslide.models.response_map.card import calibrated_forces, force_map
+from softslide.models.response_map.select import calibrated_map
+from softslide.pipeline.atlas.atlas import DEFAULT_SENSOR, Atlas, read_atlas
+from softslide.pipeline.recordings.at_rest import conditioning_for
+from softslide.pipeline.recordings.folder import Folder, read_folder
+from softslide.pipeline.recordings.windows import labelled_windows
+from softslide.pipeline.sensor import read_sensor
+from softslide.pipeline.skin.lines import Line
+from softslide.pipeline.skin.solved_line import channels, skin_of, solve_line
+from softslide.pipeline.synthesis.synthesize import synthesize
+from softslide.serve.localizer import Localizer
 
 HEIGHT_MM, DEPTH_MM = 7.1, 0.5
 CHAMBER_MM = (50.0, 50.0)

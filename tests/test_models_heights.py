@@ -14,33 +14,38 @@ from bump_map import bump_map
 from bump_slides import as_recorded, at_rest
 from calibration_slides import STATIC_V_PER_MM, slides_of
 
-from features.card import Card, Validity, read_card, write_card
-from features.digest import sha256
-from features.errors import InputError
-from features.height import HEIGHT_INPUT, HeightCalibration
-from features.stream.conditioning import Conditioning
-from models.cnn.gauss_newton import Refinement
-from models.cnn.height_input import with_height
-from models.cnn.network import NetworkConfig, Proposal, SlideNetwork
-from models.export.bundle import read_graph
-from models.export.c99.program import program
-from models.export.gains import fit_gains, labelled_contacts
-from models.graph.from_torch import export_graph
-from models.registry import model_named
-from models.response_map import select
-from models.response_map.calibrate import calibrate
-from models.response_map.card import calibrated_heights, contact_calibration, with_gains
-from models.response_map.from_atlas import SensorSpread
-from models.response_map.map import ResponseMap
-from models.response_map.select import CalibratedMap, _Known, _shares_at_other_heights, calibrated_map
-from models.response_map.slide_fit import CalibrationConfig
-from models.response_map.slides import CalibrationSlide, calibration_slides, main_height_mm
-from pipeline.recordings.derived_labels import recordings_to_learn_from, why_not_labelled
-from pipeline.recordings.folder import SAMPLE, Folder, read_folder, write_folder
-from pipeline.recordings.heights import HEIGHT, LASER, with_heights
-from pipeline.sensor import Accelerometer, Sensor
-from serve.bundle import open_bundle
-from serve.localizer import Localizer
+from softslide.features.card import Card, Validity, read_card, write_card
+from softslide.features.digest import sha256
+from softslide.features.errors import InputError
+from softslide.features.height import HEIGHT_INPUT, HeightCalibration
+from softslide.features.stream.conditioning import Conditioning
+from softslide.models.cnn.gauss_newton import Refinement
+from softslide.models.cnn.height_input import with_height
+from softslide.models.cnn.network import NetworkConfig, Proposal, SlideNetwork
+from softslide.models.export.bundle import read_graph
+from softslide.models.export.c99.program import program
+from softslide.models.export.gains import fit_gains, labelled_contacts
+from softslide.models.graph.from_torch import export_graph
+from softslide.models.registry import model_named
+from softslide.models.response_map import select
+from softslide.models.response_map.calibrate import calibrate
+from softslide.models.response_map.card import calibrated_heights, contact_calibration, with_gains
+from softslide.models.response_map.from_atlas import SensorSpread
+from softslide.models.response_map.map import ResponseMap
+from softslide.models.response_map.select import (
+    CalibratedMap,
+    _Known,
+    _shares_at_other_heights,
+    calibrated_map,
+)
+from softslide.models.response_map.slide_fit import CalibrationConfig
+from softslide.models.response_map.slides import CalibrationSlide, calibration_slides, main_height_mm
+from softslide.pipeline.recordings.derived_labels import recordings_to_learn_from, why_not_labelled
+from softslide.pipeline.recordings.folder import SAMPLE, Folder, read_folder, write_folder
+from softslide.pipeline.recordings.heights import HEIGHT, LASER, with_heights
+from softslide.pipeline.sensor import Accelerometer, Sensor
+from softslide.serve.bundle import open_bundle
+from softslide.serve.localizer import Localizer
 
 SENSOR = Sensor(
     "bump", 500.0, (50.0, 50.0), 4.0, 6.0, 0.035, (5.0, 0.0), 5e-4, (Accelerometer("a0", 5.0, 0.0),)

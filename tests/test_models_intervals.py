@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from models.held_out import line_folds
-from models.intervals import conformal_interval
+from softslide.models.held_out import line_folds
+from softslide.models.intervals import conformal_interval
 
 
 @pytest.mark.parametrize("tail", [np.inf, 3.0])

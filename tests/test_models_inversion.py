@@ -7,11 +7,11 @@ import pytest
 import torch
 from bump_map import bump_map
 
-from models.cnn.cramer_rao import cramer_rao
-from models.cnn.inversion import Inversion
-from models.cnn.training_windows import SynthesisConfig, WindowSource
-from models.held_out import signed_errors
-from pipeline.recordings.windows import LabelledWindows
+from softslide.models.cnn.cramer_rao import cramer_rao
+from softslide.models.cnn.inversion import Inversion
+from softslide.models.cnn.training_windows import SynthesisConfig, WindowSource
+from softslide.models.held_out import signed_errors
+from softslide.pipeline.recordings.windows import LabelledWindows
 
 BLOCK_S = 0.02
 WHOLE = SynthesisConfig(

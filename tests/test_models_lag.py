@@ -7,11 +7,11 @@ import pytest
 from bump_map import bump_map
 from calibration_slides import slides_of
 
-from features.stream.conditioning import Conditioning, block_means
-from features.stream.tracker import track
-from models.response_map.slide_fit import TAU_S, retardation_s
-from models.response_map.slides import CalibrationSlide
-from pipeline.synthesis.viscoelastic_lag import standard_solid
+from softslide.features.stream.conditioning import Conditioning, block_means
+from softslide.features.stream.tracker import track
+from softslide.models.response_map.slide_fit import TAU_S, retardation_s
+from softslide.models.response_map.slides import CalibrationSlide
+from softslide.pipeline.synthesis.viscoelastic_lag import standard_solid
 
 DELAYED, TAUS = 0.15, (0.05, 0.2, 0.6)
 

@@ -5,16 +5,16 @@ import pytest
 import torch
 from bump_map import bump_map
 
-from models.cnn.fit import CnnConfig, fit_cnn
-from models.cnn.gauss_newton import RefinementConfig
-from models.cnn.network import NetworkConfig
-from models.cnn.training import TrainingConfig
-from models.cnn.training_windows import SynthesisConfig, WindowSource
-from models.export.bundle import write_bundle
-from models.response_map.slide_fit import CalibrationConfig
-from pipeline.recordings.folder import SAMPLE, read_folder
-from pipeline.recordings.windows import labelled_windows
-from serve.localizer import Localizer
+from softslide.models.cnn.fit import CnnConfig, fit_cnn
+from softslide.models.cnn.gauss_newton import RefinementConfig
+from softslide.models.cnn.network import NetworkConfig
+from softslide.models.cnn.training import TrainingConfig
+from softslide.models.cnn.training_windows import SynthesisConfig, WindowSource
+from softslide.models.export.bundle import write_bundle
+from softslide.models.response_map.slide_fit import CalibrationConfig
+from softslide.pipeline.recordings.folder import SAMPLE, read_folder
+from softslide.pipeline.recordings.windows import labelled_windows
+from softslide.serve.localizer import Localizer
 
 NUMBERS = ("direction_deg", "speed_mm_s", "offset_mm", "x_mm", "y_mm")
 

@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 from bump_slides import bump_folder, bump_sensor, lines
 
-from features.errors import InputError
-from features.stream.conditioning import Conditioning
-from models.classical.gaussian_process import GpConfig, fit_gp
-from models.classical.learned_lines import SharesConfig, learned_windows
-from models.classical.regression import float_features
-from models.fitted_model import Given
-from models.held_out import mean_errors, signed_errors
-from models.registry import fit_model, model_named
-from pipeline.recordings.windows import labelled_windows
+from softslide.features.errors import InputError
+from softslide.features.stream.conditioning import Conditioning
+from softslide.models.classical.gaussian_process import GpConfig, fit_gp
+from softslide.models.classical.learned_lines import SharesConfig, learned_windows
+from softslide.models.classical.regression import float_features
+from softslide.models.fitted_model import Given
+from softslide.models.held_out import mean_errors, signed_errors
+from softslide.models.registry import fit_model, model_named
+from softslide.pipeline.recordings.windows import labelled_windows
 
 AXES, OFFSETS, SPEEDS = (0.0, 90.0, 180.0, 270.0), np.arange(-12.0, 13.0, 4.0), (3.0, 5.0)
 DIAGONAL = lines((45.0, 160.0, 250.0), (-5.0, 2.0, 6.0), (4.0,))
@@ -91,7 +91,7 @@ def test_a_share_out_of_range_is_refused(share):
 
 
 def test_the_interpolation_takes_no_atlas(folder):
-    from models.classical.interpolation import InterpolationConfig
+    from softslide.models.classical.interpolation import InterpolationConfig
 
     with pytest.raises(InputError, match="recordings alone"):
         fit_model(model_named("interpolation"), folder, InterpolationConfig(), Given(atlas=object()))

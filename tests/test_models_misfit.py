@@ -8,18 +8,18 @@ import pytest
 from bump_slides import as_recorded, at_rest, bump_folder, bump_sensor, lines, slide_volts
 from slide_windows import labelled_slides
 
-from features.card import Card
-from features.estimate import Reason
-from models.classical.fit import WithMisfit, graph_of
-from models.classical.interpolation import DIRECTIONS_DEG, fit_interpolation
-from models.classical.misfit import Misfit
-from models.classical.regression import float_features
-from models.export.bundle import write_bundle
-from models.intervals import CHANCE, LEAST_SLIDES, conformal_interval, misfit_limit, step_between
-from models.registry import fit_model, model_named
-from pipeline.recordings.folder import Folder
-from pipeline.recordings.windows import labelled_windows
-from serve.localizer import Localizer
+from softslide.features.card import Card
+from softslide.features.estimate import Reason
+from softslide.models.classical.fit import WithMisfit, graph_of
+from softslide.models.classical.interpolation import DIRECTIONS_DEG, fit_interpolation
+from softslide.models.classical.misfit import Misfit
+from softslide.models.classical.regression import float_features
+from softslide.models.export.bundle import write_bundle
+from softslide.models.intervals import CHANCE, LEAST_SLIDES, conformal_interval, misfit_limit, step_between
+from softslide.models.registry import fit_model, model_named
+from softslide.pipeline.recordings.folder import Folder
+from softslide.pipeline.recordings.windows import labelled_windows
+from softslide.serve.localizer import Localizer
 
 SENSOR = bump_sensor(1)
 INTERPOLATION = model_named("interpolation")

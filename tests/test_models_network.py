@@ -7,14 +7,14 @@ import torch
 from bump_map import bump_map
 from onnx.reference import ReferenceEvaluator
 
-from features.errors import InputError
-from features.window import WINDOW_BINS
-from models.cnn.fit import initial_proposal
-from models.cnn.gauss_newton import Refinement, RefinementConfig
-from models.cnn.network import NetworkConfig, Proposal, SlideNetwork
-from models.cnn.training import TrainingConfig, likelihood_loss, train_proposal
-from models.cnn.training_windows import SynthesisConfig, WindowSource
-from models.graph.from_torch import export_graph
+from softslide.features.errors import InputError
+from softslide.features.window import WINDOW_BINS
+from softslide.models.cnn.fit import initial_proposal
+from softslide.models.cnn.gauss_newton import Refinement, RefinementConfig
+from softslide.models.cnn.network import NetworkConfig, Proposal, SlideNetwork
+from softslide.models.cnn.training import TrainingConfig, likelihood_loss, train_proposal
+from softslide.models.cnn.training_windows import SynthesisConfig, WindowSource
+from softslide.models.graph.from_torch import export_graph
 
 BLOCK_S = 0.02
 WHOLE = SynthesisConfig(complete=1.0, paused=0.0, midway=0.0, depth_mm=0.0)

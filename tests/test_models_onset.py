@@ -8,15 +8,15 @@ from bump_map import bump_map
 from bump_slides import bump_folder, bump_sensor
 from calibration_slides import slides_of
 
-from features.stream.conditioning import Conditioning
-from models.response_map.calibrate import calibrate
-from models.response_map.from_atlas import SensorSpread
-from models.response_map.onset import with_onsets
-from models.response_map.slide_fit import CalibrationConfig, fit_slide
-from pipeline.atlas.library import atlas_of
-from pipeline.recordings.derived_labels import recordings_to_learn_from, with_derived_labels
-from pipeline.recordings.folder import SAMPLE, Folder, read_folder
-from pipeline.recordings.manifest import LABELS
+from softslide.features.stream.conditioning import Conditioning
+from softslide.models.response_map.calibrate import calibrate
+from softslide.models.response_map.from_atlas import SensorSpread
+from softslide.models.response_map.onset import with_onsets
+from softslide.models.response_map.slide_fit import CalibrationConfig, fit_slide
+from softslide.pipeline.atlas.library import atlas_of
+from softslide.pipeline.recordings.derived_labels import recordings_to_learn_from, with_derived_labels
+from softslide.pipeline.recordings.folder import SAMPLE, Folder, read_folder
+from softslide.pipeline.recordings.manifest import LABELS
 
 MOMENTS, START = ("motion_start_s", "motion_end_s"), ("start_x_mm", "start_y_mm")
 SLIDES = 8  # of the sample, along both axes and forward and backward

@@ -7,7 +7,7 @@ import pytest
 import torch
 from onnx import TensorProto, helper, numpy_helper
 
-from models.graph.packing import LEAST, pack, rounded, rounded_weights, unpack
+from softslide.models.graph.packing import LEAST, pack, rounded, rounded_weights, unpack
 
 
 def dense(weights: np.ndarray) -> onnx.ModelProto:

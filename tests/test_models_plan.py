@@ -9,9 +9,9 @@ import pytest
 from scipy.optimize import least_squares
 
 import softslide
-from experiments.acquisition.record import read_plan
-from models.design.line_information import GAIN_SD, LINE_SPEED_MM_S, Line, places
-from models.design.plan import (
+from softslide.experiments.acquisition.record import read_plan
+from softslide.models.design.line_information import GAIN_SD, LINE_SPEED_MM_S, Line, places
+from softslide.models.design.plan import (
     Unknowns,
     _line_error,
     _line_errors,
@@ -20,11 +20,11 @@ from models.design.plan import (
     _variances,
     plan_slides,
 )
-from models.response_map.from_atlas import SensorSpread
-from models.response_map.slide_fit import CalibrationConfig
-from pipeline.atlas.atlas import Atlas, read_atlas
-from pipeline.recordings.folder import SAMPLE, read_folder
-from pipeline.sensor import Sensor
+from softslide.models.response_map.from_atlas import SensorSpread
+from softslide.models.response_map.slide_fit import CalibrationConfig
+from softslide.pipeline.atlas.atlas import Atlas, read_atlas
+from softslide.pipeline.recordings.folder import SAMPLE, read_folder
+from softslide.pipeline.sensor import Sensor
 
 CONFIG, SPREAD = CalibrationConfig(), SensorSpread()
 

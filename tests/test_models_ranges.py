@@ -6,9 +6,9 @@ from typing import Any
 
 import pytest
 
-from features.errors import InputError
-from models.registry import MODELS, model_named
-from pipeline.toml_tables import changed
+from softslide.features.errors import InputError
+from softslide.models.registry import MODELS, model_named
+from softslide.pipeline.toml_tables import changed
 
 WRONG = (float("nan"), float("inf"), -1e300, 1e300)
 

@@ -14,19 +14,19 @@ from dome_map import dome_map
 from small_bundle import write_small_bundle
 from touched_skin import SENSOR
 
-from features.card import Card, Validity, write_card
-from features.digest import sha256
-from features.stream.conditioning import Conditioning
-from models.cnn.forward_model import TABLE
-from models.cnn.gauss_newton import Refinement
-from models.cnn.network import NetworkConfig, Proposal, SlideNetwork
-from models.export.bundle import read_graph
-from models.export.gains import COMMON_SD, Press, fit_gains
-from models.graph.from_torch import export_graph
-from models.response_map.card import contact_calibration, response_of
-from pipeline.recordings.folder import Recording, write_folder
-from serve.bundle import open_bundle
 from softslide import main
+from softslide.features.card import Card, Validity, write_card
+from softslide.features.digest import sha256
+from softslide.features.stream.conditioning import Conditioning
+from softslide.models.cnn.forward_model import TABLE
+from softslide.models.cnn.gauss_newton import Refinement
+from softslide.models.cnn.network import NetworkConfig, Proposal, SlideNetwork
+from softslide.models.export.bundle import read_graph
+from softslide.models.export.gains import COMMON_SD, Press, fit_gains
+from softslide.models.graph.from_torch import export_graph
+from softslide.models.response_map.card import contact_calibration, response_of
+from softslide.pipeline.recordings.folder import Recording, write_folder
+from softslide.serve.bundle import open_bundle
 
 TRUE = np.array([1.12, 1.15, 1.18])
 REST, SPEED = 200, 20.0

@@ -7,10 +7,17 @@ import pytest
 import torch
 from bump_map import REFERENCE_MM, bump_map
 
-from features.window import WINDOW_BINS
-from models.cnn.forward_model import BINS
-from models.cnn.gauss_newton import FLOOR_SHARE, PEAK_SHARE, Refinement, RefinementConfig, bin_means, inverted
-from models.cnn.training_windows import SynthesisConfig, WindowBatch, WindowSource
+from softslide.features.window import WINDOW_BINS
+from softslide.models.cnn.forward_model import BINS
+from softslide.models.cnn.gauss_newton import (
+    FLOOR_SHARE,
+    PEAK_SHARE,
+    Refinement,
+    RefinementConfig,
+    bin_means,
+    inverted,
+)
+from softslide.models.cnn.training_windows import SynthesisConfig, WindowBatch, WindowSource
 
 BLOCK_S = 0.02
 WHOLE = SynthesisConfig(complete=1.0, paused=0.0, midway=0.0, depth_mm=0.0)

@@ -10,13 +10,13 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from features.errors import InputError
-from models import registry
-from models.export.bundle import write_bundle
-from models.fitted_model import Given
-from pipeline.recordings.folder import SAMPLE, read_folder
-from pipeline.recordings.windows import labelled_windows
-from serve.predict import predict
+from softslide.features.errors import InputError
+from softslide.models import registry
+from softslide.models.export.bundle import write_bundle
+from softslide.models.fitted_model import Given
+from softslide.pipeline.recordings.folder import SAMPLE, read_folder
+from softslide.pipeline.recordings.windows import labelled_windows
+from softslide.serve.predict import predict
 
 ROOT = Path(__file__).parents[1]
 LINE = re.compile(r'^    "(\w+)": "([\w.]+)",$', re.MULTILINE)

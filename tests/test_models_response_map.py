@@ -9,12 +9,12 @@ from calibration_slides import slides_of
 from hypothesis import given
 from hypothesis import strategies as st
 
-from models.response_map.calibrate import MAP_VARIANCE, RIM_MM, calibrate
-from models.response_map.from_atlas import SensorSpread, prior_map
-from models.response_map.map import spline_basis, spline_coefficients
-from models.response_map.slide_fit import CalibrationConfig
-from pipeline.atlas.atlas import DEFAULT_SENSOR, read_atlas
-from pipeline.sensor import read_sensor
+from softslide.models.response_map.calibrate import MAP_VARIANCE, RIM_MM, calibrate
+from softslide.models.response_map.from_atlas import SensorSpread, prior_map
+from softslide.models.response_map.map import spline_basis, spline_coefficients
+from softslide.models.response_map.slide_fit import CalibrationConfig
+from softslide.pipeline.atlas.atlas import DEFAULT_SENSOR, read_atlas
+from softslide.pipeline.sensor import read_sensor
 
 HALF_MM = 30.0
 

@@ -9,7 +9,7 @@ from small_bundle import write_small_bundle
 from streams import a_sensor, pass_over, still, stream
 
 import softslide
-from serve.localizer import Localizer
+from softslide.serve.localizer import Localizer
 
 VOLTS = stream(still(0.6), pass_over(1.2), still(0.4))
 

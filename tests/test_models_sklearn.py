@@ -11,10 +11,10 @@ from sklearn.preprocessing import StandardScaler
 from sklearn.utils.estimator_checks import parametrize_with_checks
 from slide_windows import labelled_slides
 
-from features.vector.feature_vector import feature_names
-from models.classical import sklearn_api
-from models.classical.interpolation import DIRECTIONS_DEG
-from models.classical.sklearn_api import AxisInterpolation, WindowFeatures, flat_windows, split_rows
+from softslide.features.vector.feature_vector import feature_names
+from softslide.models.classical import sklearn_api
+from softslide.models.classical.interpolation import DIRECTIONS_DEG
+from softslide.models.classical.sklearn_api import AxisInterpolation, WindowFeatures, flat_windows, split_rows
 
 # The checks' tables have 1 to 30 columns: `pad` reads them as windows of which most channels are not wired.
 ESTIMATORS = [

@@ -7,20 +7,20 @@ import pytest
 import torch
 from dome_map import CHAMBER_MM, dome_map
 
-from features.card import Validity
-from features.stream.conditioning import Conditioning
-from features.stream.tracker import SlideState, SlideTracker
-from models.cnn.cramer_rao import cramer_rao
-from models.cnn.forward_model import BINS
-from models.cnn.gauss_newton import BIN_GAIN, PLACE_MM, Refinement, RefinementConfig
-from models.cnn.inversion import Inversion
-from models.cnn.training_windows import SynthesisConfig, WindowSource
-from models.held_out import signed_errors
-from models.response_map.calibrate import blank_map, calibrate
-from models.response_map.select import _by_cell
-from models.response_map.slide_fit import CalibrationConfig
-from models.response_map.slides import CalibrationSlide
-from pipeline.sensor import Accelerometer, Sensor
+from softslide.features.card import Validity
+from softslide.features.stream.conditioning import Conditioning
+from softslide.features.stream.tracker import SlideState, SlideTracker
+from softslide.models.cnn.cramer_rao import cramer_rao
+from softslide.models.cnn.forward_model import BINS
+from softslide.models.cnn.gauss_newton import BIN_GAIN, PLACE_MM, Refinement, RefinementConfig
+from softslide.models.cnn.inversion import Inversion
+from softslide.models.cnn.training_windows import SynthesisConfig, WindowSource
+from softslide.models.held_out import signed_errors
+from softslide.models.response_map.calibrate import blank_map, calibrate
+from softslide.models.response_map.select import _by_cell
+from softslide.models.response_map.slide_fit import CalibrationConfig
+from softslide.models.response_map.slides import CalibrationSlide
+from softslide.pipeline.sensor import Accelerometer, Sensor
 
 BLOCK_S = 0.02
 SENSOR = Sensor(

@@ -9,13 +9,13 @@ import pytest
 from small_bundle import write_small_bundle
 from streams import a_sensor, pass_over, still, stream
 
-from features.stream.conditioning import Conditioning, block_means
-from models.response_map.slides import calibration_slides
-from pipeline.recordings.at_rest import conditioning_for
-from pipeline.recordings.folder import SAMPLE, Folder, Recording, read_folder, write_folder
-from pipeline.recordings.windows import labelled_windows
-from pipeline.sensor import Sensor, read_sensor, write_sensor
-from serve.localizer import Localizer
+from softslide.features.stream.conditioning import Conditioning, block_means
+from softslide.models.response_map.slides import calibration_slides
+from softslide.pipeline.recordings.at_rest import conditioning_for
+from softslide.pipeline.recordings.folder import SAMPLE, Folder, Recording, read_folder, write_folder
+from softslide.pipeline.recordings.windows import labelled_windows
+from softslide.pipeline.sensor import Sensor, read_sensor, write_sensor
+from softslide.serve.localizer import Localizer
 
 Change = Callable[[Recording], np.ndarray]
 

@@ -7,14 +7,21 @@ import numpy as np
 import pytest
 from front_door import refused
 
-import pipeline.atlas.solve
 import softslide
-from features.errors import InputError
-from pipeline.atlas.atlas import DEFAULT_ATLAS, DEFAULT_SENSOR, Atlas, check_atlas, read_atlas, write_atlas
-from pipeline.atlas.solve import Grid, solve_atlas
-from pipeline.sensor import Accelerometer, MeshSize, design_hash, read_sensor, write_sensor
-from pipeline.skin.lines import Line, join_families
-from pipeline.skin.solved_line import gravity, skin_of, solve_line
+import softslide.pipeline.atlas.solve
+from softslide.features.errors import InputError
+from softslide.pipeline.atlas.atlas import (
+    DEFAULT_ATLAS,
+    DEFAULT_SENSOR,
+    Atlas,
+    check_atlas,
+    read_atlas,
+    write_atlas,
+)
+from softslide.pipeline.atlas.solve import Grid, solve_atlas
+from softslide.pipeline.sensor import Accelerometer, MeshSize, design_hash, read_sensor, write_sensor
+from softslide.pipeline.skin.lines import Line, join_families
+from softslide.pipeline.skin.solved_line import gravity, skin_of, solve_line
 
 NOWHERE = "pigeon://loft"
 QUICK = Grid(depth_mm=(0.5,), line_mm=6.0, steps_per_line=5)
@@ -151,12 +158,12 @@ def test_solve_resumes_from_finished_lines(quick, tmp_path, monkeypatch):
 
 def test_a_failed_position_is_reported_and_left_out(quick, monkeypatch):
     def failing(sensor, line, along, depth, pressure, inflated):
-        values, statistics = (np.zeros((len(along), 10)), pipeline.atlas.solve.Statistics())
+        values, statistics = (np.zeros((len(along), 10)), softslide.pipeline.atlas.solve.Statistics())
         if (line.axis, line.sense, line.offset_mm) == (0, 1, 6.0):
             values[np.searchsorted(along, 12.0) :] = np.nan
         return values, statistics
 
-    monkeypatch.setattr(pipeline.atlas.solve, "solve_line", failing)
+    monkeypatch.setattr(softslide.pipeline.atlas.solve, "solve_line", failing)
     atlas = solve_atlas(quick_sensor(), QUICK)
     level = atlas.pressure_mpa[0]
     for y in (6.0, -6.0):
@@ -196,7 +203,9 @@ def test_simulate_writes_the_same_atlas_however_it_is_run(workers, backend, tmp_
     check_atlas(atlas, read_sensor(sensor))
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a.npz", "sensor.toml"]
     if workers > 1:
-        alone = solve_atlas(read_sensor(sensor), replace(pipeline.atlas.solve.COARSE, depth_mm=(0.5,)))
+        alone = solve_atlas(
+            read_sensor(sensor), replace(softslide.pipeline.atlas.solve.COARSE, depth_mm=(0.5,))
+        )
         assert np.array_equal(atlas.parts, alone.parts)
 
 

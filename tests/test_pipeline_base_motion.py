@@ -9,12 +9,12 @@ import pytest
 from moving_robot import BASE, exact_motion, on_a_robot, wandering
 from streams import RATE_HZ, a_sensor, still, stream
 
-from features.errors import InputError
-from pipeline.atlas.atlas import DEFAULT_SENSOR
-from pipeline.recordings.base_motion import moved_and_left, without_base_motion
-from pipeline.recordings.folder import Folder, Recording, write_folder
-from pipeline.sensor import Sensor, read_sensor, write_sensor
-from pipeline.synthesis.synthesize import synthesize
+from softslide.features.errors import InputError
+from softslide.pipeline.atlas.atlas import DEFAULT_SENSOR
+from softslide.pipeline.recordings.base_motion import moved_and_left, without_base_motion
+from softslide.pipeline.recordings.folder import Folder, Recording, write_folder
+from softslide.pipeline.sensor import Sensor, read_sensor, write_sensor
+from softslide.pipeline.synthesis.synthesize import synthesize
 
 SENSOR = replace(a_sensor(2), base=BASE)
 EXACT = exact_motion(SENSOR)

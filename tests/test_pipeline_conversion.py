@@ -15,13 +15,21 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from lab_files import FORMATS, RATE_HZ, a_sensor, slide, write_lab
 
-from features.errors import InputError
-from pipeline.importers.import_map import Board, Clock, Map, Signal, read_map
-from pipeline.importers.readers.delimited import CsvLayout, read_delimited
-from pipeline.importers.resampling import ClockReport, Uneven, checked, kept, resampled, seconds, whole
-from pipeline.importers.run import import_recordings
-from pipeline.importers.units import POSITIONS, converter, read_calibration
-from pipeline.recordings.folder import read_folder
+from softslide.features.errors import InputError
+from softslide.pipeline.importers.import_map import Board, Clock, Map, Signal, read_map
+from softslide.pipeline.importers.readers.delimited import CsvLayout, read_delimited
+from softslide.pipeline.importers.resampling import (
+    ClockReport,
+    Uneven,
+    checked,
+    kept,
+    resampled,
+    seconds,
+    whole,
+)
+from softslide.pipeline.importers.run import import_recordings
+from softslide.pipeline.importers.units import POSITIONS, converter, read_calibration
+from softslide.pipeline.recordings.folder import read_folder
 
 TURN_90 = np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1]])
 quick = settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -235,8 +243,8 @@ def test_any_map_is_read_or_refused_in_one_line(tmp_path: Path, changes: dict) -
 LARGE = """
 import sys
 from pathlib import Path
-from pipeline.importers.import_map import read_map
-from pipeline.importers.run import import_recordings
+from softslide.pipeline.importers.import_map import read_map
+from softslide.pipeline.importers.run import import_recordings
 
 root = Path(sys.argv[1])
 import_recordings([root / "lab"], read_map(root / "map.toml"), root / "out")

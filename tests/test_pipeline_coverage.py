@@ -7,10 +7,10 @@ import pandas as pd
 import pytest
 
 import softslide
-from pipeline.checks.coverage import headings, not_covered
-from pipeline.recordings.folder import SAMPLE, read_folder
-from pipeline.sensor import Sensor
-from pipeline.synthesis.slide_plan import crossing
+from softslide.pipeline.checks.coverage import headings, not_covered
+from softslide.pipeline.recordings.folder import SAMPLE, read_folder
+from softslide.pipeline.sensor import Sensor
+from softslide.pipeline.synthesis.slide_plan import crossing
 
 
 @pytest.fixture(scope="module")

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.signal import freqz, welch
 
-from pipeline.atlas.atlas import DEFAULT_SENSOR
-from pipeline.sensor import NOISE_G_RTHZ, Accelerometer, read_sensor
-from pipeline.synthesis.electronics import (
+from softslide.pipeline.atlas.atlas import DEFAULT_SENSOR
+from softslide.pipeline.sensor import NOISE_G_RTHZ, Accelerometer, read_sensor
+from softslide.pipeline.synthesis.electronics import (
     BANDWIDTH_HZ,
     SUPPLY_V,
     ElectronicsSpread,

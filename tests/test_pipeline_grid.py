@@ -8,14 +8,14 @@ import pandas as pd
 import pytest
 from front_door import refused
 
-from features.angles import touch_channels
-from features.errors import InputError
-from pipeline.checks.findings import examine
-from pipeline.checks.report import not_checked
-from pipeline.importers.grid.assemble import import_grid
-from pipeline.importers.grid.grid_map import read_grid_map
-from pipeline.recordings.folder import Folder, read_folder
-from pipeline.sensor import check_design, read_sensor
+from softslide.features.angles import touch_channels
+from softslide.features.errors import InputError
+from softslide.pipeline.checks.findings import examine
+from softslide.pipeline.checks.report import not_checked
+from softslide.pipeline.importers.grid.assemble import import_grid
+from softslide.pipeline.importers.grid.grid_map import read_grid_map
+from softslide.pipeline.recordings.folder import Folder, read_folder
+from softslide.pipeline.sensor import check_design, read_sensor
 
 SIDE, PASSES = 13, 3
 SENSOR = """

@@ -10,8 +10,8 @@ import pandas as pd
 import pytest
 
 import softslide
-from pipeline.checks.findings import Finding, examine
-from pipeline.recordings.folder import SAMPLE, Folder, Recording, read_folder, write_folder
+from softslide.pipeline.checks.findings import Finding, examine
+from softslide.pipeline.recordings.folder import SAMPLE, Folder, Recording, read_folder, write_folder
 
 BENCH = Path(__file__).parents[1].parent / "shared" / "recordings"
 Change = Callable[[Recording, pd.Series], None]

@@ -13,13 +13,13 @@ from front_door import refused as refused_command
 from lab_files import FORMATS, Format, a_sensor, slide, write_lab, write_two_topics
 
 import softslide
-from pipeline.checks.findings import examine
-from pipeline.importers import run
-from pipeline.importers.import_map import read_map, template
-from pipeline.importers.readers.registry import READERS
-from pipeline.importers.run import import_recordings
-from pipeline.recordings.folder import SAMPLE, read_folder
-from pipeline.sensor import Accelerometer, write_sensor
+from softslide.pipeline.checks.findings import examine
+from softslide.pipeline.importers import run
+from softslide.pipeline.importers.import_map import read_map, template
+from softslide.pipeline.importers.readers.registry import READERS
+from softslide.pipeline.importers.run import import_recordings
+from softslide.pipeline.recordings.folder import SAMPLE, read_folder
+from softslide.pipeline.sensor import Accelerometer, write_sensor
 
 HAPMAT = Path(__file__).parents[1].parent / "shared" / "recordings" / "hapmat"
 

@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from features.errors import InputError
-from pipeline.atlas.line_store import LineStore
-from pipeline.skin.lines import Line
+from softslide.features.errors import InputError
+from softslide.pipeline.atlas.line_store import LineStore
+from softslide.pipeline.skin.lines import Line
 
 TASKS = [(0, depth, Line(0, 1, 1.0)) for depth in range(3)]
 

@@ -12,16 +12,16 @@ import numpy as np
 import pytest
 from readers import CHANNELS, manifest, recording, slide
 
-from experiments.configuration import configured
-from features.errors import InputError
-from models.registry import model_named
-from pipeline.atlas import atlas as atlases
-from pipeline.atlas.atlas import read_atlas, write_atlas
-from pipeline.importers.import_map import read_map
-from pipeline.recordings.folder import SAMPLE, read_folder
-from pipeline.recordings.slide_file import write_slide
-from pipeline.recordings.truth import read_truth
-from pipeline.sensor import read_sensor
+from softslide.experiments.configuration import configured
+from softslide.features.errors import InputError
+from softslide.models.registry import model_named
+from softslide.pipeline.atlas import atlas as atlases
+from softslide.pipeline.atlas.atlas import read_atlas, write_atlas
+from softslide.pipeline.importers.import_map import read_map
+from softslide.pipeline.recordings.folder import SAMPLE, read_folder
+from softslide.pipeline.recordings.slide_file import write_slide
+from softslide.pipeline.recordings.truth import read_truth
+from softslide.pipeline.sensor import read_sensor
 
 WORDS = "nan inf -1 0 1e308 -1e308 1e999 1_0 0x7fffffff true [[x]] = # ] \" ' ; ,"
 HOSTILE = [

@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.recordings.folder import SAMPLE
-from pipeline.sensor import read_sensor
-from pipeline.synthesis.no_contact import LARGEST_G, REST_S, SIGNALS, untouched
+from softslide.pipeline.recordings.folder import SAMPLE
+from softslide.pipeline.sensor import read_sensor
+from softslide.pipeline.synthesis.no_contact import LARGEST_G, REST_S, SIGNALS, untouched
 
 SENSOR = read_sensor(Path(SAMPLE) / "sensor.toml")
 STATIC_G = np.array([[0.12, -0.05, 0.99]])

@@ -11,23 +11,23 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import softslide
-from features.errors import InputError
-from pipeline.atlas.atlas import read_atlas
-from pipeline.recordings.folder import read_folder
-from pipeline.recordings.truth import COLUMNS, read_truth
-from pipeline.skin.solved_line import channels, skin_of
-from pipeline.synthesis.distribution import Distribution
-from pipeline.synthesis.motion import Stroke
-from pipeline.synthesis.paths.contact_path import ContactPath, Timing
-from pipeline.synthesis.paths.course import STEP_MM, Course
-from pipeline.synthesis.paths.distribution import PathDistribution
-from pipeline.synthesis.paths.draw import KINDS, draw_path
-from pipeline.synthesis.paths.partial_contact import partial_friction_parts, touch_depth_mm
-from pipeline.synthesis.paths.response import path_response, path_truth
-from pipeline.synthesis.paths.solved import solved_response
-from pipeline.synthesis.slide_plan import Slide
-from pipeline.synthesis.specimen import ideal_specimen
-from pipeline.synthesis.synthesize import record, sensor_of, synthesize
+from softslide.features.errors import InputError
+from softslide.pipeline.atlas.atlas import read_atlas
+from softslide.pipeline.recordings.folder import read_folder
+from softslide.pipeline.recordings.truth import COLUMNS, read_truth
+from softslide.pipeline.skin.solved_line import channels, skin_of
+from softslide.pipeline.synthesis.distribution import Distribution
+from softslide.pipeline.synthesis.motion import Stroke
+from softslide.pipeline.synthesis.paths.contact_path import ContactPath, Timing
+from softslide.pipeline.synthesis.paths.course import STEP_MM, Course
+from softslide.pipeline.synthesis.paths.distribution import PathDistribution
+from softslide.pipeline.synthesis.paths.draw import KINDS, draw_path
+from softslide.pipeline.synthesis.paths.partial_contact import partial_friction_parts, touch_depth_mm
+from softslide.pipeline.synthesis.paths.response import path_response, path_truth
+from softslide.pipeline.synthesis.paths.solved import solved_response
+from softslide.pipeline.synthesis.slide_plan import Slide
+from softslide.pipeline.synthesis.specimen import ideal_specimen
+from softslide.pipeline.synthesis.synthesize import record, sensor_of, synthesize
 
 ATLAS = read_atlas()
 SENSOR = sensor_of(ATLAS)

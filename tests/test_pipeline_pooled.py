@@ -6,10 +6,14 @@ import numpy as np
 import pytest
 from bump_slides import bump_folder, bump_sensor, lines
 
-from features.errors import InputError
-from pipeline.recordings.derived_labels import recordings_to_learn_from, why_not_labelled, with_derived_labels
-from pipeline.recordings.folder import Folder, write_folder
-from pipeline.recordings.pooled import WEIGHT, read_folders
+from softslide.features.errors import InputError
+from softslide.pipeline.recordings.derived_labels import (
+    recordings_to_learn_from,
+    why_not_labelled,
+    with_derived_labels,
+)
+from softslide.pipeline.recordings.folder import Folder, write_folder
+from softslide.pipeline.recordings.pooled import WEIGHT, read_folders
 
 
 def renamed(folder: Folder, root, letter: str, sensor=None, **columns) -> Folder:

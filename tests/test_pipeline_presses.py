@@ -11,11 +11,11 @@ from front_door import refused
 from small_bundle import write_small_bundle
 
 import softslide
-from pipeline.atlas.atlas import DEFAULT_SENSOR, Atlas, read_atlas, write_atlas
-from pipeline.atlas.presses import MOST_MISFIT, press_in, settled_reading
-from pipeline.recordings.folder import Folder, Recording, write_folder
-from pipeline.sensor import Sensor, design_hash, design_of, read_sensor
-from pipeline.skin.lines import MIRROR_BOARD, PER_BOARD
+from softslide.pipeline.atlas.atlas import DEFAULT_SENSOR, Atlas, read_atlas, write_atlas
+from softslide.pipeline.atlas.presses import MOST_MISFIT, press_in, settled_reading
+from softslide.pipeline.recordings.folder import Folder, Recording, write_folder
+from softslide.pipeline.sensor import Sensor, design_hash, design_of, read_sensor
+from softslide.pipeline.skin.lines import MIRROR_BOARD, PER_BOARD
 
 HEIGHT_MM = 7.1
 RATE_HZ = 500.0

@@ -4,7 +4,7 @@ import time
 
 import pytest
 
-from pipeline import progress
+from softslide.pipeline import progress
 
 
 def test_long_work_writes_a_line_now_and_then(monkeypatch: pytest.MonkeyPatch, capsys) -> None:

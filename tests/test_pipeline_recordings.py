@@ -12,12 +12,12 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 import softslide
-from features.clock import check_clock
-from features.errors import InputError
-from pipeline.recordings.folder import SAMPLE, Recording, read_folder, write_folder
-from pipeline.recordings.manifest import LABELS
-from pipeline.recordings.slide_file import read_slide, write_slide
-from pipeline.sensor import Accelerometer, Sensor
+from softslide.features.clock import check_clock
+from softslide.features.errors import InputError
+from softslide.pipeline.recordings.folder import SAMPLE, Recording, read_folder, write_folder
+from softslide.pipeline.recordings.manifest import LABELS
+from softslide.pipeline.recordings.slide_file import read_slide, write_slide
+from softslide.pipeline.sensor import Accelerometer, Sensor
 
 RATE_HZ = 100.0
 

@@ -5,11 +5,11 @@ from pathlib import Path
 import pytest
 from front_door import refused
 
-from features.errors import InputError
-from pipeline.atlas.atlas import DEFAULT_SENSOR
-from pipeline.atlas.solve import Grid, coarse, solve_atlas
-from pipeline.sensor import check_design, design_hash, read_sensor
-from pipeline.skin.mesh import skin_mesh
+from softslide.features.errors import InputError
+from softslide.pipeline.atlas.atlas import DEFAULT_SENSOR
+from softslide.pipeline.atlas.solve import Grid, coarse, solve_atlas
+from softslide.pipeline.sensor import check_design, design_hash, read_sensor
+from softslide.pipeline.skin.mesh import skin_mesh
 
 PLAIN = """name = "s"
 sample_rate_hz = 1000.0

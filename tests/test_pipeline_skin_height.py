@@ -7,10 +7,10 @@ import pandas as pd
 import pytest
 
 import softslide
-from pipeline.atlas.atlas import DEFAULT_SENSOR, read_atlas
-from pipeline.atlas.skin_height import says_of_heights, skin_heights
-from pipeline.recordings.folder import SAMPLE, Folder, Recording, read_folder, write_folder
-from pipeline.sensor import read_sensor
+from softslide.pipeline.atlas.atlas import DEFAULT_SENSOR, read_atlas
+from softslide.pipeline.atlas.skin_height import says_of_heights, skin_heights
+from softslide.pipeline.recordings.folder import SAMPLE, Folder, Recording, read_folder, write_folder
+from softslide.pipeline.sensor import read_sensor
 
 HEIGHTS_MM, PRESSURES_MPA, FACTOR = (5.5, 7.0, 8.5), (0.03, 0.035, 0.04), 0.8
 

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from features.errors import InputError
-from pipeline.atlas.atlas import DEFAULT_ATLAS, Atlas, read_atlas
-from pipeline.atlas.static_contact import find_indentation, height_by_atlas, height_by_formula
+from softslide.features.errors import InputError
+from softslide.pipeline.atlas.atlas import DEFAULT_ATLAS, Atlas, read_atlas
+from softslide.pipeline.atlas.static_contact import find_indentation, height_by_atlas, height_by_formula
 
 
 @pytest.fixture(scope="module")

@@ -9,15 +9,15 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 from square_skin import square_skin
 
-from pipeline.sensor import Sensor
-from pipeline.skin import material
-from pipeline.skin.anderson import AndersonMixing
-from pipeline.skin.linear import linear_solver
-from pipeline.skin.lines import Line, mirror
-from pipeline.skin.mesh import Mesh, plate, skin_mesh
-from pipeline.skin.solved_line import gravity, solve_line
-from pipeline.skin.solver import NoEquilibrium, Skin
-from pipeline.skin.system import Load, Material
+from softslide.pipeline.sensor import Sensor
+from softslide.pipeline.skin import material
+from softslide.pipeline.skin.anderson import AndersonMixing
+from softslide.pipeline.skin.linear import linear_solver
+from softslide.pipeline.skin.lines import Line, mirror
+from softslide.pipeline.skin.mesh import Mesh, plate, skin_mesh
+from softslide.pipeline.skin.solved_line import gravity, solve_line
+from softslide.pipeline.skin.solver import NoEquilibrium, Skin
+from softslide.pipeline.skin.system import Load, Material
 
 ECOFLEX = Material(0.07 / 3, 2.0, 0.2, 3.0)
 AIR_MPA = 0.001

@@ -8,15 +8,15 @@ import pytest
 import scipy.sparse as sparse
 from square_skin import square_skin
 
-from features.errors import InputError
-from pipeline.atlas.atlas import DEFAULT_ATLAS, DEFAULT_SENSOR, check_atlas, read_atlas, write_atlas
-from pipeline.sensor import Sensor, Skin, design_hash, design_of, read_sensor
-from pipeline.skin.lines import Line, reach_mm
-from pipeline.skin.mesh import plate, skin_mesh
-from pipeline.skin.solved_line import material_of, skin_of, solve_line
-from pipeline.skin.solver import Skin as SolvedSkin
-from pipeline.skin.system import Load, State, System
-from pipeline.synthesis.synthesize import sensor_of, synthesize
+from softslide.features.errors import InputError
+from softslide.pipeline.atlas.atlas import DEFAULT_ATLAS, DEFAULT_SENSOR, check_atlas, read_atlas, write_atlas
+from softslide.pipeline.sensor import Sensor, Skin, design_hash, design_of, read_sensor
+from softslide.pipeline.skin.lines import Line, reach_mm
+from softslide.pipeline.skin.mesh import plate, skin_mesh
+from softslide.pipeline.skin.solved_line import material_of, skin_of, solve_line
+from softslide.pipeline.skin.solver import Skin as SolvedSkin
+from softslide.pipeline.skin.system import Load, State, System
+from softslide.pipeline.synthesis.synthesize import sensor_of, synthesize
 
 AIR_MPA = 0.001
 DESIGN = square_skin()

@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 from square_skin import square_skin
 
-from pipeline.skin.lines import Line
-from pipeline.skin.mesh import skin_mesh
-from pipeline.skin.solved_line import gravity, solve_line
-from pipeline.skin.solver import Skin
-from pipeline.skin.system import Material
+from softslide.pipeline.skin.lines import Line
+from softslide.pipeline.skin.mesh import skin_mesh
+from softslide.pipeline.skin.solved_line import gravity, solve_line
+from softslide.pipeline.skin.solver import Skin
+from softslide.pipeline.skin.system import Material
 
 mujoco = pytest.importorskip("mujoco")
 

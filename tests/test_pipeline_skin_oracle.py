@@ -7,11 +7,11 @@ import pytest
 from scipy.sparse.linalg import spsolve
 from square_skin import square_skin
 
-from experiments.studies.felupe_path import felupe_path
-from pipeline.skin.mesh import skin_mesh
-from pipeline.skin.solved_line import gravity
-from pipeline.skin.solver import Skin
-from pipeline.skin.system import Material
+from softslide.experiments.studies.felupe_path import felupe_path
+from softslide.pipeline.skin.mesh import skin_mesh
+from softslide.pipeline.skin.solved_line import gravity
+from softslide.pipeline.skin.solver import Skin
+from softslide.pipeline.skin.system import Material
 
 pytest.importorskip("felupe")
 SENSITIVITY_V_PER_G = 0.8

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from features.errors import InputError
-from pipeline.staging import alone, check_replaceable, staged, whole
+from softslide.features.errors import InputError
+from softslide.pipeline.staging import alone, check_replaceable, staged, whole
 
 HERE = Path(__file__).parents[1]
 PATIENCE_S = 120
@@ -18,7 +18,7 @@ PATIENCE_S = 120
 WRITER = """
 import os, signal, sys
 from pathlib import Path
-from pipeline.staging import alone, check_replaceable, staged, whole
+from softslide.pipeline.staging import alone, check_replaceable, staged, whole
 out, text, times, number = Path(sys.argv[1]), sys.argv[2], int(sys.argv[3]), int(sys.argv[4])
 changes = 0
 def count(event, arguments):

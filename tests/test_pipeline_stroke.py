@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pipeline.recordings.stroke import stage_motion
+from softslide.pipeline.recordings.stroke import stage_motion
 
 TRAVEL_MM = 30.0
 

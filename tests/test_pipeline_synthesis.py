@@ -13,22 +13,29 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 import softslide
-from features.errors import InputError
-from pipeline.atlas.atlas import DEFAULT_SENSOR, Atlas, read_atlas, write_atlas
-from pipeline.checks.findings import examine
-from pipeline.checks.zone_signs import sign_agreement
-from pipeline.recordings.folder import Folder, read_folder
-from pipeline.sensor import Accelerometer, design_hash, design_of
-from pipeline.skin.solved_line import gravity
-from pipeline.synthesis.board_gravity import in_tilted_sensor, upright
-from pipeline.synthesis.distribution import SCALE_MM, SPLITS, Distribution
-from pipeline.synthesis.motion import Stroke
-from pipeline.synthesis.protocol import article_slides
-from pipeline.synthesis.slide_plan import Slide, crossing
-from pipeline.synthesis.specimen import Specimen, ideal_specimen
-from pipeline.synthesis.synthesize import noise_of, plan, record, sensor_of, synthesize, synthetic_slides
-from pipeline.synthesis.upsampling import upsampled
-from pipeline.synthesis.viscoelastic_lag import standard_solid
+from softslide.features.errors import InputError
+from softslide.pipeline.atlas.atlas import DEFAULT_SENSOR, Atlas, read_atlas, write_atlas
+from softslide.pipeline.checks.findings import examine
+from softslide.pipeline.checks.zone_signs import sign_agreement
+from softslide.pipeline.recordings.folder import Folder, read_folder
+from softslide.pipeline.sensor import Accelerometer, design_hash, design_of
+from softslide.pipeline.skin.solved_line import gravity
+from softslide.pipeline.synthesis.board_gravity import in_tilted_sensor, upright
+from softslide.pipeline.synthesis.distribution import SCALE_MM, SPLITS, Distribution
+from softslide.pipeline.synthesis.motion import Stroke
+from softslide.pipeline.synthesis.protocol import article_slides
+from softslide.pipeline.synthesis.slide_plan import Slide, crossing
+from softslide.pipeline.synthesis.specimen import Specimen, ideal_specimen
+from softslide.pipeline.synthesis.synthesize import (
+    noise_of,
+    plan,
+    record,
+    sensor_of,
+    synthesize,
+    synthetic_slides,
+)
+from softslide.pipeline.synthesis.upsampling import upsampled
+from softslide.pipeline.synthesis.viscoelastic_lag import standard_solid
 
 ATLAS = read_atlas()
 SENSOR = sensor_of(ATLAS)

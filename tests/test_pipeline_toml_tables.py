@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from features.errors import InputError
-from pipeline.toml_tables import DEEPEST, MOST_BYTES, changed, from_table, read_toml
+from softslide.features.errors import InputError
+from softslide.pipeline.toml_tables import DEEPEST, MOST_BYTES, changed, from_table, read_toml
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ HERE = Path(__file__).parents[1]
 PATIENCE_S = 300
 WORKING = """
 from operator import add
-from pipeline.workers import results
+from softslide.pipeline.workers import results
 for sum in results(add, ((n, 1) for n in iter(int, 1)), 2):
     print(sum, flush=True)
 """

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from streams import RATE_HZ, ZERO_V, pass_over, still, stream
 
-from features.errors import InputError
-from features.estimate import Estimate, Reason
-from serve.localizer import Localizer
-from serve.predict import predict
+from softslide.features.errors import InputError
+from softslide.features.estimate import Estimate, Reason
+from softslide.serve.localizer import Localizer
+from softslide.serve.predict import predict
 
 SLIDE = stream(still(1.0), pass_over(3.0), still(0.8))
 

@@ -11,11 +11,11 @@ from small_bundle import write_small_bundle
 from streams import RATE_HZ, a_sensor, pass_over, still, stream
 
 import softslide
-from features.card import read_card, write_card
-from features.errors import InputError
-from features.estimate import Reason
-from features.stream.tracker import SlideState
-from serve.localizer import Localizer
+from softslide.features.card import read_card, write_card
+from softslide.features.errors import InputError
+from softslide.features.estimate import Reason
+from softslide.features.stream.tracker import SlideState
+from softslide.serve.localizer import Localizer
 
 SENSOR = replace(a_sensor(), base=BASE)
 TABLE = stream(still(1.0), pass_over(3.0), still(0.8))

@@ -20,9 +20,9 @@ from small_bundle import resigned, write_table
 from streams import pass_over, still, stream
 
 import softslide
-from features.card import card_hash
-from features.errors import InputError
-from serve.localizer import Localizer
+from softslide.features.card import card_hash
+from softslide.features.errors import InputError
+from softslide.serve.localizer import Localizer
 
 VOLTS = stream(still(0.6), pass_over(1.0), still(0.4))
 WRONG = (None, True, -1, 0, 1e300, 10**400, "1", "", [], [1.0, 2.0, 3.0], {}, {"a": 1}, [[]])
@@ -323,7 +323,7 @@ def test_work_without_end_that_no_shape_shows_is_left_behind(mine: Path) -> None
         helper.make_node("Add", ["row", "sum"], ["estimate"]),
     ]
     resigned(mine, hostile(*nodes, side=[20_000], last=[1]).SerializeToString())
-    command, root = [sys.executable, "-c", LOAD, str(mine)], Path(softslide.__file__).parent
+    command, root = [sys.executable, "-c", LOAD, str(mine)], Path(softslide.__file__).parents[1]
     done = subprocess.run(command, cwd=root, capture_output=True, text=True, timeout=60)
     assert done.returncode == 2, done.stderr
     assert "not loaded and run once in 1 s" in done.stdout
@@ -332,11 +332,11 @@ def test_work_without_end_that_no_shape_shows_is_left_behind(mine: Path) -> None
 LOAD = """
 import sys
 from pathlib import Path
-import serve.bundle
-from features.errors import InputError
-serve.bundle.LOADING_S = 1.0
+from softslide.features.errors import InputError
+from softslide.serve import bundle
+bundle.LOADING_S = 1.0
 try:
-    serve.bundle.open_bundle(Path(sys.argv[1]))
+    bundle.open_bundle(Path(sys.argv[1]))
 except InputError as error:
     print(error)
     sys.exit(2)

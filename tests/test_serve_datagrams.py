@@ -8,8 +8,8 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from serve.stream import datagrams
-from serve.stream.datagrams import Datagrams
+from softslide.serve.stream import datagrams
+from softslide.serve.stream.datagrams import Datagrams
 
 
 @pytest.fixture

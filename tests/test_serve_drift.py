@@ -4,12 +4,12 @@ from pathlib import Path
 
 import pytest
 
-from experiments.studies.sensor_drift import drift
-from models.cnn.fit import CnnConfig, fit_cnn
-from models.cnn.training import TrainingConfig
-from models.export.bundle import write_bundle
-from pipeline.recordings.folder import read_folder
-from pipeline.recordings.windows import labelled_windows
+from softslide.experiments.studies.sensor_drift import drift
+from softslide.models.cnn.fit import CnnConfig, fit_cnn
+from softslide.models.cnn.training import TrainingConfig
+from softslide.models.export.bundle import write_bundle
+from softslide.pipeline.recordings.folder import read_folder
+from softslide.pipeline.recordings.windows import labelled_windows
 
 BENCH = Path(__file__).parents[1].parent / "shared" / "recordings" / "bench-a"
 

@@ -13,10 +13,10 @@ from bump_map import bump_map
 from small_bundle import resigned, write_small_bundle
 from streams import a_sensor
 
-from features.card import read_card, write_card
-from models.cnn.gauss_newton import Refinement
-from models.cnn.network import NetworkConfig, Proposal, SlideNetwork
-from models.graph.from_torch import export_graph
+from softslide.features.card import read_card, write_card
+from softslide.models.cnn.gauss_newton import Refinement
+from softslide.models.cnn.network import NetworkConfig, Proposal, SlideNetwork
+from softslide.models.graph.from_torch import export_graph
 
 PACKAGE = "onnxruntime-node@1.30.0"
 

@@ -19,11 +19,11 @@ from sender import free_port
 from streams import RATE_HZ, pass_over, still, stream
 
 import softslide
-from features.errors import InputError
-from features.track_filter import TrackFilter
-from serve.localizer import Localizer
-from serve.records import record
-from serve.stream.framing import framing_of
+from softslide.features.errors import InputError
+from softslide.features.track_filter import TrackFilter
+from softslide.serve.localizer import Localizer
+from softslide.serve.records import record
+from softslide.serve.stream.framing import framing_of
 
 VOLTS = stream(still(0.6), pass_over(1.0), still(0.4))
 TIME_S = np.arange(len(VOLTS)) / RATE_HZ
@@ -48,7 +48,7 @@ def serve(bundle: Path, *options: str) -> int:
 
 def started(bundle: Path, source: str, *more: str) -> subprocess.Popen:
     """In a process of its own."""
-    command = [sys.executable, softslide.__file__, "serve", "--model", str(bundle), "--source", source, *more]
+    command = [sys.executable, "-m", "softslide", "serve", "--model", str(bundle), "--source", source, *more]
     return subprocess.Popen(command, stdin=PIPE, stdout=PIPE, stderr=PIPE)
 
 

@@ -12,11 +12,11 @@ from hypothesis import strategies as st
 from small_bundle import write_small_bundle
 from streams import GRAVITY_V, RATE_HZ, ZERO_V, a_sensor, pass_over, still, stream
 
-from features.card import Validity
-from features.errors import InputError
-from features.estimate import Estimate
-from features.stream.tracker import SlideState
-from serve.localizer import Localizer
+from softslide.features.card import Validity
+from softslide.features.errors import InputError
+from softslide.features.estimate import Estimate
+from softslide.features.stream.tracker import SlideState
+from softslide.serve.localizer import Localizer
 
 TWO_SLIDES = stream(still(0.6), pass_over(1.2), still(0.8), pass_over(0.7), still(0.5))
 ONE_SLIDE = stream(still(0.6), pass_over(1.2), still(0.6))

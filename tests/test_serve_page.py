@@ -26,9 +26,9 @@ from websockets.exceptions import ConnectionClosedOK
 from websockets.sync.client import ClientConnection, connect
 
 import softslide
-from models.response_map.card import contact_calibration
-from pipeline.sensor import Accelerometer
-from serve.localizer import Localizer
+from softslide.models.response_map.card import contact_calibration
+from softslide.pipeline.sensor import Accelerometer
+from softslide.serve.localizer import Localizer
 
 CHROMIUM = shutil.which("chromium")
 FLAGS = (
@@ -49,7 +49,7 @@ class Serving:
     def __init__(self, bundle: Path, place: str = "0", source: str = "-", unread: bool = False) -> None:
         command = ["serve", "--model", str(bundle), "--source", source, "--format", "f32", "--page", place]
         pipe, out = subprocess.PIPE, subprocess.DEVNULL if unread else subprocess.PIPE
-        words = [sys.executable, softslide.__file__, *command]
+        words = [sys.executable, "-m", "softslide", *command]
         self.process = subprocess.Popen(words, stdin=pipe, stdout=out, stderr=pipe)
         assert self.process.stderr is not None
         said = b""

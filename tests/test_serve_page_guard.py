@@ -12,9 +12,9 @@ from test_serve_page import Serving, serving, upgrade
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
-from features.errors import InputError
-from serve.page.process import _listener
-from serve.page.server import MOST_BODIES, REQUEST_S
+from softslide.features.errors import InputError
+from softslide.serve.page.process import _listener
+from softslide.serve.page.server import MOST_BODIES, REQUEST_S
 
 
 @pytest.fixture(scope="module")

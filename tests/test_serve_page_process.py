@@ -14,12 +14,12 @@ import pytest
 from playwright.sync_api import Browser, Page, expect
 from test_serve_page import REST, SLIDE, Serving, browser, cell, opened, serving, upgrade  # noqa: F401
 
-from features.contact.places import Place
-from features.estimate import Contact, Estimate, Reason
-from features.stream.tracker import SlideState
-from serve.localizer import Localizer
-from serve.page.process import Page as Served
-from serve.predict import predict
+from softslide.features.contact.places import Place
+from softslide.features.estimate import Contact, Estimate, Reason
+from softslide.features.stream.tracker import SlideState
+from softslide.serve.localizer import Localizer
+from softslide.serve.page.process import Page as Served
+from softslide.serve.predict import predict
 
 
 def page_of(running: Serving) -> int:

@@ -8,9 +8,9 @@ from small_bundle import write_small_bundle
 from streams import RATE_HZ, ZERO_V, a_sensor
 from tracked_map import INFLATION, TWO_BOARDS, noisy_map, pressed
 
-from features.estimate import Contact, Reason
-from models.response_map.card import contact_calibration
-from serve.localizer import Localizer
+from softslide.features.estimate import Contact, Reason
+from softslide.models.response_map.card import contact_calibration
+from softslide.serve.localizer import Localizer
 
 PLACE_MM = (12.0, 9.0)
 

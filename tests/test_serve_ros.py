@@ -9,12 +9,12 @@ from lab_files import IMU, _vectors
 from rosbags.typesys import Stores, get_typestore
 from streams import pass_over, still, stream
 
-from features.errors import InputError
-from features.estimate import Estimate
-from features.stream.tracker import SlideState
-from features.units import STANDARD_GRAVITY
-from serve.localizer import Localizer
-from serve.stream.ros import UNKNOWN, imu_reader, with_velocity
+from softslide.features.errors import InputError
+from softslide.features.estimate import Estimate
+from softslide.features.stream.tracker import SlideState
+from softslide.features.units import STANDARD_GRAVITY
+from softslide.serve.localizer import Localizer
+from softslide.serve.stream.ros import UNKNOWN, imu_reader, with_velocity
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)
 TWIST = "geometry_msgs/msg/TwistWithCovarianceStamped"

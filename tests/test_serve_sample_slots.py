@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from serve.sample_slots import SampleClock
+from softslide.serve.sample_slots import SampleClock
 
 RATE_HZ = 1000.0
 # Samples by which a slot may be late (a lost sample is only sure then) and early (jitter of what comes in time).

@@ -13,8 +13,7 @@ import numpy as np
 import pytest
 from streams import RATE_HZ, pass_over, still, stream
 
-import softslide
-from serve.stream.age import MEMORY_S, SampleAge
+from softslide.serve.stream.age import MEMORY_S, SampleAge
 
 VOLTS = stream(still(0.6), pass_over(1.0), still(0.4))
 LINES = [f"{n / RATE_HZ:.4f},{x!r},{y!r},{z!r}\n" for n, (x, y, z) in enumerate(VOLTS.tolist())]
@@ -23,7 +22,7 @@ HALF = round(1.1 * RATE_HZ)  # in mid-slide
 
 @pytest.fixture(scope="module")
 def serving(bundle: Path) -> list[str]:
-    return [sys.executable, softslide.__file__, "serve", "--model", str(bundle), "--source", "-"]
+    return [sys.executable, "-m", "softslide", "serve", "--model", str(bundle), "--source", "-"]
 
 
 def start(serving: list[str]) -> subprocess.Popen:

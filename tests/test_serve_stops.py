@@ -10,16 +10,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from features.angles import wrapped_deg
-from features.estimate import Contact, Estimate
-from features.stream.tracker import SlideState
-from pipeline.atlas.atlas import read_atlas
-from pipeline.recordings.folder import Recording
-from pipeline.synthesis.distribution import Distribution
-from pipeline.synthesis.slide_plan import Slide
-from pipeline.synthesis.specimen import Specimen, draw_specimen
-from pipeline.synthesis.synthesize import noise_of, plan, record, sensor_of
-from serve.localizer import Localizer
+from softslide.features.angles import wrapped_deg
+from softslide.features.estimate import Contact, Estimate
+from softslide.features.stream.tracker import SlideState
+from softslide.pipeline.atlas.atlas import read_atlas
+from softslide.pipeline.recordings.folder import Recording
+from softslide.pipeline.synthesis.distribution import Distribution
+from softslide.pipeline.synthesis.slide_plan import Slide
+from softslide.pipeline.synthesis.specimen import Specimen, draw_specimen
+from softslide.pipeline.synthesis.synthesize import noise_of, plan, record, sensor_of
+from softslide.serve.localizer import Localizer
 
 SEED = 301
 # On less than half of the way not every slide is known yet.

@@ -12,23 +12,23 @@ from dome_map import dome_map
 from touched_bundle import at_rest, circle, on_the_circle, outputs
 from touched_skin import NOISE, RATE_HZ, SENSOR, UNIT, recorded, write_skin
 
-from features.angles import wrapped_deg
-from features.card import Interval, Validity, read_card
-from features.stream.conditioning import Conditioning
-from features.stream.tracker import SlideState
-from models.cnn.gauss_newton import Refinement, RefinementConfig
-from models.cnn.network import NetworkConfig, SlideNetwork
-from models.cnn.training import TrainingConfig, train_proposal
-from models.cnn.training_windows import SynthesisConfig, WindowSource
-from models.export.bundle import PARITY, believed, graph_inputs, read_graph, write_bundle
-from models.export.formats import export
-from models.fitted_model import FittedModel
-from models.graph.from_torch import export_graph
-from models.response_map.card import contact_calibration
-from pipeline.recordings.at_rest import conditioning_for
-from pipeline.recordings.folder import Folder
-from pipeline.recordings.windows import LabelledWindows, labelled_windows
-from serve.localizer import Localizer
+from softslide.features.angles import wrapped_deg
+from softslide.features.card import Interval, Validity, read_card
+from softslide.features.stream.conditioning import Conditioning
+from softslide.features.stream.tracker import SlideState
+from softslide.models.cnn.gauss_newton import Refinement, RefinementConfig
+from softslide.models.cnn.network import NetworkConfig, SlideNetwork
+from softslide.models.cnn.training import TrainingConfig, train_proposal
+from softslide.models.cnn.training_windows import SynthesisConfig, WindowSource
+from softslide.models.export.bundle import PARITY, believed, graph_inputs, read_graph, write_bundle
+from softslide.models.export.formats import export
+from softslide.models.fitted_model import FittedModel
+from softslide.models.graph.from_torch import export_graph
+from softslide.models.response_map.card import contact_calibration
+from softslide.pipeline.recordings.at_rest import conditioning_for
+from softslide.pipeline.recordings.folder import Folder
+from softslide.pipeline.recordings.windows import LabelledWindows, labelled_windows
+from softslide.serve.localizer import Localizer
 
 pytestmark = pytest.mark.long
 STEPS = 10  # of Gauss-Newton

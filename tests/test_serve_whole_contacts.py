@@ -10,12 +10,12 @@ from touched_bundle import SPEED_MM_S, at_rest, circle, on_the_circle, outputs, 
 from touched_skin import RATE_HZ, SENSOR
 
 import softslide
-from features.angles import wrapped_deg
-from features.errors import InputError
-from features.stream.tracker import SlideState
-from serve.localizer import Localizer
-from serve.records import record
-from serve.whole_contacts import whole_contacts
+from softslide.features.angles import wrapped_deg
+from softslide.features.errors import InputError
+from softslide.features.stream.tracker import SlideState
+from softslide.serve.localizer import Localizer
+from softslide.serve.records import record
+from softslide.serve.whole_contacts import whole_contacts
 
 
 @pytest.fixture(scope="module")

@@ -11,14 +11,14 @@ from typing import Any
 
 import numpy as np
 
-from features.angles import tilt_channels
-from features.clock import RATE_TOLERANCE, check_clock
-from features.errors import InputError
-from pipeline.checks.rail_run import MOST_AT_RAIL, rail_run
-from pipeline.recordings.folder import Recording
-from pipeline.sensor import Sensor
-from serve.stream.framing import Chunk
-from serve.stream.sources import Source
+from softslide.features.angles import tilt_channels
+from softslide.features.clock import RATE_TOLERANCE, check_clock
+from softslide.features.errors import InputError
+from softslide.pipeline.checks.rail_run import MOST_AT_RAIL, rail_run
+from softslide.pipeline.recordings.folder import Recording
+from softslide.pipeline.sensor import Sensor
+from softslide.serve.stream.framing import Chunk
+from softslide.serve.stream.sources import Source
 
 AGAIN_S = 0.5  # between two attempts to open a source that is gone
 POLL_S = 0.05

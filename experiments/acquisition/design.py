@@ -10,10 +10,10 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 
-from experiments.pages.figures import COLOURS, Panel, chart, on_cells, rectangle
-from experiments.pages.page import panels_page
-from features.errors import InputError
-from models.design.board_places import (
+from softslide.experiments.pages.figures import COLOURS, Panel, chart, on_cells, rectangle
+from softslide.experiments.pages.page import panels_page
+from softslide.features.errors import InputError
+from softslide.models.design.board_places import (
     Arrangement,
     arrangement,
     best_places,
@@ -21,11 +21,11 @@ from models.design.board_places import (
     lines_over,
     nearest_places,
 )
-from models.design.line_information import Line
-from pipeline.atlas.bare_skin import solve_tilts
-from pipeline.progress import progress_bar
-from pipeline.sensor import Accelerometer, Sensor, read_sensor, write_sensor
-from pipeline.staging import staged
+from softslide.models.design.line_information import Line
+from softslide.pipeline.atlas.bare_skin import solve_tilts
+from softslide.pipeline.progress import progress_bar
+from softslide.pipeline.sensor import Accelerometer, Sensor, read_sensor, write_sensor
+from softslide.pipeline.staging import staged
 
 HEIGHT_MM = 7.0  # of the default sensor's three the middle one
 CELL_MM = 5.0

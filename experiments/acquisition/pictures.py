@@ -10,11 +10,11 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from experiments.evaluation.figures import slide_lines
-from experiments.pages.figures import COLOURS, EDGE, STYLE, draw_sensor
-from pipeline.recordings.folder import Folder
-from pipeline.recordings.learned import CALIBRATION
-from pipeline.sensor import Sensor
+from softslide.experiments.evaluation.figures import slide_lines
+from softslide.experiments.pages.figures import COLOURS, EDGE, STYLE, draw_sensor
+from softslide.pipeline.recordings.folder import Folder
+from softslide.pipeline.recordings.learned import CALIBRATION
+from softslide.pipeline.sensor import Sensor
 
 NUMBER_MM = 1.5  # from a line's start back to its number
 MM = {"xlabel": "x, mm", "ylabel": "y, mm"}

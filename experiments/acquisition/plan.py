@@ -7,18 +7,18 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from experiments.acquisition.record import NEEDED
-from features.errors import InputError
-from models.design.plan import Plan, plan_slides
-from models.response_map.from_atlas import SensorSpread
-from models.response_map.slide_fit import CalibrationConfig
-from pipeline.atlas.library import atlas_of
-from pipeline.progress import progress_bar
-from pipeline.recordings.at_rest import REFERENCE_V_PER_G
-from pipeline.recordings.manifest import check_manifest, read_table
-from pipeline.sensor import Sensor, check_design, read_sensor
-from pipeline.staging import writing
-from pipeline.synthesis.slide_plan import crossing
+from softslide.experiments.acquisition.record import NEEDED
+from softslide.features.errors import InputError
+from softslide.models.design.plan import Plan, plan_slides
+from softslide.models.response_map.from_atlas import SensorSpread
+from softslide.models.response_map.slide_fit import CalibrationConfig
+from softslide.pipeline.atlas.library import atlas_of
+from softslide.pipeline.progress import progress_bar
+from softslide.pipeline.recordings.at_rest import REFERENCE_V_PER_G
+from softslide.pipeline.recordings.manifest import check_manifest, read_table
+from softslide.pipeline.sensor import Sensor, check_design, read_sensor
+from softslide.pipeline.staging import writing
+from softslide.pipeline.synthesis.slide_plan import crossing
 
 OFFSET_STEP_MM = 2.5  # between candidate lines of one direction, the map's own resolution
 LEAST_CHORD_MM = 20.0  # over the chamber

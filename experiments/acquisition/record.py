@@ -15,14 +15,14 @@ from pathlib import Path
 
 import pandas as pd
 
-from experiments.acquisition.capture import POLL_S, Level, Listener, Lost, Phases, capture, remarks
-from features.errors import CheckFailed, InputError
-from pipeline.recordings.base_motion import BASE_SPLIT
-from pipeline.recordings.folder import Folder, Recording
-from pipeline.recordings.growing_folder import add_recording, open_growing
-from pipeline.recordings.manifest import LABELS, check_manifest, read_table
-from pipeline.sensor import Sensor, read_sensor
-from serve.stream.sources import open_live
+from softslide.experiments.acquisition.capture import POLL_S, Level, Listener, Lost, Phases, capture, remarks
+from softslide.features.errors import CheckFailed, InputError
+from softslide.pipeline.recordings.base_motion import BASE_SPLIT
+from softslide.pipeline.recordings.folder import Folder, Recording
+from softslide.pipeline.recordings.growing_folder import add_recording, open_growing
+from softslide.pipeline.recordings.manifest import LABELS, check_manifest, read_table
+from softslide.pipeline.sensor import Sensor, read_sensor
+from softslide.serve.stream.sources import open_live
 
 # What a stage is set to, and how long the motion takes.
 NEEDED = ("direction_deg", "speed_mm_s", "start_x_mm", "start_y_mm", "travel_mm")

@@ -6,14 +6,14 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 
-from experiments.article.axis_slides import KINDS, AxisSlides
-from experiments.article.method import LEAST_SPEED_MM_S, Method
-from experiments.article.scoring import Scored, at_end
-from experiments.article.section import Section
-from experiments.article.slide_figures import SINCE_EDGE, delays_mm, nearest
-from experiments.pages.figures import COLOURS, EDGE, INK, Panel, chart, on_skin, rectangle
-from pipeline.recordings.learned import CALIBRATION
-from pipeline.sensor import Sensor
+from softslide.experiments.article.axis_slides import KINDS, AxisSlides
+from softslide.experiments.article.method import LEAST_SPEED_MM_S, Method
+from softslide.experiments.article.scoring import Scored, at_end
+from softslide.experiments.article.section import Section
+from softslide.experiments.article.slide_figures import SINCE_EDGE, delays_mm, nearest
+from softslide.experiments.pages.figures import COLOURS, EDGE, INK, Panel, chart, on_skin, rectangle
+from softslide.pipeline.recordings.learned import CALIBRATION
+from softslide.pipeline.sensor import Sensor
 
 # The one fit that the article still shows, of X-sliding: v in mm/s of t_max in s, coefficients in rising powers.
 PUBLISHED_CHI = (7.4336, -0.4331, 0.008)

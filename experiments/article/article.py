@@ -5,21 +5,21 @@ from pathlib import Path
 
 import pandas as pd
 
-from experiments.article import answer_figures, skin_figures, slide_figures
-from experiments.article.axis_slides import AxisSlides, read_axis_slides
-from experiments.article.claims import claims_table
-from experiments.article.method import BEST, PUBLISHED, VARIANTS
-from experiments.article.scoring import Scored, score_variant
-from experiments.article.section import Section
-from experiments.article.slide_figures import whole_slides
-from experiments.derived_labels import derived
-from experiments.evaluation.bounds import INFLATED_MM, read_bounds
-from experiments.pages.page import render
-from pipeline.atlas.library import atlas_of
-from pipeline.recordings.folder import read_folder
-from pipeline.recordings.learned import CALIBRATION
-from pipeline.sensor import Sensor
-from pipeline.staging import staged
+from softslide.experiments.article import answer_figures, skin_figures, slide_figures
+from softslide.experiments.article.axis_slides import AxisSlides, read_axis_slides
+from softslide.experiments.article.claims import claims_table
+from softslide.experiments.article.method import BEST, PUBLISHED, VARIANTS
+from softslide.experiments.article.scoring import Scored, score_variant
+from softslide.experiments.article.section import Section
+from softslide.experiments.article.slide_figures import whole_slides
+from softslide.experiments.derived_labels import derived
+from softslide.experiments.evaluation.bounds import INFLATED_MM, read_bounds
+from softslide.experiments.pages.page import render
+from softslide.pipeline.atlas.library import atlas_of
+from softslide.pipeline.recordings.folder import read_folder
+from softslide.pipeline.recordings.learned import CALIBRATION
+from softslide.pipeline.sensor import Sensor
+from softslide.pipeline.staging import staged
 
 TEMPLATE = Path(__file__).parent / "article.html.j2"
 # Errors in the table of variants: column of the scores, and name.

@@ -9,15 +9,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pandas as pd
 
-from features.angles import wrapped_deg
-from features.errors import InputError
-from features.stream.conditioning import Conditioning
-from features.vector.feature_vector import feature_matrix
-from models.classical.interpolation import DIRECTIONS_DEG
-from pipeline.recordings.at_rest import conditioning_for
-from pipeline.recordings.folder import Folder
-from pipeline.recordings.learned import SAME_DEPTH_MM, learned_depths_mm
-from pipeline.recordings.windows import labelled_windows
+from softslide.features.angles import wrapped_deg
+from softslide.features.errors import InputError
+from softslide.features.stream.conditioning import Conditioning
+from softslide.features.vector.feature_vector import feature_matrix
+from softslide.models.classical.interpolation import DIRECTIONS_DEG
+from softslide.pipeline.recordings.at_rest import conditioning_for
+from softslide.pipeline.recordings.folder import Folder
+from softslide.pipeline.recordings.learned import SAME_DEPTH_MM, learned_depths_mm
+from softslide.pipeline.recordings.windows import labelled_windows
 
 KINDS = ("X forward", "Y forward", "X backward", "Y backward")  # as DIRECTIONS_DEG
 # A slide this close to an axis counts as along it, deg.

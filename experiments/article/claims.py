@@ -6,14 +6,14 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from experiments.article.answer_figures import published_minimum
-from experiments.article.axis_slides import AxisSlides
-from experiments.article.scoring import Scored
-from experiments.article.skin_figures import HEIGHT_LIMIT_PERCENT
-from experiments.article.slide_figures import delays_mm, extreme_place, sign_share, speed_effect
-from experiments.evaluation.bounds import Bound, Verdict
-from experiments.evaluation.scoring import QUANTITIES
-from experiments.pages.page import number
+from softslide.experiments.article.answer_figures import published_minimum
+from softslide.experiments.article.axis_slides import AxisSlides
+from softslide.experiments.article.scoring import Scored
+from softslide.experiments.article.skin_figures import HEIGHT_LIMIT_PERCENT
+from softslide.experiments.article.slide_figures import delays_mm, extreme_place, sign_share, speed_effect
+from softslide.experiments.evaluation.bounds import Bound, Verdict
+from softslide.experiments.evaluation.scoring import QUANTITIES
+from softslide.experiments.pages.page import number
 
 HOLDS, PARTLY, FAILS, UNTESTED = "holds", "in part", "does not hold", "not tested"
 

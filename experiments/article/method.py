@@ -14,10 +14,10 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from experiments.article.axis_slides import AxisSlides
-from experiments.evaluation.readout import COLUMNS
-from features.vector.feature_vector import feature_names
-from models.classical.interpolation import (
+from softslide.experiments.article.axis_slides import AxisSlides
+from softslide.experiments.evaluation.readout import COLUMNS
+from softslide.features.vector.feature_vector import feature_names
+from softslide.models.classical.interpolation import (
     DIRECTIONS_DEG,
     Polynomials,
     abscissas,

@@ -5,11 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from experiments.article.axis_slides import AxisSlides
-from experiments.article.method import Method, Variant, fit_method
-from experiments.evaluation.bounds import Bound, Verdict, check
-from experiments.evaluation.scoring import score
-from pipeline.recordings.learned import CALIBRATION, learned_depths_mm
+from softslide.experiments.article.axis_slides import AxisSlides
+from softslide.experiments.article.method import Method, Variant, fit_method
+from softslide.experiments.evaluation.bounds import Bound, Verdict, check
+from softslide.experiments.evaluation.scoring import score
+from softslide.pipeline.recordings.learned import CALIBRATION, learned_depths_mm
 
 FOLDS = 5
 _LINE_MM = 0.5  # lines this close count as one

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import pandas as pd
 
-from experiments.pages.figures import Panel
+from softslide.experiments.pages.figures import Panel
 
 
 @dataclass(frozen=True)

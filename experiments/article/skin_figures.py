@@ -7,16 +7,16 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 
-from experiments.article.axis_slides import AxisSlides
-from experiments.article.section import Section
-from experiments.article.slide_figures import FROM_BOARD
-from experiments.evaluation.traces import static_outputs
-from experiments.pages.figures import COLOURS, EDGE, INK, Panel, chart
-from features.errors import InputError
-from pipeline.atlas.atlas import Atlas
-from pipeline.atlas.static_contact import height_by_atlas, height_by_formula
-from pipeline.recordings.folder import Folder
-from pipeline.sensor import Sensor
+from softslide.experiments.article.axis_slides import AxisSlides
+from softslide.experiments.article.section import Section
+from softslide.experiments.article.slide_figures import FROM_BOARD
+from softslide.experiments.evaluation.traces import static_outputs
+from softslide.experiments.pages.figures import COLOURS, EDGE, INK, Panel, chart
+from softslide.features.errors import InputError
+from softslide.pipeline.atlas.atlas import Atlas
+from softslide.pipeline.atlas.static_contact import height_by_atlas, height_by_formula
+from softslide.pipeline.recordings.folder import Folder
+from softslide.pipeline.sensor import Sensor
 
 DEPTH_MM = 0.5  # the article's
 LINE_MM = 10.0  # from the accelerometer, of the slides shown: where the article's method works best

@@ -7,11 +7,11 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 
-from experiments.article.axis_slides import KINDS, AxisSlides
-from experiments.article.section import Section
-from experiments.evaluation.traces import trace
-from experiments.pages.figures import EDGE, LABEL, Panel, chart
-from models.classical.interpolation import abscissas, slide_direction
+from softslide.experiments.article.axis_slides import KINDS, AxisSlides
+from softslide.experiments.article.section import Section
+from softslide.experiments.evaluation.traces import trace
+from softslide.experiments.pages.figures import EDGE, LABEL, Panel, chart
+from softslide.models.classical.interpolation import abscissas, slide_direction
 
 # The article's six kinds: name, index into KINDS, sign of the offset seen along x or y (0: any), zones passed.
 CASES = (

@@ -14,25 +14,25 @@ import numpy as np
 import pandas as pd
 import torch
 
-from experiments.comparison.inversion import invert
-from experiments.comparison.page import section
-from experiments.comparison.paired import paired
-from experiments.derived_labels import derived
-from experiments.evaluation.archive import Archive
-from experiments.evaluation.readout import predictions
-from experiments.evaluation.scoring import INTERVALS, score, summary
-from experiments.pages.page import render
-from experiments.train import train
-from features.card import read_card
-from features.errors import InputError
-from features.window import Window
-from models.registry import MODELS as REGISTERED
-from pipeline.recordings.base_motion import without_base_motion
-from pipeline.recordings.folder import Folder, read_folder
-from pipeline.recordings.learned import CALIBRATION, learned_lines
-from pipeline.recordings.windows import LabelledWindows, labelled_windows
-from pipeline.staging import writing
-from serve.localizer import Localizer
+from softslide.experiments.comparison.inversion import invert
+from softslide.experiments.comparison.page import section
+from softslide.experiments.comparison.paired import paired
+from softslide.experiments.derived_labels import derived
+from softslide.experiments.evaluation.archive import Archive
+from softslide.experiments.evaluation.readout import predictions
+from softslide.experiments.evaluation.scoring import INTERVALS, score, summary
+from softslide.experiments.pages.page import render
+from softslide.experiments.train import train
+from softslide.features.card import read_card
+from softslide.features.errors import InputError
+from softslide.features.window import Window
+from softslide.models.registry import MODELS as REGISTERED
+from softslide.pipeline.recordings.base_motion import without_base_motion
+from softslide.pipeline.recordings.folder import Folder, read_folder
+from softslide.pipeline.recordings.learned import CALIBRATION, learned_lines
+from softslide.pipeline.recordings.windows import LabelledWindows, labelled_windows
+from softslide.pipeline.staging import writing
+from softslide.serve.localizer import Localizer
 
 MODELS = (*REGISTERED, "inversion")
 # The model that the others are held against, where it is among them; else the first.

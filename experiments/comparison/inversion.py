@@ -12,16 +12,16 @@ import numpy as np
 import onnxruntime as ort
 import pandas as pd
 
-from experiments.evaluation.readout import COLUMNS, rows_of
-from experiments.train import design_of
-from features.card import HALF_WIDTH_SD, Card, Interval, Validity
-from features.stream.conditioning import Conditioning
-from models.cnn.fit import CnnConfig
-from models.cnn.inversion import Inversion
-from models.response_map.select import calibrated_map
-from pipeline.recordings.at_rest import conditioning_for
-from pipeline.recordings.folder import Folder
-from serve.localizer import Localizer
+from softslide.experiments.evaluation.readout import COLUMNS, rows_of
+from softslide.experiments.train import design_of
+from softslide.features.card import HALF_WIDTH_SD, Card, Interval, Validity
+from softslide.features.stream.conditioning import Conditioning
+from softslide.models.cnn.fit import CnnConfig
+from softslide.models.cnn.inversion import Inversion
+from softslide.models.response_map.select import calibrated_map
+from softslide.pipeline.recordings.at_rest import conditioning_for
+from softslide.pipeline.recordings.folder import Folder
+from softslide.serve.localizer import Localizer
 
 # Windows volts (n, 3 A, 64) V and elapsed_s (n,) s -> rows (n, K) of a card's outputs.
 Predict = Callable[[np.ndarray, np.ndarray], np.ndarray]

@@ -7,10 +7,10 @@ import matplotlib as mpl
 import numpy as np
 import pandas as pd
 
-from experiments.comparison.paired import QUANTITIES
-from experiments.evaluation.figures import along_the_stroke
-from experiments.evaluation.scoring import summary
-from experiments.pages.figures import (
+from softslide.experiments.comparison.paired import QUANTITIES
+from softslide.experiments.evaluation.figures import along_the_stroke
+from softslide.experiments.evaluation.scoring import summary
+from softslide.experiments.pages.figures import (
     COLOURS,
     INK,
     LEGEND_ROW_INCHES,

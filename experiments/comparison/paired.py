@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 from scipy.special import stdtrit
 
-from models.held_out import line_folds
+from softslide.models.held_out import line_folds
 
 QUANTITIES = {"direction_deg": "deg", "speed_percent": "%", "offset_mm": "mm"}
 CONFIDENCE = 0.95

@@ -10,12 +10,12 @@ from typing import Any
 
 import pandas as pd
 
-from experiments.cached import cached_table
-from experiments.code_hash import code_hash
-from experiments.provenance import bundle_hash
-from pipeline.recordings.folder import Folder
-from pipeline.recordings.truth import truth_path
-from pipeline.workers import results
+from softslide.experiments.cached import cached_table
+from softslide.experiments.code_hash import code_hash
+from softslide.experiments.provenance import bundle_hash
+from softslide.pipeline.recordings.folder import Folder
+from softslide.pipeline.recordings.truth import truth_path
+from softslide.pipeline.workers import results
 
 # Recordings of a task: of some 0.2 s each, they take long next to the 11 ms that Dask asks for a task.
 CHUNK = 4

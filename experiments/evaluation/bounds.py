@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from experiments.evaluation.scoring import ESTIMATES, QUANTITIES, near_deg
-from experiments.pages.page import number
-from pipeline.toml_tables import from_table, read_toml
+from softslide.experiments.evaluation.scoring import ESTIMATES, QUANTITIES, near_deg
+from softslide.experiments.pages.page import number
+from softslide.pipeline.toml_tables import from_table, read_toml
 
 BOUNDS = Path(__file__).parent / "bounds.toml"
 PATHS = "track"  # splits of contacts along any path begin with this

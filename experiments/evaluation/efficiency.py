@@ -12,14 +12,14 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from experiments.evaluation.archive import Archive
-from experiments.evaluation.readout import open_localizer
-from experiments.evaluation.scoring import signed_errors
-from features.errors import InputError
-from models.response_map.card import response_of
-from models.response_map.from_atlas import DESIGN_DRIFT_V
-from pipeline.recordings.folder import Folder
-from pipeline.recordings.windows import labelled_windows
+from softslide.experiments.evaluation.archive import Archive
+from softslide.experiments.evaluation.readout import open_localizer
+from softslide.experiments.evaluation.scoring import signed_errors
+from softslide.features.errors import InputError
+from softslide.models.response_map.card import response_of
+from softslide.models.response_map.from_atlas import DESIGN_DRIFT_V
+from softslide.pipeline.recordings.folder import Folder
+from softslide.pipeline.recordings.windows import labelled_windows
 
 QUANTITIES = ("direction_deg", "log_speed", "offset_mm")
 # Stroke fractions whose windows have a bound.
@@ -43,7 +43,7 @@ def bounds_of(bundle: Path, folder: Folder, archive: Archive) -> Iterator[pd.Dat
 
 def _bounds(bundle: Path, folder: Folder, names: list[str]) -> pd.DataFrame:
     # Imported here: torch takes seconds, and bundles without a map have no bound.
-    from models.cnn.cramer_rao import cramer_rao
+    from softslide.models.cnn.cramer_rao import cramer_rao
 
     card = open_localizer(bundle).card
     response = response_of(card)

@@ -8,9 +8,9 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 
-from experiments.evaluation.bounds import Verdict
-from experiments.evaluation.scoring import INTERVALS
-from experiments.pages.figures import (
+from softslide.experiments.evaluation.bounds import Verdict
+from softslide.experiments.evaluation.scoring import INTERVALS
+from softslide.experiments.pages.figures import (
     COLOURS,
     EDGE,
     INK,
@@ -22,8 +22,8 @@ from experiments.pages.figures import (
     on_skin,
     panel,
 )
-from features.card import HALF_WIDTH_SD
-from pipeline.sensor import Sensor
+from softslide.features.card import HALF_WIDTH_SD
+from softslide.pipeline.sensor import Sensor
 
 # Of each quantity that is shown of every recording: word and unit, and the label that it is drawn against.
 SHOWN = {

@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from experiments.evaluation.archive import Archive
-from experiments.evaluation.scoring import INTERVALS
-from features.errors import InputError
-from features.estimate import Estimate
-from pipeline.recordings.folder import Folder, Recording
-from serve.localizer import Localizer
+from softslide.experiments.evaluation.archive import Archive
+from softslide.experiments.evaluation.scoring import INTERVALS
+from softslide.features.errors import InputError
+from softslide.features.estimate import Estimate
+from softslide.pipeline.recordings.folder import Folder, Recording
+from softslide.serve.localizer import Localizer
 
 ESTIMATED = (
     *(

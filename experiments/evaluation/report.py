@@ -7,17 +7,17 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from experiments.evaluation import figures, track_figures, tracks
-from experiments.evaluation.bounds import Verdict
-from experiments.evaluation.scoring import QUANTITIES
-from experiments.evaluation.traces import trace
-from experiments.evaluation.tracks import Track
-from experiments.pages.figures import Panel
-from experiments.pages.page import number, render
-from experiments.tracking import flattened
-from features.stream.conditioning import Conditioning
-from pipeline.recordings.folder import Folder
-from pipeline.recordings.learned import CALIBRATION
+from softslide.experiments.evaluation import figures, track_figures, tracks
+from softslide.experiments.evaluation.bounds import Verdict
+from softslide.experiments.evaluation.scoring import QUANTITIES
+from softslide.experiments.evaluation.traces import trace
+from softslide.experiments.evaluation.tracks import Track
+from softslide.experiments.pages.figures import Panel
+from softslide.experiments.pages.page import number, render
+from softslide.experiments.tracking import flattened
+from softslide.features.stream.conditioning import Conditioning
+from softslide.pipeline.recordings.folder import Folder
+from softslide.pipeline.recordings.learned import CALIBRATION
 
 TEMPLATE = Path(__file__).parent / "report.html.j2"
 QUANTITY_NAMES = {

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from features.angles import wrapped_deg
-from features.departure import beyond_rim_mm
-from pipeline.sensor import Sensor
+from softslide.features.angles import wrapped_deg
+from softslide.features.departure import beyond_rim_mm
+from softslide.pipeline.sensor import Sensor
 
 # What is scored, and the unit each error is shown in.
 QUANTITIES = {

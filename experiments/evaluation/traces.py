@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 
-from features.stream.conditioning import Conditioning, block_means
-from pipeline.recordings.folder import Folder
-from pipeline.recordings.heights import laser_readings_mm
-from pipeline.recordings.stroke import stage_motion
+from softslide.features.stream.conditioning import Conditioning, block_means
+from softslide.pipeline.recordings.folder import Folder
+from softslide.pipeline.recordings.heights import laser_readings_mm
+from softslide.pipeline.recordings.stroke import stage_motion
 
 # Of each pressure, recordings whose static output is read; more say the same.
 MOST_AT_REST = 8

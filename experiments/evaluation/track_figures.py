@@ -9,9 +9,18 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from experiments.evaluation.tracks import Track, summarize
-from experiments.pages.figures import COLOURS, EDGE, PANEL_INCHES, STYLE, Panel, chart, draw_sensor, inline
-from pipeline.sensor import Sensor
+from softslide.experiments.evaluation.tracks import Track, summarize
+from softslide.experiments.pages.figures import (
+    COLOURS,
+    EDGE,
+    PANEL_INCHES,
+    STYLE,
+    Panel,
+    chart,
+    draw_sensor,
+    inline,
+)
+from softslide.pipeline.sensor import Sensor
 
 # Of each split: the best, the middle and the worst, by the median error of place.
 PICTURES = ("best", "middle", "worst")

@@ -12,15 +12,15 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from experiments.evaluation.archive import Archive
-from experiments.evaluation.readout import open_localizer, samples_for
-from features.angles import wrapped_deg
-from features.estimate import Estimate
-from pipeline.recordings.folder import Folder
-from pipeline.recordings.truth import read_truth, truth_path
-from serve.localizer import Localizer
-from serve.records import record
-from serve.whole_contacts import whole_contacts
+from softslide.experiments.evaluation.archive import Archive
+from softslide.experiments.evaluation.readout import open_localizer, samples_for
+from softslide.features.angles import wrapped_deg
+from softslide.features.estimate import Estimate
+from softslide.pipeline.recordings.folder import Folder
+from softslide.pipeline.recordings.truth import read_truth, truth_path
+from softslide.serve.localizer import Localizer
+from softslide.serve.records import record
+from softslide.serve.whole_contacts import whole_contacts
 
 # Below this speed a contact counts as standing, without a direction.
 MOVING_MM_S = 0.2

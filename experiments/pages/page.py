@@ -6,7 +6,7 @@ from typing import Any
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
-from experiments.pages.figures import Panel
+from softslide.experiments.pages.figures import Panel
 
 HERE = Path(__file__).parent
 # What `origin` of a sensor.toml means.

@@ -5,7 +5,7 @@ and of the graph alone; p99_ratio is the latter over the former. Each is measure
 of one node, so that a busy computer slows both alike; ratio is the median over that call's. Then s to the first
 estimate, MB above numpy with ONNX Runtime, and the bundle's kB. Needs the base install alone.
 
-    python -m experiments.studies.decision_time --model my-model --json device.json
+    python -m softslide.experiments.studies.decision_time --model my-model --json device.json
 """
 
 import json
@@ -21,12 +21,12 @@ from timeit import timeit
 
 import numpy as np
 
-from experiments.one_node import one_node
-from experiments.studies.script import Part, bundle, count, parser, run
-from features.errors import InputError
-from features.stream.tracker import SlideState
-from serve.bundle import open_bundle
-from serve.localizer import Localizer
+from softslide.experiments.one_node import one_node
+from softslide.experiments.studies.script import Part, bundle, count, parser, run
+from softslide.features.errors import InputError
+from softslide.features.stream.tracker import SlideState
+from softslide.serve.bundle import open_bundle
+from softslide.serve.localizer import Localizer
 
 START = """
 import json, os, sys, time
@@ -35,7 +35,7 @@ begun = time.perf_counter()
 import numpy, onnxruntime
 resident = lambda: int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
 bare = resident()
-from serve.localizer import Localizer
+from softslide.serve.localizer import Localizer
 localizer = Localizer.load(Path(sys.argv[1]))
 localizer.push(numpy.zeros((localizer.card.samples_per_block, len(localizer.card.columns))))
 took_s = time.perf_counter() - begun

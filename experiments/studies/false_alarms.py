@@ -5,7 +5,7 @@ its pressure changed; waves, bumps, chirps, random walks, drifts, steps and taps
 second stream of the latter. Prints for each kind the time (s) for which something seemed to slide, the share of it (%)
 with a valid estimate, and how many streams have one. A second of signal takes about 50 ms.
 
-    python -m experiments.studies.false_alarms --model my-model --recordings my-recordings
+    python -m softslide.experiments.studies.false_alarms --model my-model --recordings my-recordings
 """
 
 import argparse
@@ -15,14 +15,14 @@ from pathlib import Path
 
 import numpy as np
 
-from experiments.evaluation.readout import check_fits, open_localizer
-from experiments.studies.script import Part, bundle, count, parser, recordings, run
-from features.errors import InputError
-from features.stream.tracker import SlideState
-from pipeline.recordings.folder import Folder, read_folder
-from pipeline.sensor import Sensor
-from pipeline.synthesis.no_contact import SIGNALS, untouched
-from pipeline.workers import results
+from softslide.experiments.evaluation.readout import check_fits, open_localizer
+from softslide.experiments.studies.script import Part, bundle, count, parser, recordings, run
+from softslide.features.errors import InputError
+from softslide.features.stream.tracker import SlideState
+from softslide.pipeline.recordings.folder import Folder, read_folder
+from softslide.pipeline.sensor import Sensor
+from softslide.pipeline.synthesis.no_contact import SIGNALS, untouched
+from softslide.pipeline.workers import results
 
 # Of a recording without labelled moments its beginning is taken for rest.
 REST_S = 0.2

@@ -3,7 +3,7 @@
 Prints core-ms a window of 3 x 2048 samples: averaged over the runtime's bins, then the feature vector, in batches of
 256; for what the bins and a batch save, the features of all samples, and of one window at a time.
 
-    OMP_NUM_THREADS=1 python -m experiments.studies.feature_speed --json features.json
+    OMP_NUM_THREADS=1 python -m softslide.experiments.studies.feature_speed --json features.json
 """
 
 import sys
@@ -12,9 +12,9 @@ from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
-from experiments.studies.script import Part, parser, run
-from features.vector.feature_vector import feature_matrix
-from features.window import WINDOW_BINS
+from softslide.experiments.studies.script import Part, parser, run
+from softslide.features.vector.feature_vector import feature_matrix
+from softslide.features.window import WINDOW_BINS
 
 WINDOWS, SAMPLES, RUNS = 256, 2048, 7
 

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sparse
 
-from pipeline.skin import loads
-from pipeline.skin.mesh import Mesh
-from pipeline.skin.solver import Skin
-from pipeline.skin.system import Material
+from softslide.pipeline.skin import loads
+from softslide.pipeline.skin.mesh import Mesh
+from softslide.pipeline.skin.solver import Skin
+from softslide.pipeline.skin.system import Material
 
 # Residual force over the reaction: about the solver's own tolerance, 3e-4 N.
 TOLERANCE = 1e-4

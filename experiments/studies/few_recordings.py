@@ -4,8 +4,8 @@ Calibrates the response map with so many of the calibration slides, drawn at ran
 by least squares (models/cnn/inversion.py) on every slide of the test splits; no network is trained. Prints, for each
 number of slides, errors at the end of the stroke in deg, % and mm: means, over the draws, and the largest.
 
-    python -m experiments.studies.few_recordings --recordings my-recordings --slides 4 12
-    python -m experiments.studies.few_recordings --recordings my-recordings --plan plan.csv
+    python -m softslide.experiments.studies.few_recordings --recordings my-recordings --slides 4 12
+    python -m softslide.experiments.studies.few_recordings --recordings my-recordings --plan plan.csv
 """
 
 import argparse
@@ -17,20 +17,20 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from experiments.studies.script import Part, count, parser, recordings, run
-from features.errors import InputError
-from models.cnn.fit import CnnConfig
-from models.cnn.inversion import Inversion
-from models.held_out import signed_errors
-from models.response_map.select import calibrated_map
-from pipeline.atlas.atlas import Atlas
-from pipeline.atlas.library import atlas_of
-from pipeline.recordings.at_rest import conditioning_for
-from pipeline.recordings.base_motion import without_base_motion
-from pipeline.recordings.derived_labels import recordings_to_learn_from
-from pipeline.recordings.folder import Folder, read_folder
-from pipeline.recordings.manifest import read_table
-from pipeline.recordings.windows import labelled_windows
+from softslide.experiments.studies.script import Part, count, parser, recordings, run
+from softslide.features.errors import InputError
+from softslide.models.cnn.fit import CnnConfig
+from softslide.models.cnn.inversion import Inversion
+from softslide.models.held_out import signed_errors
+from softslide.models.response_map.select import calibrated_map
+from softslide.pipeline.atlas.atlas import Atlas
+from softslide.pipeline.atlas.library import atlas_of
+from softslide.pipeline.recordings.at_rest import conditioning_for
+from softslide.pipeline.recordings.base_motion import without_base_motion
+from softslide.pipeline.recordings.derived_labels import recordings_to_learn_from
+from softslide.pipeline.recordings.folder import Folder, read_folder
+from softslide.pipeline.recordings.manifest import read_table
+from softslide.pipeline.recordings.windows import labelled_windows
 
 
 def few(

@@ -6,8 +6,8 @@ and what is better by --least is kept. Fit on synthetic paths of a sensor drawn 
 which a bundle is trained; judge on another sensor with --rounds 0. What is fitted on synthetic paths alone is too sure
 of itself on the emulated bench (experiments/LOG.md). A round of 80 paths takes half an hour of two cores.
 
-    python -m experiments.studies.motion_noise --model my-model --recordings my-paths --jobs 2
-    python -m experiments.studies.motion_noise --model other-model --recordings other-paths --rounds 0
+    python -m softslide.experiments.studies.motion_noise --model my-model --recordings my-paths --jobs 2
+    python -m softslide.experiments.studies.motion_noise --model other-model --recordings other-paths --rounds 0
 """
 
 import argparse
@@ -18,15 +18,15 @@ from pathlib import Path
 
 import numpy as np
 
-from experiments.studies.script import Part, bundle, count, parser, recordings, run
-from features.card import Card, read_card
-from features.contact.tracker import ContactTracker, TrackingConfig
-from features.errors import InputError
-from features.stream.conditioning import LagUndone, block_means
-from features.stream.tracker import SlideState, SlideTracker
-from pipeline.recordings.folder import Folder, read_folder
-from pipeline.workers import results
-from serve.contact_tracker import contact_tracker
+from softslide.experiments.studies.script import Part, bundle, count, parser, recordings, run
+from softslide.features.card import Card, read_card
+from softslide.features.contact.tracker import ContactTracker, TrackingConfig
+from softslide.features.errors import InputError
+from softslide.features.stream.conditioning import LagUndone, block_means
+from softslide.features.stream.tracker import SlideState, SlideTracker
+from softslide.pipeline.recordings.folder import Folder, read_folder
+from softslide.pipeline.workers import results
+from softslide.serve.contact_tracker import contact_tracker
 
 Blocks = list[tuple[np.ndarray, bool]]
 

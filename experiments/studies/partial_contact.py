@@ -5,7 +5,7 @@ from the solver: of the depth of the first touch, mm (rms), and, relative to the
 law from each press's own touch and end (rms along the way) and of law and atlas together (largest along the way),
 median and 90 % quantile over presses. Then the exponents that fit these presses best. Takes minutes.
 
-    python -m experiments.studies.partial_contact --presses 24
+    python -m softslide.experiments.studies.partial_contact --presses 24
 """
 
 import sys
@@ -15,12 +15,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import least_squares, minimize_scalar
 
-from experiments.studies.script import Part, count, parser, run
-from pipeline.atlas.atlas import Atlas, read_atlas
-from pipeline.sensor import Sensor
-from pipeline.skin.solved_line import channels, skin_of
-from pipeline.synthesis.paths import partial_contact as law
-from pipeline.synthesis.synthesize import sensor_of
+from softslide.experiments.studies.script import Part, count, parser, run
+from softslide.pipeline.atlas.atlas import Atlas, read_atlas
+from softslide.pipeline.sensor import Sensor
+from softslide.pipeline.skin.solved_line import channels, skin_of
+from softslide.pipeline.synthesis.paths import partial_contact as law
+from softslide.pipeline.synthesis.synthesize import sensor_of
 
 # Half size of the square that places are drawn from: nearer to the rim the response is too small to show a law.
 INNER_MM, STEP_MM = 22.0, 0.25

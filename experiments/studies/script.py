@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from features.errors import InputError
+from softslide.features.errors import InputError
 
 # A part of a study by name: its one figure, or several by name.
 Part = tuple[str, float | Mapping[str, float]]
@@ -18,7 +18,7 @@ Study = Callable[[argparse.Namespace], Iterator[Part]]
 def parser(name: str, doc: str | None) -> argparse.ArgumentParser:
     """Of the script NAME.py, with its docstring as help."""
     made = argparse.ArgumentParser(
-        prog=f"python -m experiments.studies.{name}",
+        prog=f"python -m softslide.experiments.studies.{name}",
         description=doc,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )

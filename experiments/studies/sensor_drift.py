@@ -4,7 +4,7 @@ Reads the test splits as they are and with a drift added by calculation: zero sh
 sensor tilted by 5 deg, 5 % of the samples lost. Prints for each the mean errors of the valid estimates at the end of
 the recording in deg, % and mm, the share that is valid, and the gain and turn (deg) that the runtime found.
 
-    python -m experiments.studies.sensor_drift --model my-model --recordings my-recordings
+    python -m softslide.experiments.studies.sensor_drift --model my-model --recordings my-recordings
 """
 
 import argparse
@@ -16,11 +16,11 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from experiments.evaluation.scoring import signed_errors
-from experiments.studies.script import Part, bundle, count, parser, recordings, run
-from features.errors import InputError
-from pipeline.recordings.folder import Folder, read_folder
-from serve.localizer import Localizer
+from softslide.experiments.evaluation.scoring import signed_errors
+from softslide.experiments.studies.script import Part, bundle, count, parser, recordings, run
+from softslide.features.errors import InputError
+from softslide.pipeline.recordings.folder import Folder, read_folder
+from softslide.serve.localizer import Localizer
 
 # Volts (n, C) V, times (n,) s and the channels' zeros (C,) V to drifted volts and times.
 Drift = Callable[[np.ndarray, np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]

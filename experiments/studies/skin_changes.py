@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-from pipeline.sensor import Sensor
+from softslide.pipeline.sensor import Sensor
 
 # As the article's slides; the shipped atlas's middle height.
 DEPTH_MM, HEIGHT_MM = 0.5, 7.0

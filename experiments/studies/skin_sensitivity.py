@@ -5,7 +5,7 @@ The inflated height is held, as a laser would hold it: then the modulus changes 
 width. Prints for each change: distance of V_x's extremes, its width and hysteresis in mm, static tilt in deg, largest
 V_x in mg, largest normal force in mN. Minutes on one core.
 
-    python -m experiments.studies.skin_sensitivity --picture sensitivity.svg
+    python -m softslide.experiments.studies.skin_sensitivity --picture sensitivity.svg
 """
 
 import sys
@@ -18,13 +18,13 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 
-from experiments.studies.script import Part, parser, run
-from experiments.studies.skin_changes import CHANGES, changed
-from pipeline.atlas.atlas import DEFAULT_SENSOR
-from pipeline.sensor import Sensor, read_sensor
-from pipeline.skin.lines import Line
-from pipeline.skin.solved_line import skin_of, solve_line
-from pipeline.skin.solver import NoEquilibrium
+from softslide.experiments.studies.script import Part, parser, run
+from softslide.experiments.studies.skin_changes import CHANGES, changed
+from softslide.pipeline.atlas.atlas import DEFAULT_SENSOR
+from softslide.pipeline.sensor import Sensor, read_sensor
+from softslide.pipeline.skin.lines import Line
+from softslide.pipeline.skin.solved_line import skin_of, solve_line
+from softslide.pipeline.skin.solver import NoEquilibrium
 
 STEP_MM = 1.25
 OFFSET_MM = 10.0  # of the line from the board, as the article's X-slides at y = 10 mm

@@ -4,7 +4,7 @@ Prints positions a core-second on the way up the dome, how many times as fast as
 SciPy's solver, on the same mesh and path, and seconds of 1 kHz three-axis signal a core-second. The environment is to
 say OMP_NUM_THREADS=1 before Python starts, so that no library takes more than one thread.
 
-    OMP_NUM_THREADS=1 python -m experiments.studies.skin_speed --json skin.json
+    OMP_NUM_THREADS=1 python -m softslide.experiments.studies.skin_speed --json skin.json
 """
 
 import sys
@@ -15,12 +15,12 @@ from itertools import chain
 import numpy as np
 from scipy.sparse.linalg import spsolve
 
-from experiments.studies.felupe_path import felupe_path
-from experiments.studies.script import Part, parser, run
-from pipeline.atlas.atlas import DEFAULT_SENSOR
-from pipeline.sensor import read_sensor
-from pipeline.skin.solved_line import skin_of
-from pipeline.synthesis.synthesize import synthetic_slides
+from softslide.experiments.studies.felupe_path import felupe_path
+from softslide.experiments.studies.script import Part, parser, run
+from softslide.pipeline.atlas.atlas import DEFAULT_SENSOR
+from softslide.pipeline.sensor import read_sensor
+from softslide.pipeline.skin.solved_line import skin_of
+from softslide.pipeline.synthesis.synthesize import synthetic_slides
 
 SLIDING_MPA, DEPTH_MM = 1e-3, 0.6
 # Positions of the line: before the first it is not counted (the skin is not touched there, compilers and orderings do

@@ -5,7 +5,7 @@ read. Prints each trial's errors at the whole stroke in deg, % and mm, and their
 then the best settings as TOML for `softslide train --config`. With --storage trials are kept: the same command goes on
 with them, and a second process shares the work. A trial of cnn takes minutes.
 
-    python -m experiments.studies.sweep --recordings my-recordings --storage sqlite:///sweep.db --out best.toml
+    python -m softslide.experiments.studies.sweep --recordings lab --storage sqlite:///sweep.db --out best.toml
 """
 
 import argparse
@@ -18,17 +18,17 @@ import numpy as np
 import optuna
 import tomli_w
 
-from experiments.kept_map import kept_map
-from experiments.provenance import data_tags
-from experiments.studies.script import Part, count, parser, recordings, run
-from experiments.train import design_for
-from features.errors import InputError
-from models.fitted_model import Given
-from models.registry import fit_model, model_named
-from pipeline.recordings.base_motion import without_base_motion
-from pipeline.recordings.derived_labels import recordings_to_learn_from
-from pipeline.recordings.folder import Folder, read_folder
-from pipeline.toml_tables import changed
+from softslide.experiments.kept_map import kept_map
+from softslide.experiments.provenance import data_tags
+from softslide.experiments.studies.script import Part, count, parser, recordings, run
+from softslide.experiments.train import design_for
+from softslide.features.errors import InputError
+from softslide.models.fitted_model import Given
+from softslide.models.registry import fit_model, model_named
+from softslide.pipeline.recordings.base_motion import without_base_motion
+from softslide.pipeline.recordings.derived_labels import recordings_to_learn_from
+from softslide.pipeline.recordings.folder import Folder, read_folder
+from softslide.pipeline.toml_tables import changed
 
 # Of cnn, at a third or two of the training; no trial is given up before five have ended.
 PRUNERS = {"median": optuna.pruners.MedianPruner(), "none": optuna.pruners.NopPruner()}

@@ -5,7 +5,7 @@ is a step of 30 mV put into a recording's rest. Prints for each setting how many
 split (more than one seen), in how many presses a slide is seen, how many stops are missed, and after how many presses
 and jumps the static output is wrong by more than 3 mV. Minutes on one core.
 
-    python -m experiments.studies.tracker_constants --recordings bench-a
+    python -m softslide.experiments.studies.tracker_constants --recordings bench-a
 """
 
 import argparse
@@ -15,17 +15,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from experiments.studies.script import Part, parser, recordings, run
-from features.stream.conditioning import Conditioning, block_means
-from features.stream.tracker import SlideState, SlideTracker
-from pipeline.atlas.atlas import read_atlas
-from pipeline.recordings.folder import Folder, read_folder
-from pipeline.synthesis.distribution import Distribution
-from pipeline.synthesis.paths.contact_path import ContactPath
-from pipeline.synthesis.paths.draw import draw_path
-from pipeline.synthesis.slide_plan import Slide
-from pipeline.synthesis.specimen import draw_specimen
-from pipeline.synthesis.synthesize import noise_of, plan, record, sensor_of
+from softslide.experiments.studies.script import Part, parser, recordings, run
+from softslide.features.stream.conditioning import Conditioning, block_means
+from softslide.features.stream.tracker import SlideState, SlideTracker
+from softslide.pipeline.atlas.atlas import read_atlas
+from softslide.pipeline.recordings.folder import Folder, read_folder
+from softslide.pipeline.synthesis.distribution import Distribution
+from softslide.pipeline.synthesis.paths.contact_path import ContactPath
+from softslide.pipeline.synthesis.paths.draw import draw_path
+from softslide.pipeline.synthesis.slide_plan import Slide
+from softslide.pipeline.synthesis.specimen import draw_specimen
+from softslide.pipeline.synthesis.synthesize import noise_of, plan, record, sensor_of
 
 COUNT = 20
 REST_S = 0.8

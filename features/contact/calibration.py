@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from features.contact.response_surface import PARTS, ResponseSurface
+from softslide.features.contact.response_surface import PARTS, ResponseSurface
 
 # Far beyond any skin; they bound the memory.
 MOST_KNOTS = 200

@@ -5,8 +5,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from features.contact.hypotheses import LocalErrors
-from features.contact.response_surface import ResponseSurface
+from softslide.features.contact.hypotheses import LocalErrors
+from softslide.features.contact.response_surface import ResponseSurface
 
 GRID_MM = 0.5
 REACH = 3.0  # standard deviations of a step that are looked at

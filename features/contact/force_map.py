@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from features.contact.calibration import check_map
-from features.contact.response_surface import PARTS, ResponseSurface
+from softslide.features.contact.calibration import check_map
+from softslide.features.contact.response_surface import PARTS, ResponseSurface
 
 AXES = 3  # along x, along y, normal
 # Of the largest coefficient of a part and axis, in steps. Eight bits are within 0.1 % of sixteen, coarser knots are not

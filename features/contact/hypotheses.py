@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from features.contact.response_surface import ResponseSurface
+from softslide.features.contact.response_surface import ResponseSurface
 
 X, Y, HEADING, SPEED, ACCELERATION, CURVATURE, GAIN, DEPTH, RISE, FRICTION_X, FRICTION_Y = range(11)
 FRICTION = slice(FRICTION_X, FRICTION_Y + 1)

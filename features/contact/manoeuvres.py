@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from features.contact.hypotheses import (
+from softslide.features.contact.hypotheses import (
     ACCELERATION,
     CURVATURE,
     GAIN,

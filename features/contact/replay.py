@@ -5,9 +5,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from features.contact.touch_down import TouchDownTracker
-from features.contact.tracker import ContactTracker, StraightFit, Track
-from features.stream.faults import FROZEN_BLOCKS
+from softslide.features.contact.touch_down import TouchDownTracker
+from softslide.features.contact.tracker import ContactTracker, StraightFit, Track
+from softslide.features.stream.faults import FROZEN_BLOCKS
 
 
 class _Block(NamedTuple):

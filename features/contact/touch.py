@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from features.contact.hypotheses import (
+from softslide.features.contact.hypotheses import (
     ACCELERATION,
     FRICTION,
     FRICTION_X,
@@ -23,7 +23,7 @@ from features.contact.hypotheses import (
     joined,
     started,
 )
-from features.contact.response_surface import ResponseSurface
+from softslide.features.contact.response_surface import ResponseSurface
 
 GRID_MM = 2.5
 HEADINGS = 8

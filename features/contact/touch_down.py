@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from features.contact.hypotheses import (
+from softslide.features.contact.hypotheses import (
     ACCELERATION,
     CURVATURE,
     FRICTION,
@@ -28,9 +28,9 @@ from features.contact.hypotheses import (
     started,
     update,
 )
-from features.contact.manoeuvres import Manoeuvres, branched, merged
-from features.contact.response_surface import ResponseSurface
-from features.contact.tracker import Track, read
+from softslide.features.contact.manoeuvres import Manoeuvres, branched, merged
+from softslide.features.contact.response_surface import ResponseSurface
+from softslide.features.contact.tracker import Track, read
 
 # A contact comes down and is lifted within a block, which then shows a part of it.
 PARTIAL_BLOCKS = 1

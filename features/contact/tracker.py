@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from features.contact.hypotheses import (
+from softslide.features.contact.hypotheses import (
     ACCELERATION,
     CURVATURE,
     DEPTH,
@@ -30,12 +30,12 @@ from features.contact.hypotheses import (
     started,
     update,
 )
-from features.contact.manoeuvres import Manoeuvres, branched, merged
-from features.contact.places import Place, likeliest_places
-from features.contact.response_surface import ResponseSurface
-from features.contact.smooth_signal import SmoothSignal
-from features.contact.touch import at_rest, at_touch, onset
-from features.contact.whole_device import beyond_device
+from softslide.features.contact.manoeuvres import Manoeuvres, branched, merged
+from softslide.features.contact.places import Place, likeliest_places
+from softslide.features.contact.response_surface import ResponseSurface
+from softslide.features.contact.smooth_signal import SmoothSignal
+from softslide.features.contact.touch import at_rest, at_touch, onset
+from softslide.features.contact.whole_device import beyond_device
 
 STEP_BLOCKS = (
     2  # a filter's step: 40 ms, in which the fastest slide calibrated for (13 mm/s) goes half a millimetre

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from features.stream.drift import nominal_outputs
+from softslide.features.stream.drift import nominal_outputs
 
 # Chosen on a synthetic sensor, its slides turned by calculation (experiments/LOG.md): at 8 degrees 50 to 83 % of the
 # intervals hold, at 12 degrees 36 to 64 %. A skin over several heights turns its board as well.

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from features.stream.conditioning import WHOLE, block_mean
+from softslide.features.stream.conditioning import WHOLE, block_mean
 
 # Blocks, 0.1 s, for which an old mean may be used before the accelerometer is faulty.
 BRIDGED_BLOCKS = 5

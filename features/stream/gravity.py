@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from features.stream.conditioning import Conditioning
-from features.stream.drift import nominal_outputs
+from softslide.features.stream.conditioning import Conditioning
+from softslide.features.stream.drift import nominal_outputs
 
 # Memory of the sums, s: longer than a contact takes over an accelerometer, shorter than the pressure's drift.
 MEMORY_S = 8.0

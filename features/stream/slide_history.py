@@ -7,9 +7,9 @@ increase over its length, so that no sample is thrown away: the longer the stret
 
 import numpy as np
 
-from features.angles import touch_channels
-from features.stream.conditioning import Conditioning
-from features.window import WINDOW_BINS, Window
+from softslide.features.angles import touch_channels
+from softslide.features.stream.conditioning import Conditioning
+from softslide.features.window import WINDOW_BINS, Window
 
 # Four points a bin of the window when the buffer is full, two when it has just been halved.
 BUFFER_POINTS = 4 * WINDOW_BINS

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from features.angles import touch_channels
-from features.stream.conditioning import Conditioning
+from softslide.features.angles import touch_channels
+from softslide.features.stream.conditioning import Conditioning
 
 # The first estimate is a plain mean over this many times `trigger_blocks`, 0.2 s: its noise is then 1 / sqrt(2) of that
 # of the mean which is compared with it.

@@ -10,11 +10,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from features.angles import touch_channels
-from features.stream.conditioning import ONSETS, Conditioning
-from features.stream.slide_history import SlideHistory
-from features.stream.static_output import StaticOutput
-from features.window import Window
+from softslide.features.angles import touch_channels
+from softslide.features.stream.conditioning import ONSETS, Conditioning
+from softslide.features.stream.slide_history import SlideHistory
+from softslide.features.stream.static_output import StaticOutput
+from softslide.features.window import Window
 
 # The V_x and V_y of a slide change in more than their common strength, and by more than either of these: a share of the
 # largest output so far, and of the trigger (five times the noise of a mean over `trigger_blocks`). With half of either,

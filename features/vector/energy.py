@@ -6,7 +6,7 @@ length that depends on the line alone, and log(v sigma_t) is a far easier target
 
 import numpy as np
 
-from features.angles import tilt_channels
+from softslide.features.angles import tilt_channels
 
 
 def energy_clock(tilt: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

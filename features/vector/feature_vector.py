@@ -13,11 +13,11 @@
 
 import numpy as np
 
-from features.vector.arc import ARC_POINTS, arc_curve
-from features.vector.energy import energy_clock, tilt_outputs
-from features.vector.extrema import maximum, minimum, value_at
-from features.vector.timing import EXTREMES, INTERVAL_NAMES, intervals
-from features.vector.zones import first_and_last, signs, zone, zones_in_order
+from softslide.features.vector.arc import ARC_POINTS, arc_curve
+from softslide.features.vector.energy import energy_clock, tilt_outputs
+from softslide.features.vector.extrema import maximum, minimum, value_at
+from softslide.features.vector.timing import EXTREMES, INTERVAL_NAMES, intervals
+from softslide.features.vector.zones import first_and_last, signs, zone, zones_in_order
 
 _ZONES = 3
 # Windows computed at a time, so that intermediate arrays stay within the processor's cache.

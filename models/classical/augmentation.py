@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from pipeline.recordings.windows import LabelledWindows
+from softslide.pipeline.recordings.windows import LabelledWindows
 
 # Lines farther apart than this are no neighbours, mm: the outputs' extremes bend in between.
 NEIGHBOUR_MM = 5.1

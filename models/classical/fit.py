@@ -7,18 +7,18 @@ from typing import Any, Protocol
 import numpy as np
 import onnx
 
-from features.card import Interval, Validity
-from features.errors import InputError
-from features.vector.feature_vector import feature_names
-from models.classical.learned_lines import LearnedLines, SharesConfig, learned_windows
-from models.classical.misfit import Misfit
-from models.classical.regression import EARLIEST, float_features, late_windows
-from models.fitted_model import FittedModel, Given, Model
-from models.graph.builder import GraphBuilder
-from models.held_out import mean_errors, offset_reach_mm, signed_errors
-from models.intervals import COVERAGE, LEAST_WINDOWS, conformal_interval, misfit_limit, step_between
-from pipeline.recordings.folder import Folder
-from pipeline.recordings.windows import LabelledWindows
+from softslide.features.card import Interval, Validity
+from softslide.features.errors import InputError
+from softslide.features.vector.feature_vector import feature_names
+from softslide.models.classical.learned_lines import LearnedLines, SharesConfig, learned_windows
+from softslide.models.classical.misfit import Misfit
+from softslide.models.classical.regression import EARLIEST, float_features, late_windows
+from softslide.models.fitted_model import FittedModel, Given, Model
+from softslide.models.graph.builder import GraphBuilder
+from softslide.models.held_out import mean_errors, offset_reach_mm, signed_errors
+from softslide.models.intervals import COVERAGE, LEAST_WINDOWS, conformal_interval, misfit_limit, step_between
+from softslide.pipeline.recordings.folder import Folder
+from softslide.pipeline.recordings.windows import LabelledWindows
 
 RECORDED_ALONE = SharesConfig(recorded_share=1.0)
 

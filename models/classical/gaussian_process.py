@@ -8,13 +8,13 @@ from sklearn.exceptions import ConvergenceWarning
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
 
-from features.stream.conditioning import Conditioning
-from models.classical.fit import feature_model
-from models.classical.learned_lines import SharesConfig
-from models.classical.regression import Regressor, regression_table
-from models.graph.builder import GraphBuilder
-from pipeline.ranges import SEED, check_ranges
-from pipeline.recordings.windows import LabelledWindows
+from softslide.features.stream.conditioning import Conditioning
+from softslide.models.classical.fit import feature_model
+from softslide.models.classical.learned_lines import SharesConfig
+from softslide.models.classical.regression import Regressor, regression_table
+from softslide.models.graph.builder import GraphBuilder
+from softslide.pipeline.ranges import SEED, check_ranges
+from softslide.pipeline.recordings.windows import LabelledWindows
 
 
 @dataclass(frozen=True)

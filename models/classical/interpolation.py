@@ -15,13 +15,13 @@ from typing import ClassVar
 import numpy as np
 from onnx import TensorProto
 
-from features.angles import wrapped_deg
-from features.errors import InputError
-from features.stream.conditioning import Conditioning
-from features.vector.feature_vector import feature_matrix, feature_names
-from models.classical.fit import feature_model
-from models.graph.builder import GraphBuilder
-from pipeline.recordings.windows import LabelledWindows
+from softslide.features.angles import wrapped_deg
+from softslide.features.errors import InputError
+from softslide.features.stream.conditioning import Conditioning
+from softslide.features.vector.feature_vector import feature_matrix, feature_names
+from softslide.models.classical.fit import feature_model
+from softslide.models.graph.builder import GraphBuilder
+from softslide.pipeline.recordings.windows import LabelledWindows
 
 # Directions in this order everywhere: X forward, Y forward, X backward, Y backward, deg.
 DIRECTIONS_DEG = np.array([0.0, 90.0, 180.0, 270.0])

@@ -8,16 +8,16 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from features.stream.conditioning import Conditioning
-from models.classical.regression import late_windows
-from models.held_out import line_folds
-from models.response_map.from_atlas import SensorSpread
-from models.response_map.map import ResponseMap
-from models.response_map.select import LEAST_ALONE, CalibratedMap, calibrated_map
-from models.response_map.slide_fit import CalibrationConfig
-from pipeline.atlas.atlas import Atlas
-from pipeline.recordings.folder import Folder
-from pipeline.recordings.windows import LabelledWindows, joined, labelled_windows
+from softslide.features.stream.conditioning import Conditioning
+from softslide.models.classical.regression import late_windows
+from softslide.models.held_out import line_folds
+from softslide.models.response_map.from_atlas import SensorSpread
+from softslide.models.response_map.map import ResponseMap
+from softslide.models.response_map.select import LEAST_ALONE, CalibratedMap, calibrated_map
+from softslide.models.response_map.slide_fit import CalibrationConfig
+from softslide.pipeline.atlas.atlas import Atlas
+from softslide.pipeline.recordings.folder import Folder
+from softslide.pipeline.recordings.windows import LabelledWindows, joined, labelled_windows
 
 RECORDED_FOLDS = 5
 
@@ -120,7 +120,7 @@ def drawn_windows(response: ResponseMap, block_s: float, count: int) -> Labelled
     # With torch, which takes seconds to import, and which other models on features do without.
     import torch
 
-    from models.cnn.training_windows import SynthesisConfig, WindowSource
+    from softslide.models.cnn.training_windows import SynthesisConfig, WindowSource
 
     source = WindowSource(response, block_s, SynthesisConfig(midway=0.0, paused=0.0, dead=0.0))
     generator = torch.Generator().manual_seed(0)

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 from onnx import TensorProto
 
-from models.classical.regression import Scale, float_features, late_windows, read_columns
-from models.graph.builder import GraphBuilder
-from pipeline.recordings.windows import LabelledWindows
+from softslide.models.classical.regression import Scale, float_features, late_windows, read_columns
+from softslide.models.graph.builder import GraphBuilder
+from softslide.pipeline.recordings.windows import LabelledWindows
 
 # Standard deviation added in every direction, of the features' own: what the windows at hand do not show to vary may
 # still vary. Between 0.3 and 0.01 it changes little (experiments/LOG.md).

@@ -11,11 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 from onnx import TensorProto
 
-from features.vector.energy import energy_width_s
-from features.vector.feature_vector import feature_matrix, feature_names
-from models.classical.augmentation import with_lines_between
-from models.graph.builder import GraphBuilder
-from pipeline.recordings.windows import LabelledWindows
+from softslide.features.vector.energy import energy_width_s
+from softslide.features.vector.feature_vector import feature_matrix, feature_names
+from softslide.models.classical.augmentation import with_lines_between
+from softslide.models.graph.builder import GraphBuilder
+from softslide.pipeline.recordings.windows import LabelledWindows
 
 OUTPUTS = ("direction_cos", "direction_sin", "log_speed_width", "offset_mm", "along_mm")
 

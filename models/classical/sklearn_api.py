@@ -25,9 +25,9 @@ from sklearn.base import BaseEstimator, RegressorMixin, TransformerMixin
 from sklearn.utils import Tags
 from sklearn.utils.validation import check_is_fitted, validate_data
 
-from features.vector.feature_vector import feature_matrix, feature_names
-from features.window import WINDOW_BINS
-from models.classical.interpolation import (
+from softslide.features.vector.feature_vector import feature_matrix, feature_names
+from softslide.features.window import WINDOW_BINS
+from softslide.models.classical.interpolation import (
     SPEED_FORMS,
     abscissas,
     degree,

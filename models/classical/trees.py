@@ -9,11 +9,11 @@ from skl2onnx import convert_sklearn
 from skl2onnx.common.data_types import FloatTensorType
 from sklearn.ensemble import ExtraTreesRegressor
 
-from features.stream.conditioning import Conditioning
-from models.classical.augmentation import with_lines_between
-from models.classical.fit import feature_model
-from models.classical.learned_lines import SharesConfig
-from models.classical.regression import (
+from softslide.features.stream.conditioning import Conditioning
+from softslide.models.classical.augmentation import with_lines_between
+from softslide.models.classical.fit import feature_model
+from softslide.models.classical.learned_lines import SharesConfig
+from softslide.models.classical.regression import (
     OUTPUTS,
     Scale,
     float_features,
@@ -21,9 +21,9 @@ from models.classical.regression import (
     read_columns,
     targets,
 )
-from models.graph.builder import OPSET, OPSET_ML, GraphBuilder
-from pipeline.ranges import SEED, check_ranges
-from pipeline.recordings.windows import LabelledWindows
+from softslide.models.graph.builder import OPSET, OPSET_ML, GraphBuilder
+from softslide.pipeline.ranges import SEED, check_ranges
+from softslide.pipeline.recordings.windows import LabelledWindows
 
 # Each forest's targets, and those of them that are taken from it. Direction and speed fare better alone: what splits
 # the one does not split the other (one forest for all doubles the speed's error, experiments/LOG.md). The offset fares

@@ -6,9 +6,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from models.cnn.gauss_newton import Refinement, RefinementConfig
-from models.response_map.map import ResponseMap
-from pipeline.recordings.windows import LabelledWindows
+from softslide.models.cnn.gauss_newton import Refinement, RefinementConfig
+from softslide.models.response_map.map import ResponseMap
+from softslide.pipeline.recordings.windows import LabelledWindows
 
 KNOWN_MM = 1e-6
 

@@ -6,28 +6,28 @@ import numpy as np
 import onnx
 import torch
 
-from features.card import HALF_WIDTH_SD, Interval, Validity
-from features.errors import InputError
-from features.stream.conditioning import Conditioning
-from models.cnn.gauss_newton import Refinement
-from models.cnn.height_input import with_height
-from models.cnn.network import OUTPUTS, NetworkConfig, Proposal, SlideNetwork
-from models.cnn.training import TrainingConfig, train_proposal
-from models.cnn.training_windows import SynthesisConfig, WindowSource
-from models.fitted_model import NOTHING, FittedModel, Given, Model
-from models.graph.from_torch import export_graph
-from models.graph.packing import unpack
-from models.held_out import WHOLE, offset_reach_mm, signed_errors
-from models.intervals import LEAST_WINDOWS, conformal_interval, misfit_limit
-from models.response_map.card import calibrated_forces, contact_calibration, inflation_v_per_mm
-from models.response_map.from_atlas import SensorSpread
-from models.response_map.map import ResponseMap
-from models.response_map.select import CalibratedMap
-from models.response_map.slide_fit import CalibrationConfig
-from models.response_map.slides import LEAST_APART_MM, static_scatter
-from pipeline.recordings.folder import Folder
-from pipeline.recordings.heights import HEIGHT
-from pipeline.recordings.windows import LabelledWindows, labelled_windows
+from softslide.features.card import HALF_WIDTH_SD, Interval, Validity
+from softslide.features.errors import InputError
+from softslide.features.stream.conditioning import Conditioning
+from softslide.models.cnn.gauss_newton import Refinement
+from softslide.models.cnn.height_input import with_height
+from softslide.models.cnn.network import OUTPUTS, NetworkConfig, Proposal, SlideNetwork
+from softslide.models.cnn.training import TrainingConfig, train_proposal
+from softslide.models.cnn.training_windows import SynthesisConfig, WindowSource
+from softslide.models.fitted_model import NOTHING, FittedModel, Given, Model
+from softslide.models.graph.from_torch import export_graph
+from softslide.models.graph.packing import unpack
+from softslide.models.held_out import WHOLE, offset_reach_mm, signed_errors
+from softslide.models.intervals import LEAST_WINDOWS, conformal_interval, misfit_limit
+from softslide.models.response_map.card import calibrated_forces, contact_calibration, inflation_v_per_mm
+from softslide.models.response_map.from_atlas import SensorSpread
+from softslide.models.response_map.map import ResponseMap
+from softslide.models.response_map.select import CalibratedMap
+from softslide.models.response_map.slide_fit import CalibrationConfig
+from softslide.models.response_map.slides import LEAST_APART_MM, static_scatter
+from softslide.pipeline.recordings.folder import Folder
+from softslide.pipeline.recordings.heights import HEIGHT
+from softslide.pipeline.recordings.windows import LabelledWindows, labelled_windows
 
 # Without recordings nothing says how far this sensor is from its design: the article's own bounds, and a margin.
 UNCALIBRATED = {

@@ -12,8 +12,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from models.graph.packing import rounded
-from models.response_map.map import ResponseMap
+from softslide.models.graph.packing import rounded
+from softslide.models.response_map.map import ResponseMap
 
 BINS = (
     16  # of time in a window: its own in fours; residuals of finer ones are correlated (experiments/LOG.md)

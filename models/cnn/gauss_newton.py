@@ -12,10 +12,10 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from features.window import WINDOW_BINS
-from models.cnn.forward_model import BINS, PHASES, STATE, Prediction
-from models.response_map.map import ResponseMap
-from pipeline.ranges import POSITIVE, SHARE, SIZE, check_ranges
+from softslide.features.window import WINDOW_BINS
+from softslide.models.cnn.forward_model import BINS, PHASES, STATE, Prediction
+from softslide.models.response_map.map import ResponseMap
+from softslide.pipeline.ranges import POSITIVE, SHARE, SIZE, check_ranges
 
 PEAK_SHARE = 0.003  # the map's residual, as a share of the slide's largest output
 FLOOR_SHARE = 0.6  # and of its residual in calibration, which the bins share (experiments/LOG.md)

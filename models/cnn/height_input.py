@@ -9,11 +9,11 @@ import numpy as np
 import onnx
 from onnx import TensorProto, helper, numpy_helper
 
-from features.contact.response_surface import PARTS
-from features.height import HEIGHT_INPUT
-from models.cnn.forward_model import TABLE, patch_table
-from models.graph.packing import pack, rounded, unpack
-from models.response_map.map import ResponseMap
+from softslide.features.contact.response_surface import PARTS
+from softslide.features.height import HEIGHT_INPUT
+from softslide.models.cnn.forward_model import TABLE, patch_table
+from softslide.models.graph.packing import pack, rounded, unpack
+from softslide.models.response_map.map import ResponseMap
 
 # Constants of the graph: (cells, C) V/mm, the change of the table's M with height; (C, 4 C), where it is in a row, in
 # which the PARTS of a channel lie side by side.

@@ -10,10 +10,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from features.vector.energy import energy_clock, tilt_outputs
-from models.cnn.gauss_newton import Refinement, RefinementConfig
-from models.cnn.network import OUTPUTS, SlideNetwork
-from models.response_map.map import ResponseMap
+from softslide.features.vector.energy import energy_clock, tilt_outputs
+from softslide.models.cnn.gauss_newton import Refinement, RefinementConfig
+from softslide.models.cnn.network import OUTPUTS, SlideNetwork
+from softslide.models.response_map.map import ResponseMap
 
 # Wide priors: a start must find its way from anywhere on the skin.
 STARTS = RefinementConfig(steps=15, trust=1.0, least_prior=(3.0, 1.5, 20.0, 25.0))

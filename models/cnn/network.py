@@ -15,9 +15,9 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from features.window import WINDOW_BINS
-from models.cnn.gauss_newton import DEPTH, Refinement, RefinementConfig
-from pipeline.ranges import check_ranges
+from softslide.features.window import WINDOW_BINS
+from softslide.models.cnn.gauss_newton import DEPTH, Refinement, RefinementConfig
+from softslide.pipeline.ranges import check_ranges
 
 OUTPUTS = (
     "direction_cos",

@@ -9,10 +9,10 @@ import torch
 from torch import Tensor
 from torch.nn.utils import clip_grad_norm_
 
-from models.cnn.network import LENGTH_MM, NetworkConfig, Proposal
-from models.cnn.training_windows import WindowSource
-from models.graph.packing import rounded, rounded_weights
-from pipeline.ranges import SEED, check_ranges
+from softslide.models.cnn.network import LENGTH_MM, NetworkConfig, Proposal
+from softslide.models.cnn.training_windows import WindowSource
+from softslide.models.graph.packing import rounded, rounded_weights
+from softslide.pipeline.ranges import SEED, check_ranges
 
 
 @dataclass(frozen=True)

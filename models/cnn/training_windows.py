@@ -13,11 +13,11 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-from features.window import WINDOW_BINS
-from models.cnn.gauss_newton import PEAK_SHARE
-from models.response_map.map import ResponseMap
-from pipeline.ranges import POSITIVE, SHARE, SIZE, check_ranges
-from pipeline.recordings.windows import LabelledWindows
+from softslide.features.window import WINDOW_BINS
+from softslide.models.cnn.gauss_newton import PEAK_SHARE
+from softslide.models.response_map.map import ResponseMap
+from softslide.pipeline.ranges import POSITIVE, SHARE, SIZE, check_ranges
+from softslide.pipeline.recordings.windows import LabelledWindows
 
 SAMPLES = 2 * WINDOW_BINS  # of a slide before its window is cut: two a bin
 TABLE_MM = 0.5  # spacing of the look-up table, a fifth of the map's splines

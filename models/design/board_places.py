@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import RegularGridInterpolator
 
-from features.errors import InputError
-from models.design.line_information import (
+from softslide.features.errors import InputError
+from softslide.models.design.line_information import (
     ERRORS,
     STEPS,
     Line,
@@ -23,10 +23,10 @@ from models.design.line_information import (
     with_gain_prior,
     without_static,
 )
-from models.response_map.from_atlas import DESIGN_DRIFT_V, DESIGN_NOISE_V
-from models.response_map.map import MARGIN_MM, PARTS, ResponseMap, spline_coefficients, spline_grid
-from pipeline.atlas.bare_skin import TiltField
-from pipeline.sensor import Sensor
+from softslide.models.response_map.from_atlas import DESIGN_DRIFT_V, DESIGN_NOISE_V
+from softslide.models.response_map.map import MARGIN_MM, PARTS, ResponseMap, spline_coefficients, spline_grid
+from softslide.pipeline.atlas.bare_skin import TiltField
+from softslide.pipeline.sensor import Sensor
 
 BOARD_LINES = 300  # that the bound is averaged over
 GAP_MM = 0.5  # of skin between two boards

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from features.stream.conditioning import Conditioning
-from models.response_map.calibrate import MAP_VARIANCE
-from models.response_map.from_atlas import SAMPLE_MM
-from models.response_map.map import ResponseMap
+from softslide.features.stream.conditioning import Conditioning
+from softslide.models.response_map.calibrate import MAP_VARIANCE
+from softslide.models.response_map.from_atlas import SAMPLE_MM
+from softslide.models.response_map.map import ResponseMap
 
 LINE_SPEED_MM_S = 2.0  # of the lines: the middle of the article's speeds; it weighs with the lag alone
 LEAST_CHORD_MM = 20.0  # over the chamber; shorter lines are at its corners

@@ -14,8 +14,8 @@ import numpy as np
 import pandas as pd
 from scipy.linalg import cho_factor, cho_solve
 
-from features.stream.conditioning import Conditioning
-from models.design.line_information import (
+from softslide.features.stream.conditioning import Conditioning
+from softslide.models.design.line_information import (
     ERRORS,
     LINE_SPEED_MM_S,
     STEPS,
@@ -29,7 +29,7 @@ from models.design.line_information import (
     with_gain_prior,
     without_static,
 )
-from models.response_map.calibrate import (
+from softslide.models.response_map.calibrate import (
     MAP_VARIANCE,
     PENALTY_NOISE_V,
     RIDGE,
@@ -38,12 +38,12 @@ from models.response_map.calibrate import (
     rim_gram,
     roughness,
 )
-from models.response_map.from_atlas import SAMPLE_MM, SensorSpread, prior_deviations
-from models.response_map.map import PARTS, ResponseMap, knots, tensor_splines
-from models.response_map.slide_fit import CalibrationConfig
-from models.response_map.slides import STRETCH_MM
-from pipeline.atlas.atlas import Atlas
-from pipeline.sensor import Sensor
+from softslide.models.response_map.from_atlas import SAMPLE_MM, SensorSpread, prior_deviations
+from softslide.models.response_map.map import PARTS, ResponseMap, knots, tensor_splines
+from softslide.models.response_map.slide_fit import CalibrationConfig
+from softslide.models.response_map.slides import STRETCH_MM
+from softslide.pipeline.atlas.atlas import Atlas
+from softslide.pipeline.sensor import Sensor
 
 # Times the penalties of the calibration, where they stand for the residual's prior. On held-out lines 0.3 was best of
 # 0.3, 1, 3 and 30, by about as much as chance (experiments/LOG.md).

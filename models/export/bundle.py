@@ -9,15 +9,15 @@ import numpy as np
 import onnx
 import onnxruntime as ort
 
-from features.base_motion import BaseMotion
-from features.card import Card, write_card
-from features.errors import CheckFailed
-from features.vector.feature_vector import feature_matrix
-from models.fitted_model import FittedModel
-from models.graph.packing import unpack
-from pipeline.recordings.windows import LabelledWindows
-from pipeline.sensor import Sensor
-from pipeline.staging import staged
+from softslide.features.base_motion import BaseMotion
+from softslide.features.card import Card, write_card
+from softslide.features.errors import CheckFailed
+from softslide.features.vector.feature_vector import feature_matrix
+from softslide.models.fitted_model import FittedModel
+from softslide.models.graph.packing import unpack
+from softslide.pipeline.recordings.windows import LabelledWindows
+from softslide.pipeline.sensor import Sensor
+from softslide.pipeline.staging import staged
 
 PARITY = 1e-4  # relative difference of graph and original
 # Of the misfit, a chi-square of the residuals before the last step: rounding of the proposal moves it the most where

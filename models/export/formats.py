@@ -12,9 +12,9 @@ import numpy as np
 import onnx
 import onnxruntime as ort
 
-from features.card import Card, write_card
-from features.errors import InputError
-from models.export.bundle import (
+from softslide.features.card import Card, write_card
+from softslide.features.errors import InputError
+from softslide.models.export.bundle import (
     PARITY,
     believed,
     graph_inputs,
@@ -23,14 +23,14 @@ from models.export.bundle import (
     session_of,
     with_graph,
 )
-from models.export.c99.node import NoForm
-from models.export.c99.precision import in_single
-from models.export.c99.source import sources
-from pipeline.recordings.folder import SAMPLE, read_folder
-from pipeline.recordings.windows import labelled_windows
-from pipeline.sensor import Sensor
-from pipeline.staging import staged
-from serve.bundle import open_bundle
+from softslide.models.export.c99.node import NoForm
+from softslide.models.export.c99.precision import in_single
+from softslide.models.export.c99.source import sources
+from softslide.pipeline.recordings.folder import SAMPLE, read_folder
+from softslide.pipeline.recordings.windows import labelled_windows
+from softslide.pipeline.sensor import Sensor
+from softslide.pipeline.staging import staged
+from softslide.serve.bundle import open_bundle
 
 # Of the sample's recordings one in so many is compared: fifteen, of every split.
 EVERY = 4

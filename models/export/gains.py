@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from features.angles import touch_channels
-from features.height import HeightCalibration
-from features.stream.conditioning import Conditioning, block_means
-from models.response_map.map import ResponseMap
-from models.response_map.slide_fit import CalibrationConfig, fit_slide
-from models.response_map.slides import LEAST_REST_BLOCKS, CalibrationSlide, calibration_slides
-from pipeline.recordings.derived_labels import UNTIMED
-from pipeline.recordings.folder import Folder
+from softslide.features.angles import touch_channels
+from softslide.features.height import HeightCalibration
+from softslide.features.stream.conditioning import Conditioning, block_means
+from softslide.models.response_map.map import ResponseMap
+from softslide.models.response_map.slide_fit import CalibrationConfig, fit_slide
+from softslide.models.response_map.slides import LEAST_REST_BLOCKS, CalibrationSlide, calibration_slides
+from softslide.pipeline.recordings.derived_labels import UNTIMED
+from softslide.pipeline.recordings.folder import Folder
 
 # Standard deviations of the prior: a real skin was 11 to 18 % stronger on another day, channel by channel.
 COMMON_SD, CHANNEL_SD = 0.15, 0.05

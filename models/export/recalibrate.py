@@ -8,18 +8,18 @@ import numpy as np
 import onnx
 from onnx import numpy_helper
 
-from features.card import Card, write_card
-from features.errors import InputError
-from models.cnn.forward_model import TABLE
-from models.cnn.height_input import SLOPE
-from models.export.bundle import read_graph, with_graph
-from models.export.gains import Gains, fit_gains, labelled_contacts
-from models.graph.packing import pack
-from models.response_map.card import contact_calibration, response_of, with_gains
-from models.response_map.slides import static_outputs
-from pipeline.recordings.folder import Folder
-from pipeline.staging import staged
-from serve.bundle import open_bundle
+from softslide.features.card import Card, write_card
+from softslide.features.errors import InputError
+from softslide.models.cnn.forward_model import TABLE
+from softslide.models.cnn.height_input import SLOPE
+from softslide.models.export.bundle import read_graph, with_graph
+from softslide.models.export.gains import Gains, fit_gains, labelled_contacts
+from softslide.models.graph.packing import pack
+from softslide.models.response_map.card import contact_calibration, response_of, with_gains
+from softslide.models.response_map.slides import static_outputs
+from softslide.pipeline.recordings.folder import Folder
+from softslide.pipeline.staging import staged
+from softslide.serve.bundle import open_bundle
 
 
 def recalibrate(bundle: Path, folder: Folder, out: Path, data: dict[str, str]) -> dict[str, Any]:

@@ -8,8 +8,8 @@ import warnings
 import onnx
 import torch
 
-from features.window import WINDOW_BINS
-from models.graph.packing import pack
+from softslide.features.window import WINDOW_BINS
+from softslide.models.graph.packing import pack
 
 
 def export_graph(network: torch.nn.Module, accelerometers: int) -> onnx.ModelProto:

@@ -17,10 +17,10 @@ import numpy as np
 from scipy import sparse
 from scipy.linalg import solveh_banded
 
-from models.response_map.map import MARGIN_MM, PARTS, SPACING_MM, ResponseMap, knots, tensor_splines
-from models.response_map.slide_fit import CalibrationConfig, fit_slide
-from models.response_map.slides import CalibrationSlide, at_height, main_height_mm, several
-from pipeline.sensor import Sensor
+from softslide.models.response_map.map import MARGIN_MM, PARTS, SPACING_MM, ResponseMap, knots, tensor_splines
+from softslide.models.response_map.slide_fit import CalibrationConfig, fit_slide
+from softslide.models.response_map.slides import CalibrationSlide, at_height, main_height_mm, several
+from softslide.pipeline.sensor import Sensor
 
 LEAST_DRIFT_V = 5e-4  # the static output is never known better: one step of the article's converter
 OUTLIER = 4.0  # times the median residual: a slide beyond it has a wrong label

@@ -7,14 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from features.card import Card
-from features.contact.calibration import ContactCalibration, encoded
-from features.contact.force_map import ForceMap, in_steps
-from features.force import STEP_MM, ForceReader
-from features.height import HeightCalibration
-from features.stream.conditioning import ONSETS
-from models.response_map.from_atlas import depth_bounds, tilt_v_per_g
-from models.response_map.map import (
+from softslide.features.card import Card
+from softslide.features.contact.calibration import ContactCalibration, encoded
+from softslide.features.contact.force_map import ForceMap, in_steps
+from softslide.features.force import STEP_MM, ForceReader
+from softslide.features.height import HeightCalibration
+from softslide.features.stream.conditioning import ONSETS
+from softslide.models.response_map.from_atlas import depth_bounds, tilt_v_per_g
+from softslide.models.response_map.map import (
     MARGIN_MM,
     PARTS,
     SPACING_MM,
@@ -22,12 +22,12 @@ from models.response_map.map import (
     spline_coefficients,
     spline_grid,
 )
-from models.response_map.slides import LEAST_STATIC_SD_V, CalibrationSlide, StaticScatter
-from pipeline.atlas.atlas import Atlas
-from pipeline.recordings.folder import Folder
-from pipeline.recordings.heights import laser_readings_mm
-from pipeline.sensor import Sensor
-from pipeline.skin.lines import PER_BOARD
+from softslide.models.response_map.slides import LEAST_STATIC_SD_V, CalibrationSlide, StaticScatter
+from softslide.pipeline.atlas.atlas import Atlas
+from softslide.pipeline.recordings.folder import Folder
+from softslide.pipeline.recordings.heights import laser_readings_mm
+from softslide.pipeline.sensor import Sensor
+from softslide.pipeline.skin.lines import PER_BOARD
 
 SCALE = "force_mn"  # column of the manifest: the largest normal force of the stroke that a scale read
 # Without a scale the force is as uncertain as the modulus, which it is proportional to at a given height: the article

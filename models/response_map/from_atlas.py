@@ -10,11 +10,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import least_squares
 
-from models.response_map.map import MARGIN_MM, PARTS, ResponseMap, spline_coefficients, spline_grid
-from models.response_map.slides import CalibrationSlide, at_height, main_height_mm, several
-from pipeline.atlas.atlas import Atlas
-from pipeline.ranges import SIZE, check_ranges
-from pipeline.sensor import Sensor
+from softslide.models.response_map.map import MARGIN_MM, PARTS, ResponseMap, spline_coefficients, spline_grid
+from softslide.models.response_map.slides import CalibrationSlide, at_height, main_height_mm, several
+from softslide.pipeline.atlas.atlas import Atlas
+from softslide.pipeline.ranges import SIZE, check_ranges
+from softslide.pipeline.sensor import Sensor
 
 DEPTH_STEP_MM = 0.1  # of the central difference over depth
 HEIGHT_STEP_MM = 0.5  # and over the skin's height, about what recordings at several pressures differ by

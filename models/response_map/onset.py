@@ -12,15 +12,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pandas as pd
 
-from features.angles import tilt_channels
-from features.stream.conditioning import Conditioning, block_means
-from models.response_map.from_atlas import SensorSpread, prior_map
-from models.response_map.map import ResponseMap
-from models.response_map.slide_fit import CalibrationConfig, fit_slide
-from models.response_map.slides import LABELS, calibration_slides, means, stretch_blocks
-from pipeline.atlas.atlas import Atlas
-from pipeline.recordings.folder import Folder, Recording
-from pipeline.synthesis.slide_plan import chord
+from softslide.features.angles import tilt_channels
+from softslide.features.stream.conditioning import Conditioning, block_means
+from softslide.models.response_map.from_atlas import SensorSpread, prior_map
+from softslide.models.response_map.map import ResponseMap
+from softslide.models.response_map.slide_fit import CalibrationConfig, fit_slide
+from softslide.models.response_map.slides import LABELS, calibration_slides, means, stretch_blocks
+from softslide.pipeline.atlas.atlas import Atlas
+from softslide.pipeline.recordings.folder import Folder, Recording
+from softslide.pipeline.synthesis.slide_plan import chord
 
 ONSET_ROUNDS = 3  # of the design's parameters and the onsets in turn
 REST_S = 0.5  # the static output is read from the recording's first half second

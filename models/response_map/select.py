@@ -15,27 +15,27 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from features.errors import InputError
-from features.height import HeightCalibration
-from features.stream.conditioning import Conditioning
-from models.held_out import line_folds
-from models.response_map.calibrate import blank_map, calibrate
-from models.response_map.card import calibrated_heights
-from models.response_map.from_atlas import SensorSpread, prior_map
-from models.response_map.map import SPACING_MM, ResponseMap
-from models.response_map.onset import Onsets, moved, with_onsets
-from models.response_map.slide_fit import CalibrationConfig, fit_slide, with_lag
-from models.response_map.slides import (
+from softslide.features.errors import InputError
+from softslide.features.height import HeightCalibration
+from softslide.features.stream.conditioning import Conditioning
+from softslide.models.held_out import line_folds
+from softslide.models.response_map.calibrate import blank_map, calibrate
+from softslide.models.response_map.card import calibrated_heights
+from softslide.models.response_map.from_atlas import SensorSpread, prior_map
+from softslide.models.response_map.map import SPACING_MM, ResponseMap
+from softslide.models.response_map.onset import Onsets, moved, with_onsets
+from softslide.models.response_map.slide_fit import CalibrationConfig, fit_slide, with_lag
+from softslide.models.response_map.slides import (
     LEAST_APART_MM,
     CalibrationSlide,
     at_height,
     calibration_slides,
     main_height_mm,
 )
-from pipeline.atlas.atlas import Atlas
-from pipeline.recordings.derived_labels import USUAL_DEPTH_MM
-from pipeline.recordings.folder import Folder
-from pipeline.sensor import Sensor
+from softslide.pipeline.atlas.atlas import Atlas
+from softslide.pipeline.recordings.derived_labels import USUAL_DEPTH_MM
+from softslide.pipeline.recordings.folder import Folder
+from softslide.pipeline.sensor import Sensor
 
 FOLDS = 4
 LEAST_ALONE = 24  # slides; fewer leave the map without an atlas full of holes

@@ -10,11 +10,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from features.stream.conditioning import Conditioning
-from models.response_map.map import ResponseMap
-from models.response_map.slides import CalibrationSlide
-from pipeline.ranges import POSITIVE, check_ranges
-from pipeline.synthesis.viscoelastic_lag import standard_solid
+from softslide.features.stream.conditioning import Conditioning
+from softslide.models.response_map.map import ResponseMap
+from softslide.models.response_map.slides import CalibrationSlide
+from softslide.pipeline.ranges import POSITIVE, check_ranges
+from softslide.pipeline.synthesis.viscoelastic_lag import standard_solid
 
 # So much of a stretch's output is never explained: one step of the article's converter.
 LEAST_RESIDUAL_V = 5e-4

@@ -9,12 +9,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from features.angles import touch_channels
-from features.stream.conditioning import ONSETS, Conditioning, block_means, without_lag
-from pipeline.recordings.folder import Folder
-from pipeline.recordings.heights import HEIGHT
-from pipeline.recordings.pooled import WEIGHT
-from pipeline.recordings.stroke import stage_motion
+from softslide.features.angles import touch_channels
+from softslide.features.stream.conditioning import ONSETS, Conditioning, block_means, without_lag
+from softslide.pipeline.recordings.folder import Folder
+from softslide.pipeline.recordings.heights import HEIGHT
+from softslide.pipeline.recordings.pooled import WEIGHT
+from softslide.pipeline.recordings.stroke import stage_motion
 
 STRETCH_MM = 0.5  # a fifth of the splines' spacing: along a stretch the response is straight
 LEAST_REST_BLOCKS = 5  # fewer give neither the static output nor its noise

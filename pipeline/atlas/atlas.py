@@ -23,12 +23,12 @@ import numpy as np
 from scipy.interpolate import NdBSpline
 from scipy.optimize import brentq
 
-from features.errors import InputError
-from features.regular_file import check_regular
-from pipeline.atlas.splines import along, check_inside, fit_axis
-from pipeline.sensor import Sensor, design_hash, design_of
-from pipeline.skin.lines import PER_BOARD
-from pipeline.staging import whole, writing
+from softslide.features.errors import InputError
+from softslide.features.regular_file import check_regular
+from softslide.pipeline.atlas.splines import along, check_inside, fit_axis
+from softslide.pipeline.sensor import Sensor, design_hash, design_of
+from softslide.pipeline.skin.lines import PER_BOARD
+from softslide.pipeline.staging import whole, writing
 
 VERSION = 1
 DEFAULT_ATLAS = Path(__file__).parent / "default_atlas.npz"

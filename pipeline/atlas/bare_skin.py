@@ -8,14 +8,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from features.errors import InputError
-from pipeline.atlas.solve import COARSE, Progress
-from pipeline.sensor import Accelerometer, Sensor
-from pipeline.skin.lines import Line, join_families, lines, reach_mm, representative
-from pipeline.skin.mesh import Mesh, graded, mounted, outline, plate
-from pipeline.skin.solved_line import material_of
-from pipeline.skin.solver import NoEquilibrium, Skin
-from pipeline.skin.system import State
+from softslide.features.errors import InputError
+from softslide.pipeline.atlas.solve import COARSE, Progress
+from softslide.pipeline.sensor import Accelerometer, Sensor
+from softslide.pipeline.skin.lines import Line, join_families, lines, reach_mm, representative
+from softslide.pipeline.skin.mesh import Mesh, graded, mounted, outline, plate
+from softslide.pipeline.skin.solved_line import material_of
+from softslide.pipeline.skin.solver import NoEquilibrium, Skin
+from softslide.pipeline.skin.system import State
 
 MESH_MM = 3.4  # as coarse as the coarse atlas's
 LAYERS = 3

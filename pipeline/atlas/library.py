@@ -4,10 +4,10 @@ import os
 import sys
 from pathlib import Path
 
-from features.errors import InputError
-from pipeline.atlas.atlas import Atlas, check_atlas, read_atlas, write_atlas
-from pipeline.progress import progress_bar
-from pipeline.sensor import Sensor, check_design, design_hash
+from softslide.features.errors import InputError
+from softslide.pipeline.atlas.atlas import Atlas, check_atlas, read_atlas, write_atlas
+from softslide.pipeline.progress import progress_bar
+from softslide.pipeline.sensor import Sensor, check_design, design_hash
 
 
 def atlas_of(sensor: Sensor, named: Path | None = None, workers: int = 2) -> Atlas:
@@ -24,7 +24,7 @@ def atlas_of(sensor: Sensor, named: Path | None = None, workers: int = 2) -> Atl
     if (atlas := atlas_at_hand(sensor, named)) is not None:
         return atlas
     # The solver needs numba, which the io extra does not bring.
-    from pipeline.atlas.solve import COARSE, coarse, solve_atlas
+    from softslide.pipeline.atlas.solve import COARSE, coarse, solve_atlas
 
     cached = _cached(sensor)
     print(

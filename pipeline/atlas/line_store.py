@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.skin.lines import Line
-from pipeline.staging import writing
+from softslide.pipeline.skin.lines import Line
+from softslide.pipeline.staging import writing
 
 # Pressure level, depth level, line.
 Task = tuple[int, int, Line]

@@ -4,15 +4,15 @@ from typing import Any
 
 import numpy as np
 
-from features.errors import InputError
-from pipeline.atlas.atlas import Atlas
-from pipeline.atlas.static_contact import (
+from softslide.features.errors import InputError
+from softslide.pipeline.atlas.atlas import Atlas
+from softslide.pipeline.atlas.static_contact import (
     MODEL_SHARE,
     READING_G,
     find_indentation,
     indentation_doubt,
 )
-from pipeline.sensor import Sensor
+from softslide.pipeline.sensor import Sensor
 
 REST_S = 0.5  # what a recording is taken to rest at its start
 SETTLED_S = 0.3  # after the touch: the skin's lag is over, and so is most of the way down

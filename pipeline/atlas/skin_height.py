@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from features.errors import InputError
-from pipeline.atlas.atlas import Atlas
-from pipeline.atlas.static_contact import height_by_atlas, height_by_formula
-from pipeline.recordings.folder import Folder
-from pipeline.recordings.heights import is_other, laser_readings_mm, main_pressure_mpa
+from softslide.features.errors import InputError
+from softslide.pipeline.atlas.atlas import Atlas
+from softslide.pipeline.atlas.static_contact import height_by_atlas, height_by_formula
+from softslide.pipeline.recordings.folder import Folder
+from softslide.pipeline.recordings.heights import is_other, laser_readings_mm, main_pressure_mpa
 
 # A row's heights, in mm, and what people call them.
 HEIGHTS = {"laser_mm": "laser", "formula_mm": "formula", "atlas_mm": "solved", "fitted_mm": "fitted"}

@@ -10,16 +10,16 @@ from typing import Any
 
 import numpy as np
 
-from features.errors import InputError
-from pipeline.atlas.atlas import DEFAULT_SENSOR, Atlas, write_atlas
-from pipeline.atlas.line_store import LineStore, Task
-from pipeline.progress import progress_bar
-from pipeline.sensor import Sensor, check_design, design_hash, design_of, read_sensor
-from pipeline.skin.lines import Line, join_families, lines, mirror, reach_mm, representative
-from pipeline.skin.solved_line import gravity, skin_of, solve_line
-from pipeline.skin.solver import TOLERANCE_N, NoEquilibrium, Statistics
-from pipeline.skin.system import State
-from pipeline.workers import results
+from softslide.features.errors import InputError
+from softslide.pipeline.atlas.atlas import DEFAULT_SENSOR, Atlas, write_atlas
+from softslide.pipeline.atlas.line_store import LineStore, Task
+from softslide.pipeline.progress import progress_bar
+from softslide.pipeline.sensor import Sensor, check_design, design_hash, design_of, read_sensor
+from softslide.pipeline.skin.lines import Line, join_families, lines, mirror, reach_mm, representative
+from softslide.pipeline.skin.solved_line import gravity, skin_of, solve_line
+from softslide.pipeline.skin.solver import TOLERANCE_N, NoEquilibrium, Statistics
+from softslide.pipeline.skin.system import State
+from softslide.pipeline.workers import results
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.interpolate import make_interp_spline
 
-from features.errors import InputError
+from softslide.features.errors import InputError
 
 
 def fit_axis(grid: np.ndarray, values: np.ndarray, axis: int) -> tuple[np.ndarray, np.ndarray, int]:

@@ -15,8 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import brentq, least_squares
 
-from features.errors import InputError
-from pipeline.atlas.atlas import Atlas
+from softslide.features.errors import InputError
+from softslide.pipeline.atlas.atlas import Atlas
 
 # What a reading of a press errs by: the mean of 0.2 s of an accelerometer that drifts by 1 mg in a minute, and the
 # share of the largest reading that a fitted design leaves (models/response_map/from_atlas.py).

@@ -6,8 +6,8 @@ From labels alone; the signal may still be sound. Each sentence says what is mis
 import numpy as np
 import pandas as pd
 
-from pipeline.recordings.learned import CALIBRATION
-from pipeline.sensor import Sensor
+from softslide.pipeline.recordings.learned import CALIBRATION
+from softslide.pipeline.sensor import Sensor
 
 SAME_HEADING_DEG = 15.0
 SAME_SPEED = 0.1  # of log speed: a stage's speeds differ by more

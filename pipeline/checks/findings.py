@@ -15,18 +15,18 @@ from dataclasses import asdict, dataclass
 import numpy as np
 import pandas as pd
 
-from features.errors import InputError
-from features.units import impossible_output
-from pipeline.checks.measurements import Measurements, measure
-from pipeline.checks.rail_run import MOST_AT_RAIL
-from pipeline.checks.wrong_speeds import impossible_speed
-from pipeline.checks.zone_signs import line_mismatch_mm
-from pipeline.progress import progress_bar
-from pipeline.recordings.base_motion import base_motion_of
-from pipeline.recordings.derived_labels import with_derived_labels
-from pipeline.recordings.folder import Folder
-from pipeline.recordings.learned import SAME_LINE_MM, learned_lines
-from pipeline.sensor import NOISE_G_RTHZ, Accelerometer, Sensor
+from softslide.features.errors import InputError
+from softslide.features.units import impossible_output
+from softslide.pipeline.checks.measurements import Measurements, measure
+from softslide.pipeline.checks.rail_run import MOST_AT_RAIL
+from softslide.pipeline.checks.wrong_speeds import impossible_speed
+from softslide.pipeline.checks.zone_signs import line_mismatch_mm
+from softslide.pipeline.progress import progress_bar
+from softslide.pipeline.recordings.base_motion import base_motion_of
+from softslide.pipeline.recordings.derived_labels import with_derived_labels
+from softslide.pipeline.recordings.folder import Folder
+from softslide.pipeline.recordings.learned import SAME_LINE_MM, learned_lines
+from softslide.pipeline.sensor import NOISE_G_RTHZ, Accelerometer, Sensor
 
 
 @dataclass(frozen=True)

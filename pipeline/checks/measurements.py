@@ -6,10 +6,10 @@ import numpy as np
 import pandas as pd
 from scipy.signal import welch
 
-from pipeline.checks.rail_run import rail_run
-from pipeline.checks.zone_signs import sign_agreement
-from pipeline.recordings.folder import Recording
-from pipeline.sensor import Sensor
+from softslide.pipeline.checks.rail_run import rail_run
+from softslide.pipeline.checks.zone_signs import sign_agreement
+from softslide.pipeline.recordings.folder import Recording
+from softslide.pipeline.sensor import Sensor
 
 MAINS_HZ = (50.0, 60.0)
 # A slide bends the skin slowly; above this frequency the spectrum is noise and pick-up.

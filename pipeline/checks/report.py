@@ -7,16 +7,16 @@ from typing import Any
 
 import numpy as np
 
-from features.errors import InputError
-from pipeline.atlas.library import atlas_at_hand
-from pipeline.atlas.skin_height import height_lines, says_of_heights, skin_heights
-from pipeline.checks.coverage import not_covered
-from pipeline.checks.findings import Finding, compared, measured_slides
-from pipeline.recordings.derived_labels import with_derived_labels
-from pipeline.recordings.folder import Folder
-from pipeline.recordings.heights import said_of_heights
-from pipeline.recordings.learned import CALIBRATION
-from pipeline.sensor import Sensor
+from softslide.features.errors import InputError
+from softslide.pipeline.atlas.library import atlas_at_hand
+from softslide.pipeline.atlas.skin_height import height_lines, says_of_heights, skin_heights
+from softslide.pipeline.checks.coverage import not_covered
+from softslide.pipeline.checks.findings import Finding, compared, measured_slides
+from softslide.pipeline.recordings.derived_labels import with_derived_labels
+from softslide.pipeline.recordings.folder import Folder
+from softslide.pipeline.recordings.heights import said_of_heights
+from softslide.pipeline.recordings.learned import CALIBRATION
+from softslide.pipeline.sensor import Sensor
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 import numpy as np
 import pandas as pd
 
-from pipeline.sensor import Sensor
+from softslide.pipeline.sensor import Sensor
 
 # What one of each unit is in mm/s.
 SPEEDS = {"cm/s": 10.0, "m/s": 1000.0, "mm/min": 1 / 60}

@@ -7,8 +7,8 @@ article's zones 1 to 4). A labelled slide says where the object is at each momen
 import numpy as np
 import pandas as pd
 
-from pipeline.recordings.folder import Recording
-from pipeline.sensor import Sensor
+from softslide.pipeline.recordings.folder import Recording
+from softslide.pipeline.sensor import Sensor
 
 # Nearer than this along an axis the sign is not sure; farther than that the board hardly tilts.
 NEAR_MM, FAR_MM = 2.5, 20.0

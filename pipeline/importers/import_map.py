@@ -6,14 +6,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from features.errors import InputError
-from pipeline.importers.readers.delimited import CsvLayout
-from pipeline.importers.readers.registry import READERS
-from pipeline.importers.readers.workbook import ExcelLayout
-from pipeline.ranges import check_one_of, check_positive
-from pipeline.recordings.manifest import LABELS
-from pipeline.sensor import Sensor, read_sensor
-from pipeline.toml_tables import from_table, read_toml
+from softslide.features.errors import InputError
+from softslide.pipeline.importers.readers.delimited import CsvLayout
+from softslide.pipeline.importers.readers.registry import READERS
+from softslide.pipeline.importers.readers.workbook import ExcelLayout
+from softslide.pipeline.ranges import check_one_of, check_positive
+from softslide.pipeline.recordings.manifest import LABELS
+from softslide.pipeline.sensor import Sensor, read_sensor
+from softslide.pipeline.toml_tables import from_table, read_toml
 
 TIME_UNITS = ("s", "ms", "us", "ns", "timestamp")
 # "own": the unit that sensor.toml says; of accelerometers it is V.

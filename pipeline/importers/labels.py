@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from features.errors import InputError
-from pipeline.importers.import_map import Label, Map
-from pipeline.recordings.manifest import LABELS
-from pipeline.recordings.text_table import read_text_table
+from softslide.features.errors import InputError
+from softslide.pipeline.importers.import_map import Label, Map
+from softslide.pipeline.recordings.manifest import LABELS
+from softslide.pipeline.recordings.text_table import read_text_table
 
 Row = dict[str, str | float]
 

@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.importers.import_map import Map
-from pipeline.importers.units import nominal
+from softslide.pipeline.importers.import_map import Map
+from softslide.pipeline.importers.units import nominal
 
 # Mean agreement below which the labelled slides show an output to be inverted; correctly wired ones reach +0.9.
 INVERTED = -0.4

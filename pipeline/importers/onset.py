@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from pipeline.recordings.folder import Recording
+from softslide.pipeline.recordings.folder import Recording
 
 BLOCK_S = 0.02
 # How far the object is inside the inflated chamber at the onset: the median over the sample's calibration

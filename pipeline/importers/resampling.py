@@ -13,9 +13,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from features.clock import RATE_TOLERANCE
-from features.errors import InputError
-from pipeline.importers.import_map import Clock
+from softslide.features.clock import RATE_TOLERANCE
+from softslide.features.errors import InputError
+from softslide.pipeline.importers.import_map import Clock
 
 # Steps that deviate by less than this portion of a step count as even.
 EVEN = 0.05

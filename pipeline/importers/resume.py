@@ -7,9 +7,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from pipeline.importers.import_map import Map
-from pipeline.importers.streams import Source
-from pipeline.staging import writing
+from softslide.pipeline.importers.import_map import Map
+from softslide.pipeline.importers.streams import Source
+from softslide.pipeline.staging import writing
 
 
 class Journal:

@@ -18,26 +18,26 @@ import numpy as np
 import pandas as pd
 import pyarrow.parquet as pq
 
-from features.clock import check_clock
-from features.errors import InputError, printable
-from features.names import REMEDY, is_plain
-from features.units import impossible_output
-from pipeline.checks.zone_signs import sign_agreement, start_mm
-from pipeline.importers.import_map import Map
-from pipeline.importers.labels import Row, label_columns, label_row, read_sheet, recording_name
-from pipeline.importers.messages import clock_notes, inverted, mounting_notes
-from pipeline.importers.onset import INSIDE_MM, onset_s
-from pipeline.importers.readers.registry import READERS
-from pipeline.importers.resampling import Samples
-from pipeline.importers.resume import Journal, fingerprint, size_bytes
-from pipeline.importers.streams import Source, write_even
-from pipeline.importers.units import converter
-from pipeline.progress import progress_bar
-from pipeline.recordings.folder import Recording
-from pipeline.recordings.manifest import check_manifest, write_manifest
-from pipeline.recordings.slide_file import read_slide, read_slide_in_blocks, write_slide_in_blocks
-from pipeline.sensor import Sensor, write_sensor
-from pipeline.staging import alone, staged
+from softslide.features.clock import check_clock
+from softslide.features.errors import InputError, printable
+from softslide.features.names import REMEDY, is_plain
+from softslide.features.units import impossible_output
+from softslide.pipeline.checks.zone_signs import sign_agreement, start_mm
+from softslide.pipeline.importers.import_map import Map
+from softslide.pipeline.importers.labels import Row, label_columns, label_row, read_sheet, recording_name
+from softslide.pipeline.importers.messages import clock_notes, inverted, mounting_notes
+from softslide.pipeline.importers.onset import INSIDE_MM, onset_s
+from softslide.pipeline.importers.readers.registry import READERS
+from softslide.pipeline.importers.resampling import Samples
+from softslide.pipeline.importers.resume import Journal, fingerprint, size_bytes
+from softslide.pipeline.importers.streams import Source, write_even
+from softslide.pipeline.importers.units import converter
+from softslide.pipeline.progress import progress_bar
+from softslide.pipeline.recordings.folder import Recording
+from softslide.pipeline.recordings.manifest import check_manifest, write_manifest
+from softslide.pipeline.recordings.slide_file import read_slide, read_slide_in_blocks, write_slide_in_blocks
+from softslide.pipeline.sensor import Sensor, write_sensor
+from softslide.pipeline.staging import alone, staged
 
 # Signs and onsets look at a slide as a whole; a longer one than this (half an hour at 1 kHz) is left out.
 WHOLE_SAMPLES = 2_000_000

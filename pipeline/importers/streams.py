@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from features.errors import InputError
-from features.regular_file import check_regular
-from pipeline.importers.import_map import Map
-from pipeline.importers.labels import label_columns, one_value
-from pipeline.importers.readers.chunk import Chunk, guarded
-from pipeline.importers.readers.registry import READERS
-from pipeline.importers.resampling import (
+from softslide.features.errors import InputError
+from softslide.features.regular_file import check_regular
+from softslide.pipeline.importers.import_map import Map
+from softslide.pipeline.importers.labels import label_columns, one_value
+from softslide.pipeline.importers.readers.chunk import Chunk, guarded
+from softslide.pipeline.importers.readers.registry import READERS
+from softslide.pipeline.importers.resampling import (
     ClockReport,
     Samples,
     Uneven,

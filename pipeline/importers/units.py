@@ -16,11 +16,11 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from features.errors import InputError
-from features.units import STANDARD_GRAVITY
-from pipeline.importers.import_map import Board, Map, Signal
-from pipeline.recordings.text_table import read_text_table
-from pipeline.sensor import Accelerometer, Base
+from softslide.features.errors import InputError
+from softslide.features.units import STANDARD_GRAVITY
+from softslide.pipeline.importers.import_map import Board, Map, Signal
+from softslide.pipeline.recordings.text_table import read_text_table
+from softslide.pipeline.sensor import Accelerometer, Base
 
 POSITIONS = {
     "+x": (1, 0, 0),

@@ -5,11 +5,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from features.angles import touch_channels
-from features.stream.conditioning import ONSETS, Conditioning, block_means
-from pipeline.recordings.folder import Folder, Recording
-from pipeline.recordings.gravity_length import gravity_sd_g
-from pipeline.sensor import Sensor
+from softslide.features.angles import touch_channels
+from softslide.features.stream.conditioning import ONSETS, Conditioning, block_means
+from softslide.pipeline.recordings.folder import Folder, Recording
+from softslide.pipeline.recordings.gravity_length import gravity_sd_g
+from softslide.pipeline.sensor import Sensor
 
 # V/g of the sensor that the constants in V are made for, the article's MMA7361L.
 REFERENCE_V_PER_G = 0.8

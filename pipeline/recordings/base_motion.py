@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from features.base_motion import BaseMotion
-from features.errors import InputError
-from features.stream.conditioning import Conditioning, block_means
-from pipeline.recordings.folder import Folder
-from pipeline.sensor import Sensor
+from softslide.features.base_motion import BaseMotion
+from softslide.features.errors import InputError
+from softslide.features.stream.conditioning import Conditioning, block_means
+from softslide.pipeline.recordings.folder import Folder
+from softslide.pipeline.sensor import Sensor
 
 BASE_SPLIT = "base"  # of these recordings
 # rms, g: a tilt of a degree. With noise of 0.6 mg a block, a gain is known to 0.1 % after a minute.

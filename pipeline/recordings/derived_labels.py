@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 
-from pipeline.recordings.folder import Folder
-from pipeline.recordings.heights import is_other, main_pressure_mpa, with_heights
-from pipeline.recordings.truth import truth_path
+from softslide.pipeline.recordings.folder import Folder
+from softslide.pipeline.recordings.heights import is_other, main_pressure_mpa, with_heights
+from softslide.pipeline.recordings.truth import truth_path
 
 LINE = ("direction_deg", "speed_mm_s", "offset_mm")
 # Column of a manifest in memory: whether the place along the line is found in the signal, good to a few mm.

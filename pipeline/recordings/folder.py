@@ -10,14 +10,14 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from features.base_motion import BaseMotion
-from features.clock import check_clock
-from features.errors import InputError
-from pipeline.recordings.manifest import check_manifest, read_table, write_manifest
-from pipeline.recordings.slide_file import read_slide, write_slide
-from pipeline.recordings.truth import read_truth, truth_path, write_truth
-from pipeline.sensor import Sensor, read_sensor, write_sensor
-from pipeline.staging import staged
+from softslide.features.base_motion import BaseMotion
+from softslide.features.clock import check_clock
+from softslide.features.errors import InputError
+from softslide.pipeline.recordings.manifest import check_manifest, read_table, write_manifest
+from softslide.pipeline.recordings.slide_file import read_slide, write_slide
+from softslide.pipeline.recordings.truth import read_truth, truth_path, write_truth
+from softslide.pipeline.sensor import Sensor, read_sensor, write_sensor
+from softslide.pipeline.staging import staged
 
 # 60 emulated bench recordings that ship with the project; see the README next to them.
 SAMPLE = Path(__file__).parents[1] / "sample"

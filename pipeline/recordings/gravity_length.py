@@ -5,10 +5,10 @@ from dataclasses import asdict
 
 import numpy as np
 
-from features.stream.conditioning import Conditioning, block_means
-from features.stream.gravity import MOST_AGAINST, MOST_CHANGE_SD, GravityWatch
-from pipeline.recordings.folder import Recording
-from pipeline.sensor import Sensor
+from softslide.features.stream.conditioning import Conditioning, block_means
+from softslide.features.stream.gravity import MOST_AGAINST, MOST_CHANGE_SD, GravityWatch
+from softslide.pipeline.recordings.folder import Recording
+from softslide.pipeline.sensor import Sensor
 
 # The limits are so many times what the slides reach at most.
 MARGIN = 2.0

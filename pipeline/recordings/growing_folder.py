@@ -4,12 +4,12 @@ from pathlib import Path
 
 import pandas as pd
 
-from features.errors import InputError
-from pipeline.recordings.folder import Folder, Recording, read_folder
-from pipeline.recordings.manifest import LABELS, REQUIRED, check_manifest, write_manifest
-from pipeline.recordings.slide_file import write_slide
-from pipeline.sensor import Sensor, read_sensor, write_sensor
-from pipeline.staging import whole, writing
+from softslide.features.errors import InputError
+from softslide.pipeline.recordings.folder import Folder, Recording, read_folder
+from softslide.pipeline.recordings.manifest import LABELS, REQUIRED, check_manifest, write_manifest
+from softslide.pipeline.recordings.slide_file import write_slide
+from softslide.pipeline.sensor import Sensor, read_sensor, write_sensor
+from softslide.pipeline.staging import whole, writing
 
 
 def open_growing(root: Path, sensor: Sensor | None) -> Folder:

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 
-from pipeline.recordings.folder import Folder
+from softslide.pipeline.recordings.folder import Folder
 
 # Column of a manifest in memory: the skin's height, in mm. No file has it: synthetic recordings have a `height_mm`.
 HEIGHT = "derived.height_mm"

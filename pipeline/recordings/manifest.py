@@ -10,10 +10,10 @@ import numpy as np
 import pandas as pd
 import pandera.pandas as pa
 
-from features.errors import InputError
-from features.names import REMEDY, is_plain
-from pipeline.recordings.text_table import read_text_table
-from pipeline.sensor import Sensor
+from softslide.features.errors import InputError
+from softslide.features.names import REMEDY, is_plain
+from softslide.pipeline.recordings.text_table import read_text_table
+from softslide.pipeline.sensor import Sensor
 
 REQUIRED = ("recording", "file", "split")
 MOST_LETTERS = 250  # in a file's name; file systems take no more

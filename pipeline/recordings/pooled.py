@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pandas as pd
 
-from features.errors import InputError
-from pipeline.recordings.folder import Folder, read_folder
+from softslide.features.errors import InputError
+from softslide.pipeline.recordings.folder import Folder, read_folder
 
 # Column of a pooled manifest, in no file: how much a recording counts.
 WEIGHT = "derived.weight"

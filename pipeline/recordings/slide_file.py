@@ -8,7 +8,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from features.recording_file import read_samples
+from softslide.features.recording_file import read_samples
 
 
 def read_slide(path: Path, channels: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from features.errors import InputError
-from features.table_text import table_text
+from softslide.features.errors import InputError
+from softslide.features.table_text import table_text
 
 MOST_BYTES = 1 << 26  # a manifest of a hundred thousand recordings has 10 MB
 

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from features.errors import InputError
-from pipeline.recordings.text_table import numbers, read_text_table
+from softslide.features.errors import InputError
+from softslide.pipeline.recordings.text_table import numbers, read_text_table
 
 COLUMNS = ("time_s", "x_mm", "y_mm", "vx_mm_s", "vy_mm_s", "contact", "depth_mm")
 # Cells that may be empty: a lab may not know how deep.

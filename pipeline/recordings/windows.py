@@ -9,11 +9,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from features.errors import InputError
-from features.stream.conditioning import Conditioning, block_means, blocks_in
-from features.stream.tracker import track
-from pipeline.recordings.folder import Folder
-from pipeline.recordings.manifest import LABELS
+from softslide.features.errors import InputError
+from softslide.features.stream.conditioning import Conditioning, block_means, blocks_in
+from softslide.features.stream.tracker import track
+from softslide.pipeline.recordings.folder import Folder
+from softslide.pipeline.recordings.manifest import LABELS
 
 STROKE_FRACTIONS = tuple(k / 10 for k in range(1, 11))
 _TARGETS = ("direction_deg", "speed_mm_s", "offset_mm", "depth_mm")

@@ -7,7 +7,7 @@ after an edit of `material` or `loads`.
 import numpy as np
 from numba import njit
 
-from pipeline.skin import loads, material
+from softslide.pipeline.skin import loads, material
 
 
 @njit(cache=True, fastmath=material.FAST, error_model="numpy")

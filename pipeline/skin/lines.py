@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import make_interp_spline
 
-from pipeline.sensor import Sensor
+from softslide.pipeline.sensor import Sensor
 
 # What is kept of a board's posture, against the untouched inflated skin: gravity in its frame (g), its
 # centre's displacement (mm), its rotation about the skin's normal (rad). After the boards: the force on the

@@ -21,7 +21,7 @@ import math
 import numpy as np
 from numba import njit
 
-from pipeline.skin.material import FAST
+from softslide.pipeline.skin.material import FAST
 
 # Midpoints of a 5 x 5 division of each upper face: at 2.5 mm elements half a millimetre apart, against an
 # indenter that touches over 1.7 mm at least.

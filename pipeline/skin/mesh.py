@@ -10,7 +10,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from pipeline.sensor import Sensor
+from softslide.pipeline.sensor import Sensor
 
 # Corners of the reference element in the order of the nodes: the lower face counter-clockwise, then the
 # upper one.

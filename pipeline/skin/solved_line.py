@@ -5,11 +5,11 @@ from functools import lru_cache
 
 import numpy as np
 
-from pipeline.sensor import Sensor
-from pipeline.skin.lines import PER_BOARD, Line
-from pipeline.skin.mesh import skin_mesh
-from pipeline.skin.solver import Skin, Statistics
-from pipeline.skin.system import Material, State
+from softslide.pipeline.sensor import Sensor
+from softslide.pipeline.skin.lines import PER_BOARD, Line
+from softslide.pipeline.skin.mesh import skin_mesh
+from softslide.pipeline.skin.solver import Skin, Statistics
+from softslide.pipeline.skin.system import Material, State
 
 
 @lru_cache(maxsize=1)

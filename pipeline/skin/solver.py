@@ -18,10 +18,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from pipeline.skin.anderson import AndersonMixing
-from pipeline.skin.linear import LinearSolver, linear_solver
-from pipeline.skin.mesh import Mesh
-from pipeline.skin.system import Load, Material, State, System
+from softslide.pipeline.skin.anderson import AndersonMixing
+from softslide.pipeline.skin.linear import LinearSolver, linear_solver
+from softslide.pipeline.skin.mesh import Mesh
+from softslide.pipeline.skin.system import Load, Material, State, System
 
 TOLERANCE_N = 3e-4
 CAP_MM = 0.7  # no unknown moves further in one iteration

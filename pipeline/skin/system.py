@@ -12,9 +12,9 @@ from dataclasses import dataclass, field
 import numpy as np
 import scipy.sparse as sparse
 
-from pipeline.skin import loads, material
-from pipeline.skin.assembly import sum_elements
-from pipeline.skin.mesh import Mesh
+from softslide.pipeline.skin import loads, material
+from softslide.pipeline.skin.assembly import sum_elements
+from softslide.pipeline.skin.mesh import Mesh
 
 
 @dataclass(frozen=True)

@@ -4,13 +4,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from features.errors import InputError
-from pipeline.atlas.atlas import Atlas
-from pipeline.ranges import check_pairs, check_positive, check_ranges
-from pipeline.sensor import Sensor
-from pipeline.synthesis.electronics import ElectronicsSpread
-from pipeline.synthesis.motion import Stroke
-from pipeline.synthesis.slide_plan import Slide, crossing, meets_failure
+from softslide.features.errors import InputError
+from softslide.pipeline.atlas.atlas import Atlas
+from softslide.pipeline.ranges import check_pairs, check_positive, check_ranges
+from softslide.pipeline.sensor import Sensor
+from softslide.pipeline.synthesis.electronics import ElectronicsSpread
+from softslide.pipeline.synthesis.motion import Stroke
+from softslide.pipeline.synthesis.slide_plan import Slide, crossing, meets_failure
 
 # The splits of ten successive slides, again and again, so that the first slides of a longer folder are those of a
 # shorter one and few slides already have something to be tested on.

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.signal import lfilter
 
-from pipeline.sensor import NOISE_G_RTHZ, Sensor
+from softslide.pipeline.sensor import NOISE_G_RTHZ, Sensor
 
 # Freescale MMA7361L data sheet, rev. 0: bandwidth (3 dB), 400 Hz in x and y, 300 Hz in z; a supply of 3.3 V. Parts of
 # other models are taken to be alike.

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.recordings.stroke import stage_motion
+from softslide.pipeline.recordings.stroke import stage_motion
 
 
 @dataclass(frozen=True)

@@ -8,9 +8,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from pipeline.sensor import Sensor
-from pipeline.synthesis.distribution import log_uniform
-from pipeline.synthesis.electronics import ElectronicsSpread, draw_electronics, volts
+from softslide.pipeline.sensor import Sensor
+from softslide.pipeline.synthesis.distribution import log_uniform
+from softslide.pipeline.synthesis.electronics import ElectronicsSpread, draw_electronics, volts
 
 REST_S = 3.0  # before the signal, in which a localizer learns the static output
 # Largest output of a signal, g; of the article's accelerometer 5 to 300 mV, the weakest and the strongest contact.

@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from features.errors import InputError
-from pipeline.atlas.atlas import Atlas
-from pipeline.sensor import Sensor
-from pipeline.synthesis.distribution import Distribution
-from pipeline.synthesis.motion import Stroke
-from pipeline.synthesis.slide_plan import Slide, crossing
+from softslide.features.errors import InputError
+from softslide.pipeline.atlas.atlas import Atlas
+from softslide.pipeline.sensor import Sensor
+from softslide.pipeline.synthesis.distribution import Distribution
+from softslide.pipeline.synthesis.motion import Stroke
+from softslide.pipeline.synthesis.slide_plan import Slide, crossing
 
 STEP_MM = 2.5
 # Of X-slides y, of Y-slides the distance on one side, both from the accelerometer.

@@ -4,10 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.atlas.atlas import Atlas
-from pipeline.sensor import Sensor
-from pipeline.skin.lines import reach_mm
-from pipeline.synthesis.motion import Stroke
+from softslide.pipeline.atlas.atlas import Atlas
+from softslide.pipeline.sensor import Sensor
+from softslide.pipeline.skin.lines import reach_mm
+from softslide.pipeline.synthesis.motion import Stroke
 
 # Motion begins and ends this far outside of where the indenter can touch the skin.
 CLEAR_MM = 1.0

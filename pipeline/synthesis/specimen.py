@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.sensor import Sensor
-from pipeline.synthesis.distribution import Distribution, log_uniform
-from pipeline.synthesis.electronics import Electronics, draw_electronics, ideal_electronics
+from softslide.pipeline.sensor import Sensor
+from softslide.pipeline.synthesis.distribution import Distribution, log_uniform
+from softslide.pipeline.synthesis.electronics import Electronics, draw_electronics, ideal_electronics
 
 # Of a seed's streams of random numbers, the specimen's.
 _STREAM = 0

@@ -16,24 +16,24 @@ import pandas as pd
 from scipy.interpolate import BSpline, make_interp_spline
 from scipy.signal import lfilter
 
-from features.errors import InputError
-from pipeline.atlas.atlas import DEFAULT_SENSOR, Atlas, check_atlas, read_atlas
-from pipeline.progress import progress_bar
-from pipeline.recordings.folder import Folder, Recording, write_folder
-from pipeline.sensor import Accelerometer, Board, Sensor, Skin, design_hash, read_sensor
-from pipeline.skin.lines import PER_BOARD
-from pipeline.synthesis.board_gravity import in_tilted_sensor, upright
-from pipeline.synthesis.distribution import Distribution, draw_slide
-from pipeline.synthesis.electronics import volts
-from pipeline.synthesis.paths.contact_path import ContactPath
-from pipeline.synthesis.paths.distribution import PathDistribution
-from pipeline.synthesis.paths.draw import draw_path
-from pipeline.synthesis.paths.response import path_response, path_truth
-from pipeline.synthesis.protocol import article_slides
-from pipeline.synthesis.slide_plan import Slide
-from pipeline.synthesis.specimen import Specimen, draw_specimen
-from pipeline.synthesis.upsampling import upsampled
-from pipeline.synthesis.viscoelastic_lag import standard_solid
+from softslide.features.errors import InputError
+from softslide.pipeline.atlas.atlas import DEFAULT_SENSOR, Atlas, check_atlas, read_atlas
+from softslide.pipeline.progress import progress_bar
+from softslide.pipeline.recordings.folder import Folder, Recording, write_folder
+from softslide.pipeline.sensor import Accelerometer, Board, Sensor, Skin, design_hash, read_sensor
+from softslide.pipeline.skin.lines import PER_BOARD
+from softslide.pipeline.synthesis.board_gravity import in_tilted_sensor, upright
+from softslide.pipeline.synthesis.distribution import Distribution, draw_slide
+from softslide.pipeline.synthesis.electronics import volts
+from softslide.pipeline.synthesis.paths.contact_path import ContactPath
+from softslide.pipeline.synthesis.paths.distribution import PathDistribution
+from softslide.pipeline.synthesis.paths.draw import draw_path
+from softslide.pipeline.synthesis.paths.response import path_response, path_truth
+from softslide.pipeline.synthesis.protocol import article_slides
+from softslide.pipeline.synthesis.slide_plan import Slide
+from softslide.pipeline.synthesis.specimen import Specimen, draw_specimen
+from softslide.pipeline.synthesis.upsampling import upsampled
+from softslide.pipeline.synthesis.viscoelastic_lag import standard_solid
 
 KNOT_MM = 0.5
 SLOW_S = 0.01
@@ -304,7 +304,7 @@ def synthesize(
     respond = path_response
     if solved:
         # The solver needs numba, which the io extra does not bring.
-        from pipeline.synthesis.paths.solved import solved_response
+        from softslide.pipeline.synthesis.paths.solved import solved_response
 
         respond = partial(solved_response, sensor_of(atlas))
     recordings = (record(each, specimen, atlas, noise, respond) for each, noise in plans)

@@ -4,7 +4,7 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from features.errors import InputError
+from softslide.features.errors import InputError
 
 # A recording as CSV: half an hour at 1 kHz of one accelerometer.
 MOST_BYTES = 1 << 26
@@ -17,7 +17,7 @@ def answer(bundle: Path, height_mm: float | None, recording: bytes) -> dict[str,
         InputError: it is not a recording, or not of this bundle's sensor.
     """
     # A page that nobody asks this needs no ONNX Runtime.
-    from serve.predict import predict
+    from softslide.serve.predict import predict
 
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "recording.csv"

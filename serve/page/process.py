@@ -25,12 +25,12 @@ from typing import Any
 
 import numpy as np
 
-from features.card import Card
-from features.errors import InputError
-from features.estimate import Estimate
-from features.safe_path import safe_path
-from serve.page.answers import answer
-from serve.page.server import FAREWELL_S, Server, about, frame
+from softslide.features.card import Card
+from softslide.features.errors import InputError
+from softslide.features.estimate import Estimate
+from softslide.features.safe_path import safe_path
+from softslide.serve.page.answers import answer
+from softslide.serve.page.server import FAREWELL_S, Server, about, frame
 
 PLACE = "write PORT or HOST:PORT, port 0 for any that is free"
 NEEDED = ("fastapi", "uvicorn", "websockets")

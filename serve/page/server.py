@@ -19,13 +19,13 @@ from typing import Any
 
 import numpy as np
 
-from features.card import Card
-from features.contact.places import MOST_PLACES, Place
-from features.errors import InputError
-from features.estimate import Contact, Estimate, Reason
-from features.stream.tracker import SlideState
-from serve.page.answers import MOST_BYTES
-from serve.page.guard import HEADERS, Guard
+from softslide.features.card import Card
+from softslide.features.contact.places import MOST_PLACES, Place
+from softslide.features.errors import InputError
+from softslide.features.estimate import Contact, Estimate, Reason
+from softslide.features.stream.tracker import SlideState
+from softslide.serve.page.answers import MOST_BYTES
+from softslide.serve.page.guard import HEADERS, Guard
 
 # Blocks come 50 times a second; a screen needs no more than this.
 FRAME_S = 1 / 40

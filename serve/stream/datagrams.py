@@ -12,8 +12,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from features.errors import InputError
-from serve.stream.framing import Chunk, framing_of
+from softslide.features.errors import InputError
+from softslide.serve.stream.framing import Chunk, framing_of
 
 # Asked of the system, which grants what it allows: 4 MB hold half a minute of one accelerometer at 1 kHz as text.
 BUFFER_BYTES = 1 << 22

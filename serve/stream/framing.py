@@ -6,7 +6,7 @@ from typing import Protocol
 
 import numpy as np
 
-from features.errors import InputError
+from softslide.features.errors import InputError
 
 Chunk = tuple[np.ndarray, np.ndarray | None]
 # Longer than any line of samples: an unfinished line beyond it is an error.

@@ -11,15 +11,15 @@ from typing import Any
 
 import numpy as np
 
-from features.errors import InputError
-from features.estimate import Estimate, Reason
-from features.track_filter import TrackFilter
-from serve.localizer import Localizer
-from serve.page.process import Page
-from serve.stream.age import SampleAge
-from serve.stream.framing import Chunk
-from serve.stream.sinks import Sink, open_sink
-from serve.stream.sources import is_live, open_source
+from softslide.features.errors import InputError
+from softslide.features.estimate import Estimate, Reason
+from softslide.features.track_filter import TrackFilter
+from softslide.serve.localizer import Localizer
+from softslide.serve.page.process import Page
+from softslide.serve.stream.age import SampleAge
+from softslide.serve.stream.framing import Chunk
+from softslide.serve.stream.sinks import Sink, open_sink
+from softslide.serve.stream.sources import is_live, open_source
 
 
 def serve(

@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from features.card import HALF_WIDTH_SD, Card
-from features.errors import InputError
-from features.estimate import Estimate
-from features.units import STANDARD_GRAVITY
-from serve.records import record
-from serve.stream.framing import Chunk
+from softslide.features.card import HALF_WIDTH_SD, Card
+from softslide.features.errors import InputError
+from softslide.features.estimate import Estimate
+from softslide.features.units import STANDARD_GRAVITY
+from softslide.serve.records import record
+from softslide.serve.stream.framing import Chunk
 
 _WAIT_S = 0.2
 # Variance of what no estimate has: the velocity across the skin, and any turning.

@@ -8,10 +8,10 @@ from collections import deque
 from contextlib import suppress
 from typing import Protocol
 
-from features.errors import InputError
-from features.estimate import Estimate
-from serve.records import record
-from serve.stream.sources import address
+from softslide.features.errors import InputError
+from softslide.features.estimate import Estimate
+from softslide.serve.records import record
+from softslide.serve.stream.sources import address
 
 KINDS = "'-' writes JSON lines on standard output; udp://HOST:PORT one JSON object a datagram; ros2://TOPIC"
 
@@ -43,7 +43,7 @@ def open_sink(name: str, waits: bool = True) -> Sink:
     if name.startswith("udp://"):
         return Datagrams(*address(name))
     if name.startswith("ros2://"):
-        from serve.stream.ros import RosSink
+        from softslide.serve.stream.ros import RosSink
 
         return RosSink(name.removeprefix("ros2://"))
     raise InputError(f"{name}: unknown kind; {KINDS}", "sink")

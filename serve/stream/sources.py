@@ -15,11 +15,11 @@ from typing import BinaryIO
 
 import numpy as np
 
-from features.card import Card
-from features.errors import InputError
-from serve.files import read_for
-from serve.stream.datagrams import Datagrams
-from serve.stream.framing import Chunk, Framing, framing_of
+from softslide.features.card import Card
+from softslide.features.errors import InputError
+from softslide.serve.files import read_for
+from softslide.serve.stream.datagrams import Datagrams
+from softslide.serve.stream.framing import Chunk, Framing, framing_of
 
 Source = Iterator[Chunk | tuple[()]]
 KINDS = (
@@ -39,7 +39,7 @@ def open_source(name: str, card: Card, form: str, fast: bool) -> Source:
         InputError: no such source, or a package that it needs is missing.
     """
     if name.startswith("ros2+imu://"):
-        from serve.stream.ros import accelerations
+        from softslide.serve.stream.ros import accelerations
 
         return accelerations(name.removeprefix("ros2+imu://"), card)
     if is_live(name):
@@ -66,7 +66,7 @@ def open_live(name: str, columns: int, form: str) -> Source:
     if name.startswith("serial://"):
         return _serial(name, framing_of(form, columns, strict=False, midway=True))
     if name.startswith("ros2://"):
-        from serve.stream.ros import samples
+        from softslide.serve.stream.ros import samples
 
         return samples(name.removeprefix("ros2://"), columns)
     raise InputError(f"{name}: unknown kind; {KINDS}", "source")

@@ -5,7 +5,7 @@ from pathlib import Path
 import pandas as pd
 from small_bundle import write_small_bundle
 
-from pipeline.recordings.folder import SAMPLE, read_folder
+from softslide.pipeline.recordings.folder import SAMPLE, read_folder
 
 
 def write_device(root: Path) -> Path:

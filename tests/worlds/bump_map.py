@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from models.response_map.map import PARTS, ResponseMap, spline_coefficients
+from softslide.models.response_map.map import PARTS, ResponseMap, spline_coefficients
 
 CHAMBER_MM = (50.0, 50.0)
 REFERENCE_MM = (5.0, 0.0)

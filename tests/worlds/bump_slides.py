@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from pipeline.recordings.folder import Folder, Recording, write_folder
-from pipeline.sensor import Accelerometer, Sensor
+from softslide.pipeline.recordings.folder import Folder, Recording, write_folder
+from softslide.pipeline.sensor import Accelerometer, Sensor
 
 RATE_HZ = 500.0
 HALF_MM = 18.0  # a slide begins and ends this far from the foot of its perpendicular

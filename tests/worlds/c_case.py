@@ -13,8 +13,8 @@ import pytest
 from small_bundle import write_small_bundle
 from streams import a_sensor
 
-from features.card import Card, read_card
-from models.export.c99.source import sources
+from softslide.features.card import Card, read_card
+from softslide.models.export.c99.source import sources
 
 NEEDS_COMPILER = pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler here")
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-O2")

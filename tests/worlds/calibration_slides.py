@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from models.response_map.slides import CalibrationSlide
+from softslide.models.response_map.slides import CalibrationSlide
 
 STATIC_V_PER_MM = (0.01, 0.0)  # of V_x and V_y
 

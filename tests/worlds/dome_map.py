@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from models.response_map.map import PARTS, ResponseMap
+from softslide.models.response_map.map import PARTS, ResponseMap
 
 CHAMBER_MM = (30.0, 30.0)
 SPACING_MM = 2.0

@@ -22,8 +22,8 @@ from pathlib import Path
 # Seconds after which a command, or what a killed one started, counts as hanging.
 PATIENCE_S = 300
 LOADED = (
-    *("experiments.evaluate", "experiments.train", "pipeline.atlas.solve"),
-    *("pipeline.importers.run", "pipeline.synthesis.synthesize"),
+    *("softslide.experiments.evaluate", "softslide.experiments.train", "softslide.pipeline.atlas.solve"),
+    *("softslide.pipeline.importers.run", "softslide.pipeline.synthesis.synthesize"),
 )
 
 

@@ -15,7 +15,7 @@ from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_typestore
 
-from pipeline.sensor import Accelerometer, Sensor, write_sensor
+from softslide.pipeline.sensor import Accelerometer, Sensor, write_sensor
 
 RATE_HZ = 100.0
 HEAD = 'kind = "{kind}"\nsensor = "sensor.toml"\npattern = \'{pattern}\'\n{top}\n[time]\n{time}\n'

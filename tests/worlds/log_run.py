@@ -3,8 +3,8 @@
 import sys
 from pathlib import Path
 
-from experiments.provenance import bundle_hash
-from experiments.tracking import tracked
+from softslide.experiments.provenance import bundle_hash
+from softslide.experiments.tracking import tracked
 
 
 def log_run(bundle: Path, name: str, store: str | None = None, midway=lambda: None) -> None:

@@ -7,8 +7,8 @@ from lab_files import FORMATS, write_lab
 from small_bundle import write_small_bundle
 from trial_folder import SENSOR, a_folder
 
-from pipeline.atlas.atlas import DEFAULT_SENSOR
-from pipeline.recordings.folder import SAMPLE
+from softslide.pipeline.atlas.atlas import DEFAULT_SENSOR
+from softslide.pipeline.recordings.folder import SAMPLE
 
 SYNTHESIZE = ["synthesize", "--slides", "3", "--seed", "4"]
 TRAIN = ["train", "--recordings", str(SAMPLE), "--model", "interpolation"]

@@ -6,8 +6,8 @@ rotation, the shortest one from the z axis, from where gravity and the robot's a
 
 import numpy as np
 
-from features.base_motion import BaseMotion
-from pipeline.sensor import Base, Sensor
+from softslide.features.base_motion import BaseMotion
+from softslide.pipeline.sensor import Base, Sensor
 
 BASE = Base(sensitivity_v_per_g=0.5, zero_g_v=1.5)
 _SIN, _COS = np.sin(np.deg2rad([25.0, 8.0])), np.cos(np.deg2rad([25.0, 8.0]))

@@ -2,11 +2,11 @@
 
 from pathlib import Path
 
-from pipeline.recordings.folder import SAMPLE
-from pipeline.recordings.manifest import check_manifest, read_table
-from pipeline.recordings.slide_file import read_slide
-from pipeline.sensor import read_sensor
-from serve.files import read_recording
+from softslide.pipeline.recordings.folder import SAMPLE
+from softslide.pipeline.recordings.manifest import check_manifest, read_table
+from softslide.pipeline.recordings.slide_file import read_slide
+from softslide.pipeline.sensor import read_sensor
+from softslide.serve.files import read_recording
 
 CHANNELS = ("a0_vx", "a0_vy", "a0_vz")
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.recordings.folder import Folder, Recording, write_folder
+from softslide.pipeline.recordings.folder import Folder, Recording, write_folder
 
 
 def resampled(volts: np.ndarray, rate_hz: float, new_rate_hz: float) -> np.ndarray:

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from features.window import WINDOW_BINS
-from pipeline.recordings.windows import LabelledWindows
+from softslide.features.window import WINDOW_BINS
+from softslide.pipeline.recordings.windows import LabelledWindows
 
 _REACH_MM = 8.0
 _DOME_MM = 25.0

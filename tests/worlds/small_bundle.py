@@ -12,11 +12,11 @@ import onnx
 import onnxruntime as ort
 from onnx import TensorProto, helper, numpy_helper
 
-from features.card import Card, Interval, Validity, card_hash, write_card
-from features.contact.calibration import ContactCalibration
-from features.stream.conditioning import Conditioning
-from features.window import WINDOW_BINS
-from pipeline.sensor import Sensor
+from softslide.features.card import Card, Interval, Validity, card_hash, write_card
+from softslide.features.contact.calibration import ContactCalibration
+from softslide.features.stream.conditioning import Conditioning
+from softslide.features.window import WINDOW_BINS
+from softslide.pipeline.sensor import Sensor
 
 OUTPUTS = ("direction_cos", "direction_sin", "log_speed", "offset_mm", "along_mm")
 

@@ -1,6 +1,6 @@
 """A square skin of the article's size on a mesh coarse enough for tests."""
 
-from pipeline.sensor import Accelerometer, MeshSize, Sensor
+from softslide.pipeline.sensor import Accelerometer, MeshSize, Sensor
 
 
 def square_skin(*places_mm: tuple[float, float], size_mm: float = 5.0) -> Sensor:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from pipeline.sensor import Accelerometer, Sensor
+from softslide.pipeline.sensor import Accelerometer, Sensor
 
 RATE_HZ = 1000.0
 ZERO_V = 1.65

@@ -8,8 +8,8 @@ from dome_map import dome_map
 from small_bundle import write_small_bundle
 from touched_skin import NOISE, RATE_HZ, SENSOR, UNIT, ZERO
 
-from features.stream.conditioning import Conditioning
-from models.response_map.card import contact_calibration
+from softslide.features.stream.conditioning import Conditioning
+from softslide.models.response_map.card import contact_calibration
 
 RADIUS_MM, SPEED_MM_S = 7.0, 25.0
 

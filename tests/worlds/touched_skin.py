@@ -6,8 +6,8 @@ import numpy as np
 import pandas as pd
 from dome_map import CHAMBER_MM, dome_map
 
-from pipeline.recordings.folder import Folder, Recording, write_folder
-from pipeline.sensor import Accelerometer, Sensor
+from softslide.pipeline.recordings.folder import Folder, Recording, write_folder
+from softslide.pipeline.sensor import Accelerometer, Sensor
 
 RATE_HZ = 200.0
 REST_S = 1.0

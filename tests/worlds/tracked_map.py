@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 from bump_map import bump_map
 
-from features.contact.tracker import ContactTracker, Track, TrackingConfig
-from models.response_map.card import contact_calibration
-from models.response_map.map import ResponseMap
+from softslide.features.contact.tracker import ContactTracker, Track, TrackingConfig
+from softslide.models.response_map.card import contact_calibration
+from softslide.models.response_map.map import ResponseMap
 
 BLOCK_S = 0.02
 FRICTION_MM = 0.35

@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from pipeline.recordings.folder import Folder, Recording, write_folder
-from pipeline.sensor import Accelerometer, Sensor
+from softslide.pipeline.recordings.folder import Folder, Recording, write_folder
+from softslide.pipeline.sensor import Accelerometer, Sensor
 
 RATE_HZ = 200.0
 SENSOR = Sensor(

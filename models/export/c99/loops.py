@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from models.export.c99.tensors import Buffer, Tensor, literal, suffix
+from softslide.models.export.c99.tensors import Buffer, Tensor, literal, suffix
 
 # Where a buffer lies: the C array's name, and the place of the buffer's first element in it.
 Place = Callable[[Buffer], tuple[str, int]]

@@ -6,8 +6,8 @@ from typing import Protocol
 
 import numpy as np
 
-from models.export.c99.loops import Place
-from models.export.c99.tensors import Buffer
+from softslide.models.export.c99.loops import Place
+from softslide.models.export.c99.tensors import Buffer
 
 
 class Statement(Protocol):

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from models.export.c99.memory import Statement
-from models.export.c99.tensors import Tensor
+from softslide.models.export.c99.memory import Statement
+from softslide.models.export.c99.tensors import Tensor
 
 # The steps of a node, and the tensors that they leave.
 Done = tuple[list[Statement], list[Tensor]]

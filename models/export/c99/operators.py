@@ -5,12 +5,12 @@ from collections.abc import Callable
 import numpy as np
 from onnx import helper
 
-from models.export.c99 import products, views
-from models.export.c99.loops import Nest
-from models.export.c99.memory import Statement
-from models.export.c99.node import Done, Node, NoForm
-from models.export.c99.tensors import constant, scratch
-from models.export.c99.trees import TreeSum, tree_tables
+from softslide.models.export.c99 import products, views
+from softslide.models.export.c99.loops import Nest
+from softslide.models.export.c99.memory import Statement
+from softslide.models.export.c99.node import Done, Node, NoForm
+from softslide.models.export.c99.tensors import constant, scratch
+from softslide.models.export.c99.trees import TreeSum, tree_tables
 
 # An entry of the output from the entries of the inputs.
 FORMULAS = {

@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from models.export.c99.loops import Nest
-from models.export.c99.node import Done, Node, NoForm
-from models.export.c99.tensors import scratch
-from models.export.c99.views import padded
+from softslide.models.export.c99.loops import Nest
+from softslide.models.export.c99.node import Done, Node, NoForm
+from softslide.models.export.c99.tensors import scratch
+from softslide.models.export.c99.views import padded
 
 _START, _UPDATE = "0", "s += {0} * {1};"
 

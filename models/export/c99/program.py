@@ -8,11 +8,11 @@ import onnx
 from onnx import helper
 from onnx.reference import ReferenceEvaluator
 
-from models.export.c99.loops import Nest
-from models.export.c99.memory import Statement
-from models.export.c99.node import Node
-from models.export.c99.operators import lowered
-from models.export.c99.tensors import Buffer, Tensor, constant, whole
+from softslide.models.export.c99.loops import Nest
+from softslide.models.export.c99.memory import Statement
+from softslide.models.export.c99.node import Node
+from softslide.models.export.c99.operators import lowered
+from softslide.models.export.c99.tensors import Buffer, Tensor, constant, whole
 
 
 @dataclass(frozen=True)

@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 import onnx
 
-from features.card import UNITS, Card
-from features.vector.feature_vector import feature_names
-from models.export.c99.memory import layout
-from models.export.c99.program import Program, program
-from models.export.c99.tensors import C_TYPES, Buffer, literal
+from softslide.features.card import UNITS, Card
+from softslide.features.vector.feature_vector import feature_names
+from softslide.models.export.c99.memory import layout
+from softslide.models.export.c99.program import Program, program
+from softslide.models.export.c99.tensors import C_TYPES, Buffer, literal
 
 INDENT = "    "
 PER_LINE = 8  # numbers

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from models.export.c99.loops import Nest, Place
-from models.export.c99.tensors import Buffer, Tensor, constant
+from softslide.models.export.c99.loops import Nest, Place
+from softslide.models.export.c99.tensors import Buffer, Tensor, constant
 
 LEAF = -1
 _Branch = tuple[bytes, int, float, int, int]  # mode, feature, bound, node on true, node on false

@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from models.export.c99.loops import Nest, strides
-from models.export.c99.memory import Statement
-from models.export.c99.node import Done, Node, NoForm
-from models.export.c99.tensors import Tensor, constant, scratch
+from softslide.models.export.c99.loops import Nest, strides
+from softslide.models.export.c99.memory import Statement
+from softslide.models.export.c99.node import Done, Node, NoForm
+from softslide.models.export.c99.tensors import Tensor, constant, scratch
 
 MOVES = (
     "Expand",

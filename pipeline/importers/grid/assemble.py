@@ -13,12 +13,12 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from features.errors import InputError
-from pipeline.importers.grid.grid_map import GridMap, GridSplit
-from pipeline.importers.grid.lattice import GridPath, curve, lines
-from pipeline.importers.grid.presses import Presses, read_presses
-from pipeline.progress import progress_bar
-from pipeline.recordings.folder import Folder, Recording, write_folder
+from softslide.features.errors import InputError
+from softslide.pipeline.importers.grid.grid_map import GridMap, GridSplit
+from softslide.pipeline.importers.grid.lattice import GridPath, curve, lines
+from softslide.pipeline.importers.grid.presses import Presses, read_presses
+from softslide.pipeline.progress import progress_bar
+from softslide.pipeline.recordings.folder import Folder, Recording, write_folder
 
 
 @dataclass(frozen=True)

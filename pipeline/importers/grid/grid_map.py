@@ -3,9 +3,9 @@
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from pipeline.ranges import check_one_of
-from pipeline.sensor import Sensor, read_sensor
-from pipeline.toml_tables import from_table, read_toml
+from softslide.pipeline.ranges import check_one_of
+from softslide.pipeline.sensor import Sensor, read_sensor
+from softslide.pipeline.toml_tables import from_table, read_toml
 
 COLOURS = ("even", "odd", "any")
 PATHS = ("lines", "circles", "s-curves")

@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from features.errors import InputError
-from pipeline.importers.grid.grid_map import GridMap
-from pipeline.recordings.text_table import read_text_table
+from softslide.features.errors import InputError
+from softslide.pipeline.importers.grid.grid_map import GridMap
+from softslide.pipeline.recordings.text_table import read_text_table
 
 # Places of one grid line may differ by this share of the grid's step: a robot's own readings.
 SAME_PLACE = 0.1

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from features.errors import InputError
+from softslide.features.errors import InputError
 
 # Samples a chunk holds: some tens of MB for a dozen columns, so that memory does not grow with the file.
 CHUNK = 200_000

@@ -8,8 +8,8 @@ from typing import Any
 
 import pandas as pd
 
-from features.errors import InputError
-from pipeline.importers.readers.chunk import CHUNK, Chunk, require
+from softslide.features.errors import InputError
+from softslide.pipeline.importers.readers.chunk import CHUNK, Chunk, require
 
 
 @dataclass(frozen=True)

@@ -6,8 +6,8 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from features.errors import InputError
-from pipeline.importers.readers.chunk import Chunk, blocks, require
+from softslide.features.errors import InputError
+from softslide.pipeline.importers.readers.chunk import Chunk, blocks, require
 
 
 def read_hdf5(path: Path, columns: Sequence[str], matlab: bool = False) -> Iterator[Chunk]:

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import scipy.io
 
-from features.errors import InputError
-from pipeline.importers.readers.chunk import Chunk, blocks, require
-from pipeline.importers.readers.hdf5 import common_length, read_hdf5
+from softslide.features.errors import InputError
+from softslide.pipeline.importers.readers.chunk import Chunk, blocks, require
+from softslide.pipeline.importers.readers.hdf5 import common_length, read_hdf5
 
 
 def read_matlab(path: Path, columns: Sequence[str]) -> Iterator[Chunk]:

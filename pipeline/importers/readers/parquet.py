@@ -6,7 +6,7 @@ from pathlib import Path
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from pipeline.importers.readers.chunk import CHUNK, Chunk, require
+from softslide.pipeline.importers.readers.chunk import CHUNK, Chunk, require
 
 
 def read_parquet(path: Path, columns: Sequence[str]) -> Iterator[Chunk]:

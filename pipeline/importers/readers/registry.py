@@ -6,7 +6,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from pipeline.importers.readers.chunk import Chunk
+    from softslide.pipeline.importers.readers.chunk import Chunk
 
 
 @dataclass(frozen=True)
@@ -20,7 +20,7 @@ class Reader:
 
     def read(self) -> "Callable[..., Iterator[Chunk]]":
         """The function `(path, columns, ...)`; its library is imported now and not before."""
-        return getattr(import_module(f"pipeline.importers.readers.{self.module}"), self.function)
+        return getattr(import_module(f"softslide.pipeline.importers.readers.{self.module}"), self.function)
 
 
 READERS = {

@@ -8,8 +8,8 @@ import numpy as np
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
-from features.errors import InputError
-from pipeline.importers.readers.chunk import Chunk, require
+from softslide.features.errors import InputError
+from softslide.pipeline.importers.readers.chunk import Chunk, require
 
 # Messages a chunk holds: they are Python objects while they are read.
 MESSAGES = 20_000

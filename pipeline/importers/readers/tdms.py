@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 from nptdms import TdmsFile
 
-from features.errors import InputError
-from pipeline.importers.readers.chunk import Chunk, blocks, require
-from pipeline.importers.readers.hdf5 import common_length
+from softslide.features.errors import InputError
+from softslide.pipeline.importers.readers.chunk import Chunk, blocks, require
+from softslide.pipeline.importers.readers.hdf5 import common_length
 
 # As a time column: the waveform's own start and step, which DAQmx stores with each channel.
 WAVEFORM = "wf_increment"

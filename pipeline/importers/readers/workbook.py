@@ -10,8 +10,8 @@ from typing import Any
 import openpyxl
 import pandas as pd
 
-from features.errors import InputError
-from pipeline.importers.readers.chunk import CHUNK, Chunk, require
+from softslide.features.errors import InputError
+from softslide.pipeline.importers.readers.chunk import CHUNK, Chunk, require
 
 # Excel's 1,048,576 rows of some 40 numbers unpack to about as much; a file made to fill the memory asks for more.
 MOST_UNPACKED_BYTES = 2 << 30

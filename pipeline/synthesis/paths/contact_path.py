@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.synthesis.paths.course import Course
+from softslide.pipeline.synthesis.paths.course import Course
 
 
 @dataclass(frozen=True)

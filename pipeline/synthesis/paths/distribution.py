@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from pipeline.ranges import check_pairs, check_positive
+from softslide.pipeline.ranges import check_pairs, check_positive
 
 
 @dataclass(frozen=True)

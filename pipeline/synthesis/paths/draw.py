@@ -4,15 +4,15 @@ from collections.abc import Callable
 
 import numpy as np
 
-from features.errors import InputError
-from pipeline.atlas.atlas import Atlas
-from pipeline.sensor import Sensor
-from pipeline.synthesis.distribution import Distribution
-from pipeline.synthesis.paths.contact_path import ContactPath, Timing
-from pipeline.synthesis.paths.course import STEP_MM, Course
-from pipeline.synthesis.paths.distribution import PathDistribution
-from pipeline.synthesis.paths.drawn_course import CURVES, Draw, rim_to_rim, way_out
-from pipeline.synthesis.slide_plan import near_failure
+from softslide.features.errors import InputError
+from softslide.pipeline.atlas.atlas import Atlas
+from softslide.pipeline.sensor import Sensor
+from softslide.pipeline.synthesis.distribution import Distribution
+from softslide.pipeline.synthesis.paths.contact_path import ContactPath, Timing
+from softslide.pipeline.synthesis.paths.course import STEP_MM, Course
+from softslide.pipeline.synthesis.paths.distribution import PathDistribution
+from softslide.pipeline.synthesis.paths.drawn_course import CURVES, Draw, rim_to_rim, way_out
+from softslide.pipeline.synthesis.slide_plan import near_failure
 
 # The kinds of successive paths, again and again: equal shares of any nine.
 KINDS = ("line", "curve", "speed", "stop", "reverse", "touchdown", "lift", "depth", "press")

@@ -5,13 +5,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.atlas.atlas import Atlas
-from pipeline.sensor import Sensor
-from pipeline.skin.lines import reach_mm
-from pipeline.synthesis.distribution import log_uniform
-from pipeline.synthesis.paths.course import STEP_MM, Course
-from pipeline.synthesis.paths.distribution import PathDistribution
-from pipeline.synthesis.slide_plan import CLEAR_MM, crossing
+from softslide.pipeline.atlas.atlas import Atlas
+from softslide.pipeline.sensor import Sensor
+from softslide.pipeline.skin.lines import reach_mm
+from softslide.pipeline.synthesis.distribution import log_uniform
+from softslide.pipeline.synthesis.paths.course import STEP_MM, Course
+from softslide.pipeline.synthesis.paths.distribution import PathDistribution
+from softslide.pipeline.synthesis.slide_plan import CLEAR_MM, crossing
 
 CURVES = ("arc", "s", "circle", "corner", "smooth")
 # Turns of the heading, rad, as a function of the way, mm.

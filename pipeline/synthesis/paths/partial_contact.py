@@ -11,7 +11,7 @@ are fitted to vertical presses that the skin's own solver made; see the log.
 
 import numpy as np
 
-from pipeline.atlas.atlas import Atlas
+from softslide.pipeline.atlas.atlas import Atlas
 
 # Of u, for accelerometer readings and forces.
 EXPONENT = 1.1

@@ -3,10 +3,10 @@
 import numpy as np
 import pandas as pd
 
-from features.errors import InputError
-from pipeline.atlas.atlas import Atlas
-from pipeline.synthesis.paths.contact_path import ContactPath
-from pipeline.synthesis.paths.partial_contact import partial_friction_parts, touch_depth_mm
+from softslide.features.errors import InputError
+from softslide.pipeline.atlas.atlas import Atlas
+from softslide.pipeline.synthesis.paths.contact_path import ContactPath
+from softslide.pipeline.synthesis.paths.partial_contact import partial_friction_parts, touch_depth_mm
 
 # Rate of a truth file.
 TRUTH_HZ = 100.0

@@ -5,11 +5,11 @@ What the atlas says of a path is put together from straight lines; this is not, 
 
 import numpy as np
 
-from features.errors import InputError
-from pipeline.atlas.atlas import Atlas
-from pipeline.sensor import Sensor
-from pipeline.skin.solved_line import channels, skin_of
-from pipeline.synthesis.paths.contact_path import ContactPath
+from softslide.features.errors import InputError
+from softslide.pipeline.atlas.atlas import Atlas
+from softslide.pipeline.sensor import Sensor
+from softslide.pipeline.skin.solved_line import channels, skin_of
+from softslide.pipeline.synthesis.paths.contact_path import ContactPath
 
 # Way between two solved places, up and down included. With half of it outputs change by less than 0.1 % of the largest
 # (root mean square), where a lift is over by up to 1.5 % (experiments/LOG.md).

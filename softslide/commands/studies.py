@@ -2,8 +2,8 @@
 
 import argparse
 
-from commands import arguments
-from commands.arguments import Parser, Run
+from softslide.commands import arguments
+from softslide.commands.arguments import Parser, Run
 
 
 def article(parser: Parser) -> Run:
@@ -27,7 +27,7 @@ def article(parser: Parser) -> Run:
     arguments.out(parser, "where the page and its tables go")
 
     def run(given: argparse.Namespace) -> None:
-        from experiments.article.article import article
+        from softslide.experiments.article.article import article
 
         made = article(given.recordings, given.atlas, given.out)
         print("\n".join(made.lines()))
@@ -60,7 +60,7 @@ def compare(parser: Parser) -> Run:
     arguments.number(parser, "--jobs", "N", "recordings that a bundle reads at a time", 1)
 
     def run(given: argparse.Namespace) -> None:
-        from experiments.comparison.compare import MODELS, compare
+        from softslide.experiments.comparison.compare import MODELS, compare
 
         compare(given.recordings, given.out, given.models or MODELS, given.jobs)
         print(given.out / "comparison.html")

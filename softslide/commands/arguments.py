@@ -12,7 +12,7 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
-from features.errors import InputError
+from softslide.features.errors import InputError
 
 Parser = argparse.ArgumentParser
 # Runs with the arguments given; returns the exit status, None for 0.
@@ -52,7 +52,7 @@ def located(given: argparse.Namespace) -> Iterator[None]:
         raise InputError(f"{picture}: name a .svg, .png or .pdf", "picture")
     with ExitStack() as stack:
         if is_registered(getattr(given, "model", None)):
-            from experiments.tracking import fetched
+            from softslide.experiments.tracking import fetched
 
             scratch = stack.enter_context(tempfile.TemporaryDirectory(prefix="softslide-"))
             given.model = fetched(str(given.model), Path(scratch))

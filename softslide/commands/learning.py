@@ -5,9 +5,9 @@ import json
 import shlex
 import sys
 
-from commands import arguments
-from commands.arguments import Parser, Run
-from features.errors import InputError
+from softslide.commands import arguments
+from softslide.commands.arguments import Parser, Run
+from softslide.features.errors import InputError
 
 
 def demo(parser: Parser) -> Run:
@@ -23,7 +23,7 @@ def demo(parser: Parser) -> Run:
     arguments.out(parser, "where everything goes")
 
     def run(given: argparse.Namespace) -> None:
-        from experiments.demo import demo
+        from softslide.experiments.demo import demo
 
         print(demo(given.out))
 
@@ -47,7 +47,7 @@ def train(parser: Parser) -> Run:
         softslide train --recordings my-recordings --recordings more --out my-model
         softslide train --from-run 5f0c3b8e9d5f4a0f8c1d2e3f4a5b6c7d --out again
     """
-    from models import registry
+    from softslide.models import registry
 
     several = "what to learn from; several folders of one sensor, or the option again, are pooled"
     arguments.existing(parser, "--recordings", "DIR", several, nargs="+")
@@ -73,7 +73,7 @@ def train(parser: Parser) -> Run:
 
     def run(given: argparse.Namespace) -> int:
         if given.from_run:
-            from experiments.from_run import train_from_run
+            from softslide.experiments.from_run import train_from_run
 
             found = train_from_run(given.from_run, given.out, given.recordings or ())
             for name, difference in found.items():
@@ -81,7 +81,7 @@ def train(parser: Parser) -> Run:
             return int(any(found.values()))
         if not given.recordings:
             raise InputError("is needed, or --from-run; name a folder", "recordings")
-        from experiments.train import train
+        from softslide.experiments.train import train
 
         named = ("atlas", "init", "config", "design_alone", "register", "fresh")
         options = {name: getattr(given, name) for name in named}
@@ -128,7 +128,7 @@ def evaluate(parser: Parser) -> Run:
     arguments.scheduler(parser)
 
     def run(given: argparse.Namespace) -> int:
-        from experiments.evaluate import evaluate
+        from softslide.experiments.evaluate import evaluate
 
         what, how = (given.model, given.recordings, given.split), (given.jobs, not given.no_report)
         result = evaluate(*what, given.out, *how, scheduler=given.scheduler)
@@ -159,7 +159,7 @@ def export(parser: Parser) -> Run:
     arguments.out(parser, "the bundle to write")
 
     def run(given: argparse.Namespace) -> None:
-        from models.export.formats import export
+        from softslide.models.export.formats import export
 
         print(json.dumps(export(given.model, given.to, given.out)))
         print(f"softslide export: wrote {given.out}", file=sys.stderr)
@@ -187,7 +187,7 @@ def recalibrate(parser: Parser) -> Run:
     arguments.out(parser, "where the new bundle goes", metavar="BUNDLE")
 
     def run(given: argparse.Namespace) -> None:
-        from experiments.recalibrate import recalibrate_bundle
+        from softslide.experiments.recalibrate import recalibrate_bundle
 
         print(json.dumps(recalibrate_bundle(given.model, given.recordings, given.split, given.out)))
 

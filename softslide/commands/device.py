@@ -6,9 +6,9 @@ import sys
 from collections.abc import Callable, Iterator
 from typing import Any
 
-from commands import arguments
-from commands.arguments import Parser, Run
-from features.errors import InputError
+from softslide.commands import arguments
+from softslide.commands.arguments import Parser, Run
+from softslide.features.errors import InputError
 
 
 def predict(parser: Parser) -> Run:
@@ -47,7 +47,7 @@ def predict(parser: Parser) -> Run:
     arguments.existing(parser, "files", "FILE", kinds, nargs="+")
 
     def run(given: argparse.Namespace) -> None:
-        from serve.predict import predict
+        from softslide.serve.predict import predict
 
         bad: list[InputError] = []
         lines = (
@@ -79,11 +79,11 @@ def _presses(given: argparse.Namespace, refused: Callable[[InputError], None]) -
     Raises:
         InputError: the bundle or the atlas is not valid, or no height is named.
     """
-    from pipeline.atlas.library import atlas_of
-    from pipeline.atlas.presses import press_in
-    from pipeline.sensor import sensor_of
-    from serve.bundle import open_bundle
-    from serve.files import read_recording
+    from softslide.pipeline.atlas.library import atlas_of
+    from softslide.pipeline.atlas.presses import press_in
+    from softslide.pipeline.sensor import sensor_of
+    from softslide.serve.bundle import open_bundle
+    from softslide.serve.files import read_recording
 
     card, _ = open_bundle(given.model, given.unsigned)
     if given.height is None:
@@ -148,7 +148,7 @@ def serve(parser: Parser) -> Run:
     )
 
     def run(given: argparse.Namespace) -> None:
-        from serve.stream.live import serve
+        from softslide.serve.stream.live import serve
 
         print(f"softslide serve: {given.source}; stop with Ctrl-C", file=sys.stderr)
         streams = (given.source, given.sink or ["-"], given.format)

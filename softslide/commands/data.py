@@ -5,9 +5,9 @@ import json
 import sys
 from typing import Any
 
-from commands import arguments
-from commands.arguments import Parser, Run
-from features.errors import InputError
+from softslide.commands import arguments
+from softslide.commands.arguments import Parser, Run
+from softslide.features.errors import InputError
 
 
 def check(parser: Parser) -> Run:
@@ -32,9 +32,9 @@ def check(parser: Parser) -> Run:
     arguments.picture(parser, "coverage.svg", "draw what the slides cover")
 
     def run(given: argparse.Namespace) -> None:
-        from experiments.derived_labels import derived
-        from pipeline.checks.report import checked, refused
-        from pipeline.recordings.folder import read_folder
+        from softslide.experiments.derived_labels import derived
+        from softslide.pipeline.checks.report import checked, refused
+        from softslide.pipeline.recordings.folder import read_folder
 
         try:
             recordings = read_folder(given.folder, files=False)
@@ -43,7 +43,7 @@ def check(parser: Parser) -> Run:
                 print(json.dumps(refused(given.folder, error).as_json(), indent=1))
             raise
         if given.picture:
-            from experiments.acquisition.pictures import draw_coverage
+            from softslide.experiments.acquisition.pictures import draw_coverage
 
             draw_coverage(derived(recordings), given.picture)
         report = checked(recordings, given.atlas, derived)
@@ -71,7 +71,7 @@ def import_(parser: Parser) -> Run:
         softslide import --map-template csv > map.toml
         softslide import lab/*.csv --map map.toml --out my-recordings
     """
-    from pipeline.importers.readers.registry import READERS
+    from softslide.pipeline.importers.readers.registry import READERS
 
     kinds = ", ".join(f"{kind} ({reader.title})" for kind, reader in READERS.items())
     arguments.existing(parser, "sources", "SOURCE", "files, or folders to search", nargs="*")
@@ -82,7 +82,7 @@ def import_(parser: Parser) -> Run:
     parser.add_argument("--sensor-template", action="store_true", help=printed("sensor.toml"))
 
     def run(given: argparse.Namespace) -> None:
-        from pipeline.importers.import_map import is_grid, read_map, sensor_template, template
+        from softslide.pipeline.importers.import_map import is_grid, read_map, sensor_template, template
 
         if given.sensor_template:
             print(sensor_template(), end="")
@@ -98,8 +98,8 @@ def import_(parser: Parser) -> Run:
                 "give SOURCE..., --map MAP.toml and --out DIR, or --map-template KIND, or --sensor-template"
             )
         if is_grid(given.map):
-            from pipeline.importers.grid.assemble import import_grid
-            from pipeline.importers.grid.grid_map import read_grid_map
+            from softslide.pipeline.importers.grid.assemble import import_grid
+            from softslide.pipeline.importers.grid.grid_map import read_grid_map
 
             if len(given.sources) > 1:
                 raise InputError(
@@ -109,7 +109,7 @@ def import_(parser: Parser) -> Run:
             print(*notes, sep="\n", end="\n" if notes else "", file=sys.stderr)
             print(_counted(folder))
             return
-        from pipeline.importers.run import import_recordings
+        from softslide.pipeline.importers.run import import_recordings
 
         done = import_recordings(given.sources, read_map(given.map), given.out)
         print(*done.notes, sep="\n", end="\n" if done.notes else "", file=sys.stderr)
@@ -140,7 +140,7 @@ def simulate(parser: Parser) -> Run:
     arguments.scheduler(parser)
 
     def run(given: argparse.Namespace) -> None:
-        from pipeline.atlas.solve import simulate
+        from softslide.pipeline.atlas.solve import simulate
 
         places = (given.sensor, given.out)
         simulate(*places, given.coarse, given.depth, given.jobs, given.backend, given.scheduler)
@@ -185,9 +185,9 @@ def synthesize(parser: Parser) -> Run:
     arguments.out(parser, "the folder to write")
 
     def run(given: argparse.Namespace) -> None:
-        from pipeline.synthesis.distribution import Distribution
-        from pipeline.synthesis.synthesize import synthesize
-        from pipeline.toml_tables import from_table, read_toml
+        from softslide.pipeline.synthesis.distribution import Distribution
+        from softslide.pipeline.synthesis.synthesize import synthesize
+        from softslide.pipeline.toml_tables import from_table, read_toml
 
         table = given.config and read_toml(given.config)
         drawn = from_table(Distribution, table, str(given.config)) if given.config else None

@@ -3,8 +3,8 @@
 import argparse
 import math
 
-from commands import arguments
-from commands.arguments import Parser, Run
+from softslide.commands import arguments
+from softslide.commands.arguments import Parser, Run
 
 
 def design(parser: Parser) -> Run:
@@ -30,7 +30,7 @@ def design(parser: Parser) -> Run:
     arguments.out(parser, "where the page, the table and the sensors go")
 
     def run(given: argparse.Namespace) -> None:
-        from experiments.acquisition.design import design
+        from softslide.experiments.acquisition.design import design
 
         chamber = tuple(given.chamber) if given.chamber else None
         skin = (given.thickness, given.height, chamber, given.depth)
@@ -71,13 +71,13 @@ def plan(parser: Parser) -> Run:
     arguments.picture(parser, "plan.svg", "draw the plan too")
 
     def run(given: argparse.Namespace) -> None:
-        from experiments.acquisition.plan import plan, write_plan
+        from softslide.experiments.acquisition.plan import plan, write_plan
 
         lines = (given.candidates, given.directions, given.speeds, given.depth)
         table, figures, sensor = plan(given.sensor, given.slides, given.atlas, *lines)
         write_plan(given.out, table)
         if given.picture:
-            from experiments.acquisition.pictures import draw_plan
+            from softslide.experiments.acquisition.pictures import draw_plan
 
             draw_plan(table, sensor, given.picture)
         for name, (direction, speed, offset) in (("no slide", figures.before), ("these", figures.deviations)):
@@ -131,7 +131,7 @@ def record(parser: Parser) -> Run:
     parser.add_argument("--yes", action="store_true", help="ask nothing: record and keep every slide")
 
     def run(given: argparse.Namespace) -> None:
-        from experiments.acquisition.record import Times, record
+        from softslide.experiments.acquisition.record import Times, record
 
         times = Times(given.rest, given.start, given.timeout, given.wait)
         places = (given.source, given.plan, given.out, given.sensor)

@@ -1,51 +1,16 @@
-"""softslide: where is it, which way, how fast? One command, a subcommand for each job.
+"""The command line: a subcommand for each job, each a function in commands/.
 
-Each subcommand is a function in commands/. Here is what holds for all of them: exit statuses, and errors in one line.
-`import softslide` offers some of these jobs as functions (docs/api.md).
+Here is what holds for all of them: exit statuses, and errors in one line.
 """
-
-import os
-import sys
-
-# `python -m softslide` puts the current folder first, where features/ may be anybody's.
-if __name__ == "__main__" and sys.path[0] == os.getcwd() != os.path.dirname(os.path.abspath(__file__)):
-    del sys.path[0]
 
 import argparse
 import errno
+import os
+import sys
 from collections.abc import Sequence
-from importlib import import_module
-from typing import Any
 
-try:
-    from features.errors import CheckFailed, InputError, printable
-except ImportError as error:
-    # A folder of a lab next to it, say, which Python finds first.
-    import features
-
-    found = getattr(features, "__file__", None) or next(iter(features.__path__))
-    text = f"softslide: another package 'features' ({found}) is in the way; run it from another folder"
-    raise (SystemExit if __name__ == "__main__" else ImportError)(text) from error
-
-__version__ = "0.2.0"
-
-# What `import softslide` offers, and where it is. Each is imported when it is first asked for.
-OFFERED = {
-    "SAMPLE": "pipeline.recordings.folder",
-    "Estimate": "features.estimate",
-    "Evaluation": "experiments.evaluate",
-    "Folder": "pipeline.recordings.folder",
-    "Localizer": "serve.localizer",
-    "Recording": "pipeline.recordings.folder",
-    "evaluate": "experiments.evaluate",
-    "examine": "pipeline.checks.findings",
-    "predict": "serve.predict",
-    "read_folder": "pipeline.recordings.folder",
-    "read_sensor": "pipeline.sensor",
-    "synthesize": "pipeline.synthesis.synthesize",
-    "train": "experiments.train",
-    "write_folder": "pipeline.recordings.folder",
-}
+import softslide
+from softslide.features.errors import CheckFailed, InputError, printable
 
 # The extra that a subcommand needs beyond the base install. Device commands need one for some of their options only,
 # which the package that is missing decides: so does a package of another extra than the subcommand's own.
@@ -64,18 +29,6 @@ PACKAGE_EXTRA = {
 }
 # A disk that is full, over its quota or read-only, and places that may not be written.
 NO_PLACE = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EPERM)
-OWN = ("commands", "experiments", "features", "models", "pipeline", "serve")
-
-
-def __getattr__(name: str) -> Any:
-    """A name of OFFERED, from its room."""
-    if name not in OFFERED:
-        raise AttributeError(f"softslide has no '{name}'; it offers {', '.join(OFFERED)}")
-    return getattr(import_module(OFFERED[name]), name)
-
-
-def __dir__() -> list[str]:
-    return sorted({*globals(), *OFFERED})
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -83,7 +36,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     Returns 0 on success, 2 on bad usage or input, 1 on a bound not met or a failed check, 130 on Ctrl-C.
     """
-    from commands.arguments import located
+    from softslide.commands.arguments import located
 
     argv = sys.argv[1:] if argv is None else argv
     name = next((word for word in argv if not word.startswith("-")), "")
@@ -95,10 +48,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         sys.stdout.flush()
         return status
     except InputError as error:
-        return _said(name, _with_option(error), 2)
+        return _said(name, with_option(error), 2)
     except ModuleNotFoundError as error:
         package = (error.name or "").partition(".")[0]
-        if package in ("", *OWN):
+        if package in ("", "softslide"):
             raise
         extra = PACKAGE_EXTRA.get(package) or COMMAND_EXTRA.get(name, "train")
         print(f"softslide {name} needs softslide[{extra}]: pip install 'softslide[{extra}]'", file=sys.stderr)
@@ -122,12 +75,15 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def parser() -> argparse.ArgumentParser:
     """The whole command line."""
-    from commands import data, device, lab, learning, studies
-    from commands.arguments import add_commands
+    from softslide.commands import data, device, lab, learning, studies
+    from softslide.commands.arguments import add_commands
 
-    top = argparse.ArgumentParser(prog="softslide", description=(__doc__ or "").partition("\n")[0])
+    top = argparse.ArgumentParser(prog="softslide", description=(softslide.__doc__ or "").partition("\n")[0])
     top.add_argument(
-        "--version", action="version", version=f"softslide {__version__}", help="show the version and exit"
+        "--version",
+        action="version",
+        version=f"softslide {softslide.__version__}",
+        help="show the version and exit",
     )
     add_commands(
         top, (*learning.COMMANDS, *device.COMMANDS, *data.COMMANDS, *lab.COMMANDS, *studies.COMMANDS)
@@ -135,7 +91,7 @@ def parser() -> argparse.ArgumentParser:
     return top
 
 
-def _with_option(error: InputError) -> str:
+def with_option(error: InputError) -> str:
     """The error's message; a parameter that it begins with is shown as the option of that name."""
     if not error.parameter:
         return str(error)
@@ -145,7 +101,3 @@ def _with_option(error: InputError) -> str:
 def _said(command: str, text: str, status: int) -> int:
     print(f"softslide {command}: {text}", file=sys.stderr)
     return status
-
-
-if __name__ == "__main__":
-    sys.exit(main())
