@@ -20,7 +20,7 @@ DEMO_BUDGET = {"steps": 2500, "batch": 128, "average": 0.99}
 MEANS = {"direction_deg": "direction", "speed_percent": "speed", "offset_mm": "distance"}
 
 
-def demo(out: Path) -> str:
+def demo(out: str | Path) -> str:
     """Trains and evaluates each of DEMO_MODELS on the sample, below `out`; the table and the way to each result.
 
     The same is kept as a page, `summary.html`.
@@ -28,6 +28,7 @@ def demo(out: Path) -> str:
     Raises:
         InputError: `out` cannot be written.
     """
+    out = Path(out)
     store = f"sqlite:///{out / 'mlflow.db'}"
     with writing(out):
         out.mkdir(parents=True, exist_ok=True)

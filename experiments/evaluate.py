@@ -62,6 +62,15 @@ class Evaluation:
         """Whether every bound is met. One that nothing tests is not met, unless `allow_untested`."""
         return all(verdict.met or (allow_untested and verdict.met is None) for verdict in self.verdicts)
 
+    def to_frame(self) -> pd.DataFrame:
+        """A row for each bound: what it limits, and the verdict; `met` is None where it is not tested."""
+        rows = [
+            {"name": v.bound.name, "quantity": v.bound.quantity, "limit": v.bound.limit}
+            | {name: value for name, value in vars(v).items() if name != "bound"}
+            for v in self.verdicts
+        ]
+        return pd.DataFrame(rows)
+
     def lines(self) -> list[str]:
         """Each bound's verdict, then each split's tracks, in a line."""
         rows = [(split, row) for split, row in self.metrics.get("tracks", {}).items()]
@@ -70,9 +79,9 @@ class Evaluation:
 
 
 def evaluate(
-    bundle: str | Path,
+    model: str | Path,
     recordings: str | Path,
-    splits: Sequence[str] | None,
+    split: Sequence[str] | None,
     out: str | Path,
     jobs: int = 2,
     report: bool = True,
@@ -83,16 +92,16 @@ def evaluate(
 ) -> Evaluation:
     """Writes `predictions.csv`, `metrics.json` and `report.html` to `out`, whole or not at all.
 
-    splits: the splits to score, by their full names; those that begin with `test` if None. jobs, scheduler:
+    split: those to score, by their full names; those that begin with `test` if None. jobs, scheduler:
     as in `pipeline.workers.results`. report: whether to draw one. store: as in `tracking.store_address`. track:
     whether a run is logged. A call that was killed goes on where it stopped.
 
     Raises:
         InputError: the bundle, the folder or a recording is not what the contract says, or no such split.
     """
-    bundle, recordings, out = Path(bundle), Path(recordings), Path(out)
+    bundle, recordings, out = Path(model), Path(recordings), Path(out)
     whole = with_derived_labels(read_folder(recordings))
-    folder = derived(to_score(whole, splits))
+    folder = derived(to_score(whole, split))
     check_fits(open_localizer(bundle), folder)
     names = sorted(set(folder.manifest["split"]))
     configuration = {"bundle": str(bundle), "recordings": str(recordings), "splits": names}

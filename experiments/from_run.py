@@ -45,7 +45,7 @@ def train_from_run(
             source[0] if len(source) == 1 else source,
             out,
             configuration["model"],
-            weights=configuration["weights"],
+            weight=configuration["weights"],
             atlas=configuration["atlas"],
             init=configuration["init"],
             change=lambda default: changed(default, configuration["settings"], f"run {identifier}"),

@@ -62,7 +62,7 @@ def train(
     out: str | Path,
     model: str = "cnn",
     *,
-    weights: Sequence[float] = (),
+    weight: Sequence[float] = (),
     atlas: str | Path | None = None,
     init: str | Path | None = None,
     config: str | Path | None = None,
@@ -75,7 +75,7 @@ def train(
 ) -> Training:
     """Fits one model to the splits that begin with `calibration` or `train`, and exports it.
 
-    recordings: a folder, or several of one sensor, which are pooled. weights: how much each folder's count in the
+    recordings: a folder, or several of one sensor, which are pooled. weight: how much each folder's count in the
     response map; none: all alike.
     atlas: what the sensor's design says, from `softslide simulate`; without one, and without labelled
     recordings, the default sensor's. init: a bundle to start from (warm start). config: TOML over the model's defaults,
@@ -92,11 +92,11 @@ def train(
     out, atlas, init, config = Path(out), _path(atlas), _path(init), _path(config)
     chosen = model_named(model)
     roots = [Path(recordings)] if isinstance(recordings, str | Path) else [Path(root) for root in recordings]
-    if weights and not chosen.uses_design:
+    if weight and not chosen.uses_design:
         raise InputError(
             f"not for {model}: it weighs slides in the response map, which {model} has not", "weight"
         )
-    whole = without_base_motion(read_folders(roots, weights))
+    whole = without_base_motion(read_folders(roots, weight))
     folder = to_learn_from(whole, chosen, design_alone)
     settings = configured(change(chosen.config()), config, model)
     start = None if init is None else _graph_of(init)
@@ -108,7 +108,7 @@ def train(
         "atlas": None if atlas is None else str(atlas),
         "init": None if init is None else str(init),
         "design_alone": design_alone,
-        "weights": list(weights),
+        "weights": list(weight),
         "settings": asdict(settings),
     }
     provenance: dict[str, Any] = {"configuration": configuration, "data": data_hashes(folder)}

@@ -12,8 +12,8 @@ from softslide.serve.whole_contacts import whole_contacts
 
 
 def predict(
-    bundle: str | Path,
-    paths: str | Path | Sequence[str | Path],
+    model: str | Path,
+    files: str | Path | Sequence[str | Path],
     track: bool = False,
     refused: Callable[[InputError], None] | None = None,
     height_mm: float | None = None,
@@ -31,9 +31,9 @@ def predict(
         InputError: the bundle or a file is missing, damaged, or of another format, or the bundle knows no whole
             contacts.
     """
-    localizer = Localizer.load(bundle, height_mm, unsigned)
+    localizer = Localizer.load(model, height_mm, unsigned)
     card = localizer.card
-    for path in map(Path, [paths] if isinstance(paths, str | Path) else paths):
+    for path in map(Path, [files] if isinstance(files, str | Path) else files):
         try:
             volts = read_for(path, card)
         except InputError as error:

@@ -5,40 +5,57 @@ and ONNX Runtime alone. The rooms are packages of their own: `softslide.features
 """
 
 import os
+from typing import Any
 
 __version__ = "0.2.0"
 
 # What there is, and where.
 OFFERED = {
+    # The commands.
+    "article": "experiments.article.article",
+    "check": "experiments.check",
+    "compare": "experiments.comparison.compare",
+    "demo": "experiments.demo",
+    "design": "experiments.acquisition.design",
+    "evaluate": "experiments.evaluate",
+    "export": "models.export.formats",
+    "import_recordings": "pipeline.importers.importer",
+    "plan": "experiments.acquisition.plan",
+    "predict": "serve.predict",
+    "recalibrate": "experiments.recalibrate",
+    "record": "experiments.acquisition.record",
+    "simulate": "pipeline.atlas.solve",
+    "synthesize": "pipeline.synthesis.synthesize",
+    "train": "experiments.train",
+    "train_from_run": "experiments.from_run",
+    "main": "command_line",
+    # What they work on.
     "SAMPLE": "pipeline.recordings.folder",
     "Estimate": "features.estimate",
     "Evaluation": "experiments.evaluate",
     "Folder": "pipeline.recordings.folder",
     "Localizer": "serve.localizer",
     "Recording": "pipeline.recordings.folder",
-    "evaluate": "experiments.evaluate",
-    "examine": "pipeline.checks.findings",
-    "main": "command_line",
-    "predict": "serve.predict",
     "read_folder": "pipeline.recordings.folder",
     "read_sensor": "pipeline.sensor",
-    "synthesize": "pipeline.synthesis.synthesize",
-    "train": "experiments.train",
     "write_folder": "pipeline.recordings.folder",
 }
+ROOMS = ("experiments", "features", "models", "pipeline", "serve")
 
 # In the repository the rooms lie next to this folder; installed, in it.
 if not os.path.isdir(os.path.join(__path__[0], "features")):
     __path__.append(os.path.dirname(__path__[0]))
 
 
-def __getattr__(name: str) -> object:
-    if name not in OFFERED:
-        raise AttributeError(f"softslide has no {name!r}; it offers {', '.join(OFFERED)}")
+def __getattr__(name: str) -> Any:
     from importlib import import_module
 
+    if name in ROOMS:
+        return import_module(f"softslide.{name}")
+    if name not in OFFERED:
+        raise AttributeError(f"softslide has no {name!r}; it offers {', '.join((*OFFERED, *ROOMS))}")
     return getattr(import_module(f"softslide.{OFFERED[name]}"), name)
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *OFFERED})
+    return sorted({*globals(), *OFFERED, *ROOMS})

@@ -6,6 +6,7 @@ Here is what holds for all of them: exit statuses, and errors in one line.
 import argparse
 import errno
 import os
+import re
 import sys
 from collections.abc import Sequence
 
@@ -92,10 +93,11 @@ def parser() -> argparse.ArgumentParser:
 
 
 def with_option(error: InputError) -> str:
-    """The error's message; a parameter that it begins with is shown as the option of that name."""
+    """The error's message; a parameter that it begins with is shown as the option of that name, without its unit."""
     if not error.parameter:
         return str(error)
-    return "--" + error.parameter.replace("_", "-") + str(error).removeprefix(error.parameter)
+    option = re.sub("_(deg|mm|mm_s|s)$", "", error.parameter).replace("_", "-")
+    return f"--{option}" + str(error).removeprefix(error.parameter)
 
 
 def _said(command: str, text: str, status: int) -> int:

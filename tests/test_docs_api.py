@@ -1,5 +1,6 @@
 """The library as docs/api.md shows it."""
 
+import inspect
 import re
 import subprocess
 import sys
@@ -8,10 +9,22 @@ from pathlib import Path
 import pytest
 
 import softslide
+from softslide.command_line import parser
 from softslide.features.errors import InputError
 from softslide.pipeline.recordings.folder import SAMPLE, read_folder
+from softslide.serve.stream.live import serve
 
 ROOT = Path(__file__).parents[1]
+SUBPARSERS = next(a for a in parser()._actions if a.dest == "command").choices
+FUNCTIONS = {"import": "import_recordings"}
+# Of the command alone: how results are shown, exit statuses, templates, and what a function of its own does.
+OWN = {
+    "check": {"json"},
+    "evaluate": {"allow_untested"},
+    "import": {"map_template", "sensor_template"},
+    "predict": {"presses", "atlas"},
+    "train": {"from_run"},
+}
 PAGE = (ROOT / "docs" / "api.md").read_text(encoding="utf-8")
 
 
@@ -33,8 +46,8 @@ def test_the_example_runs(
 
 def test_every_name_offered_is_described_and_there() -> None:
     described = set(re.findall(r"`(\w+)`", " ".join(re.findall(r"^\| (.+?) \|", PAGE, re.MULTILINE))))
-    assert described == set(softslide.OFFERED)
-    for name in softslide.OFFERED:
+    assert described == {*softslide.OFFERED, "serve"}
+    for name in (*softslide.OFFERED, *softslide.ROOMS):
         assert getattr(softslide, name) is not None
         assert name in dir(softslide)
     with pytest.raises(AttributeError, match="it offers"):
@@ -60,3 +73,21 @@ def test_texts_are_taken_for_paths() -> None:
     ):
         with pytest.raises(InputError, match="no-such"):
             call()
+
+
+@pytest.mark.parametrize("command", sorted(SUBPARSERS))
+def test_every_command_is_a_function_that_takes_its_options(command: str) -> None:
+    function = serve if command == "serve" else getattr(softslide, FUNCTIONS.get(command, command))
+    given = {action.dest for action in SUBPARSERS[command]._actions} - {"help"} - OWN.get(command, set())
+    assert given <= set(inspect.signature(function).parameters)
+    assert inspect.getdoc(function)
+
+
+def test_the_room_that_serves_is_called(
+    bundle: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rows = "".join(f"{n / 1000},1.65,1.65,2.45\n" for n in range(200))
+    (tmp_path / "rest.csv").write_text("time_s,a0_vx,a0_vy,a0_vz\n" + rows)
+    assert softslide.serve(bundle, str(tmp_path / "rest.csv"), fast=True) == 10
+    assert len(capsys.readouterr().out.splitlines()) == 10
+    assert softslide.serve.localizer.Localizer is softslide.Localizer

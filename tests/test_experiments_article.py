@@ -131,7 +131,7 @@ def test_the_edge_is_where_the_motion_enters_the_chamber() -> None:
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Article:
-    return article(SAMPLE, None, tmp_path_factory.mktemp("article") / "out")
+    return article(SAMPLE, tmp_path_factory.mktemp("article") / "out")
 
 
 FIGURES = ("6", "9 to 11", *map(str, range(14, 27)))
@@ -219,7 +219,7 @@ def test_a_folder_without_axis_slides_still_gives_the_skins_figures(tmp_path: Pa
     diagonal = pd.read_csv(SAMPLE / "manifest.csv")
     diagonal = diagonal[diagonal["split"] == "test-diagonal"]
     diagonal.to_csv(tmp_path / "manifest.csv", index=False)
-    made = article(tmp_path, None, tmp_path / "out")
+    made = article(tmp_path, tmp_path / "out")
     assert [s.figures for s in made.sections] == ["6", "9 to 11", "14 to 25", "26"]
     assert "No slide along x or y" in made.sections[2].missing
     assert len(diagonal) < len(folder)

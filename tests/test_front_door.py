@@ -198,7 +198,7 @@ def test_help_explains_every_option_and_is_read_as_it_is_written(command: str) -
     parser = SUBPARSERS[command]  # type: ignore[index]
     for action in parser._actions:
         assert action.help, action.dest
-        if action.default not in (None, False, "==SUPPRESS==") and action.option_strings:
+        if action.default not in (None, False, True, "==SUPPRESS==") and action.option_strings:
             assert "default" in parser._get_formatter()._expand_help(action), action.option_strings
     shown = parser.format_help()
     assert "%%" not in shown
@@ -256,7 +256,7 @@ def test_a_registered_bundle_needs_the_extra_that_has_the_registry(device: Path)
 
 def test_a_module_of_our_own_that_is_missing_is_not_an_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "softslide.pipeline.recordings.folder", None)
-    monkeypatch.delitem(sys.modules, "softslide.pipeline.checks.findings", raising=False)
+    monkeypatch.delitem(sys.modules, "softslide.experiments.check", raising=False)
     with pytest.raises(ModuleNotFoundError, match=r"pipeline\.recordings"):
         softslide.main(["check", str(SAMPLE)])
 

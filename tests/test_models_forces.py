@@ -227,7 +227,7 @@ def test_the_force_of_estimated_slides_is_the_solved_one_on_held_out_lines(
     """Synthetic slides: the map calibrated on their calibration lines, test lines estimated by inverting it, and the
     force where the estimate says, next to the solved one where the object is. The height is fitted: that alone
     is 5 % of the force here; one slide with a scale takes it away."""
-    folder = synthesize(None, None, 60, 3, tmp_path / "made")
+    folder = synthesize(tmp_path / "made", slides=60, seed=3)
     config = CnnConfig()
     calibration = folder.select("calibration")
     conditioning = conditioning_for(calibration, config.conditioning)

@@ -105,4 +105,4 @@ def test_recordings_without_the_motion_are_not_written_as_with_it(robot: Folder,
 def test_nothing_is_synthesized_of_a_robot(tmp_path: Path) -> None:
     write_sensor(tmp_path / "sensor.toml", replace(read_sensor(DEFAULT_SENSOR), base=BASE))
     with pytest.raises(InputError, match=r"sensor\.toml: has a \[base\], and synthetic slides none"):
-        synthesize(None, tmp_path / "sensor.toml", 1, 0, tmp_path / "out")
+        synthesize(tmp_path / "out", slides=1, sensor=tmp_path / "sensor.toml")

@@ -17,6 +17,7 @@ from lab_files import FORMATS, RATE_HZ, a_sensor, slide, write_lab
 
 from softslide.features.errors import InputError
 from softslide.pipeline.importers.import_map import Board, Clock, Map, Signal, read_map
+from softslide.pipeline.importers.importer import import_recordings
 from softslide.pipeline.importers.readers.delimited import CsvLayout, read_delimited
 from softslide.pipeline.importers.resampling import (
     ClockReport,
@@ -27,7 +28,6 @@ from softslide.pipeline.importers.resampling import (
     seconds,
     whole,
 )
-from softslide.pipeline.importers.run import import_recordings
 from softslide.pipeline.importers.units import POSITIONS, converter, read_calibration
 from softslide.pipeline.recordings.folder import read_folder
 
@@ -171,7 +171,7 @@ def test_the_largest_gap_is_reported_or_refused(tmp_path: Path, capsys) -> None:
     map_path = write_lab(tmp_path, FORMATS["csv"])
     path = tmp_path / "lab" / "one.csv"
     pd.read_csv(path).drop(index=range(20, 25)).to_csv(path, index=False)
-    done = import_recordings([tmp_path / "lab"], read_map(map_path), tmp_path / "out")
+    done = import_recordings([tmp_path / "lab"], map_path, tmp_path / "out")
     assert done.notes == ("resampled 1 of 2 recordings onto 100 Hz; largest gap 0.06 s, in one",)
     report = json.loads((tmp_path / "out" / "import.json").read_text())["recordings"]
     assert [entry["resampled"] for entry in report] == [True, False]
@@ -244,10 +244,10 @@ LARGE = """
 import sys
 from pathlib import Path
 from softslide.pipeline.importers.import_map import read_map
-from softslide.pipeline.importers.run import import_recordings
+from softslide.pipeline.importers.importer import import_recordings
 
 root = Path(sys.argv[1])
-import_recordings([root / "lab"], read_map(root / "map.toml"), root / "out")
+import_recordings([root / "lab"], root / "map.toml", root / "out")
 status = Path("/proc/self/status").read_text()
 print(int(status.split("VmHWM:")[1].split()[0]) / 1024)
 """

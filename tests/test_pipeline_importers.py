@@ -16,8 +16,8 @@ import softslide
 from softslide.pipeline.checks.findings import examine
 from softslide.pipeline.importers import run
 from softslide.pipeline.importers.import_map import read_map, template
+from softslide.pipeline.importers.importer import import_recordings
 from softslide.pipeline.importers.readers.registry import READERS
-from softslide.pipeline.importers.run import import_recordings
 from softslide.pipeline.recordings.folder import SAMPLE, read_folder
 from softslide.pipeline.sensor import Accelerometer, write_sensor
 
@@ -26,7 +26,7 @@ HAPMAT = Path(__file__).parents[1].parent / "shared" / "recordings" / "hapmat"
 
 def imported(map_path: Path, out: Path, source: Path | None = None):
     """The folder that an import makes, read back."""
-    import_recordings([source or map_path.parent / "lab"], read_map(map_path), out)
+    import_recordings([source or map_path.parent / "lab"], map_path, out)
     folder = read_folder(out)
     for name in folder.manifest.index:
         folder.load(name)
@@ -118,7 +118,7 @@ def test_an_interrupted_import_resumes(tmp_path: Path, monkeypatch) -> None:
         imported(map_path, tmp_path / "out")
     assert not (tmp_path / "out").exists()
     monkeypatch.setattr(run, "write_even", read)
-    done = import_recordings([tmp_path / "lab"], read_map(map_path), tmp_path / "out")
+    done = import_recordings([tmp_path / "lab"], map_path, tmp_path / "out")
     assert done.resumed == 2
     imported(map_path, tmp_path / "afresh")
     for file in (tmp_path / "out").rglob("*.*"):
@@ -141,7 +141,7 @@ def test_what_another_map_or_source_made_is_done_again(tmp_path: Path, monkeypat
         map_path.write_text(map_path.read_text() + '[labels.split]\nvalue = "test"\n')
     else:
         FORMATS["csv"].write(tmp_path / "lab", "one", *slide(7, 300))
-    done = import_recordings([tmp_path / "lab"], read_map(map_path), tmp_path / "out")
+    done = import_recordings([tmp_path / "lab"], map_path, tmp_path / "out")
     assert done.resumed == (0 if change == "map" else 1)
     folder = read_folder(tmp_path / "out")
     assert len(folder.load("one").time_s) == (250 if change == "map" else 300)
@@ -349,7 +349,7 @@ def test_inverted_outputs_are_flipped_and_said(sample_as_csv: Path, tmp_path: Pa
     for signs in ("given", "zones"):
         path = sample_as_csv / f"{signs}.toml"
         path.write_text(wrong.replace("\n[time]", f'signs = "{signs}"\n[time]', 1))
-        done = import_recordings([sample_as_csv / "lab"], read_map(path), mended)
+        done = import_recordings([sample_as_csv / "lab"], path, mended)
         note = next(note for note in done.notes if "inverted" in note)
         assert note.startswith("flipped a0_vy" if signs == "zones" else "not flipped a0_vy")
         assert "12 of 12 labelled slides" in note or "11 of 11" in note

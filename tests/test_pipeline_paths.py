@@ -223,7 +223,7 @@ def test_a_folder_of_slides_and_paths(tmp_path: Path, capsys) -> None:
     """Splits, labels and truth are the contract's; the slides' bytes are those of a folder without paths."""
     for name, options in (("both", ["--slides", "2", "--paths", "10"]), ("lines", ["--slides", "2"])):
         assert softslide.main(["synthesize", *options, "--seed", "4", "--out", str(tmp_path / name)]) == 0
-    synthesize(None, None, 0, 4, tmp_path / "again", paths=10)
+    synthesize(tmp_path / "again", seed=4, paths=10)
     both, lines, again = (tmp_path / name for name in ("both", "lines", "again"))
     for slide in ("s00000", "s00001"):
         one, same = (folder / f"slides/{slide}.parquet" for folder in (both, lines))

@@ -7,7 +7,7 @@ from front_door import refused
 
 from softslide.features.errors import InputError
 from softslide.pipeline.atlas.atlas import DEFAULT_SENSOR
-from softslide.pipeline.atlas.solve import Grid, coarse, solve_atlas
+from softslide.pipeline.atlas.solve import Grid, coarsened, solve_atlas
 from softslide.pipeline.sensor import check_design, design_hash, read_sensor
 from softslide.pipeline.skin.mesh import skin_mesh
 
@@ -89,8 +89,8 @@ def test_a_pressure_beyond_the_skin_s_limit_is_refused(tmp_path, capsys):
 
 def test_coarse_is_the_same_design_of_larger_elements():
     sensor = read_sensor(DEFAULT_SENSOR)
-    assert coarse(sensor).mesh.size_mm > sensor.mesh.size_mm
-    assert design_hash(coarse(sensor)) == design_hash(sensor)
+    assert coarsened(sensor).mesh.size_mm > sensor.mesh.size_mm
+    assert design_hash(coarsened(sensor)) == design_hash(sensor)
 
 
 @pytest.mark.parametrize("values", [{"depth_mm": (0.5, 0.2)}, {"line_mm": 9.0}, {"steps_per_line": 1}])

@@ -177,5 +177,5 @@ def test_paths_of_an_edge_want_to_be_solved(tmp_path: Path) -> None:
     meta = {**atlas.meta, "design": design_of(edged), "design_hash": design_hash(edged)}
     write_atlas(replace(atlas, meta=meta), tmp_path / "edge.npz")
     with pytest.raises(InputError, match="have the paths solved"):
-        synthesize(tmp_path / "edge.npz", None, 0, 1, tmp_path / "out", paths=3)
+        synthesize(tmp_path / "out", atlas=tmp_path / "edge.npz", seed=1, paths=3)
     assert not (tmp_path / "out").exists()

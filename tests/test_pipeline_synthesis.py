@@ -249,7 +249,7 @@ def test_a_folder_is_what_the_contract_says_and_what_was_yielded(folder):
 
 
 def test_the_same_seed_writes_the_same_files_and_another_others(folder, tmp_path):
-    synthesize(None, None, 10, 7, tmp_path / "again")
+    synthesize(tmp_path / "again", slides=10, seed=7)
     files = sorted(path.relative_to(folder) for path in folder.rglob("*") if path.is_file())
     assert len(files) == 13
     assert all((folder / file).read_bytes() == (tmp_path / "again" / file).read_bytes() for file in files)
@@ -278,7 +278,7 @@ def test_several_boards_and_another_design(tmp_path):
     assert [a.x_mm for a in sensor.accelerometers] == [-5.0, 5.0]
     assert sensor.reference_mm == (0.0, 0.0)
     write_atlas(atlas, tmp_path / "two.npz")
-    made = synthesize(tmp_path / "two.npz", None, 2, 1, tmp_path / "d")
+    made = synthesize(tmp_path / "d", slides=2, atlas=tmp_path / "two.npz", seed=1)
     recording = read_folder(made.root).load("s00000")
     assert recording.volts.shape[1] == 6
     slide = replace(plan(0, 1, atlas, sensor, Distribution()), gain=1.0, posture_deg=(0.0, 0.0))

@@ -36,12 +36,12 @@ QUANTILES = (0.5, 0.95)
 
 
 def design(
-    sensor_path: Path,
-    boards: Sequence[int],
-    out: Path,
+    sensor: str | Path,
+    out: str | Path,
+    boards: Sequence[int] = (1, 2, 3, 4),
     thickness_mm: float | None = None,
     height_mm: float | None = None,
-    chamber_mm: tuple[float, float] | None = None,
+    chamber_mm: Sequence[float] | None = None,
     depth_mm: float = 0.5,
 ) -> pd.DataFrame:
     """Writes `design.html`, `design.csv` and a `sensor-N.toml` for each number of boards; the table.
@@ -52,47 +52,49 @@ def design(
     Raises:
         InputError: the sensor or a size is wrong, or so many boards do not fit.
     """
-    sensor = _changed(read_sensor(sensor_path), thickness_mm, chamber_mm)
-    if not sensor.measures_gravity:
-        raise InputError(f"{sensor_path}: the solved skin tilts accelerometers alone; design with one")
+    changed = _changed(read_sensor(sensor), thickness_mm, chamber_mm)
+    if not changed.measures_gravity:
+        raise InputError(f"{sensor}: the solved skin tilts accelerometers alone; design with one")
     if min(boards) < 1:
         raise InputError(f"{min(boards)}: place at least one", "boards")
     height = height_mm if height_mm is not None else HEIGHT_MM
     field = solve_tilts(
-        sensor, height, depth_mm, lambda lines, count: progress_bar("solving", "line", lines, count)
+        changed, height, depth_mm, lambda lines, count: progress_bar("solving", "line", lines, count)
     )
-    lines = lines_over(sensor)
-    known = information(field, sensor, lines)
-    own = nearest_places(field.places_mm, [(a.x_mm, a.y_mm) for a in sensor.accelerometers])
+    lines = lines_over(changed)
+    known = information(field, changed, lines)
+    own = nearest_places(field.places_mm, [(a.x_mm, a.y_mm) for a in changed.accelerometers])
     found = {"as it is": arrangement(field.places_mm[own], known[own].sum(axis=0))}
     for count in boards:
-        found[f"{count} best"] = best_places(field.places_mm, known, count, sensor.board.size_mm)
+        found[f"{count} best"] = best_places(field.places_mm, known, count, changed.board.size_mm)
     table = pd.DataFrame([_row(name, each) for name, each in found.items()])
-    maps = {name: _over_the_skin(each, lines, sensor) for name, each in found.items()}
+    maps = {name: _over_the_skin(each, lines, changed) for name, each in found.items()}
     every = [value for values in maps.values() for value in values.values()]
     scale = mpl.colors.LogNorm(min(every), max(every))
     groups = [
-        (_title(name, each), [_map(each, maps[name], scale, sensor), _distribution(each)])
+        (_title(name, each), [_map(each, maps[name], scale, changed), _distribution(each)])
         for name, each in found.items()
     ]
-    with staged(out) as scratch:
+    with staged(Path(out)) as scratch:
         table.to_csv(scratch / "design.csv", index=False, float_format="%.4g", lineterminator="\n")
         for name, each in found.items():
             if name != "as it is":
-                write_sensor(scratch / f"sensor-{len(each.places_mm)}.toml", _with_boards(sensor, each))
+                write_sensor(scratch / f"sensor-{len(each.places_mm)}.toml", _with_boards(changed, each))
         text = panels_page(
-            f"Where to put the accelerometers of {sensor.name}", _explained(sensor, height, depth_mm), groups
+            f"Where to put the accelerometers of {changed.name}",
+            _explained(changed, height, depth_mm),
+            groups,
         )
         (scratch / "design.html").write_text(text, encoding="utf-8")
     return table
 
 
-def _changed(sensor: Sensor, thickness_mm: float | None, chamber_mm: tuple[float, float] | None) -> Sensor:
+def _changed(sensor: Sensor, thickness_mm: float | None, chamber_mm: Sequence[float] | None) -> Sensor:
     try:
         return replace(
             sensor,
             skin_thickness_mm=sensor.skin_thickness_mm if thickness_mm is None else thickness_mm,
-            chamber_mm=sensor.chamber_mm if chamber_mm is None else chamber_mm,
+            chamber_mm=sensor.chamber_mm if chamber_mm is None else (chamber_mm[0], chamber_mm[1]),
         )
     except ValueError as error:
         raise InputError(str(error)) from None

@@ -1,12 +1,15 @@
 """`softslide plan`: which slides to record, as a CSV for the stage and a picture."""
 
+import math
 import sys
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
+from softslide.experiments.acquisition.pictures import draw_plan
 from softslide.experiments.acquisition.record import NEEDED
 from softslide.features.errors import InputError
 from softslide.models.design.plan import Plan, plan_slides
@@ -21,6 +24,9 @@ from softslide.pipeline.staging import writing
 from softslide.pipeline.synthesis.slide_plan import crossing
 
 OFFSET_STEP_MM = 2.5  # between candidate lines of one direction, the map's own resolution
+# What most stages can do.
+DIRECTIONS_DEG = tuple(15.0 * n for n in range(24))
+SPEEDS_MM_S = (1.0, 2.0, 4.0)
 LEAST_CHORD_MM = 20.0  # over the chamber
 COLUMNS = (
     *("recording", "split", "direction_deg", "speed_mm_s", "offset_mm"),
@@ -28,16 +34,44 @@ COLUMNS = (
 )
 
 
+@dataclass(frozen=True)
+class SlidePlan:
+    """slides: the most useful first, in the manifest's columns. figures: what is expected of them. sensor: theirs."""
+
+    slides: pd.DataFrame
+    figures: Plan
+    sensor: Sensor
+
+    def to_frame(self) -> pd.DataFrame:
+        """The slides."""
+        return self.slides
+
+    def plot(self, path: str | Path) -> None:
+        """Draws the slides from above, as the kind that the file's ending says."""
+        draw_plan(self.slides, self.sensor, Path(path))
+
+    def lines(self) -> list[str]:
+        """What the map is expected to add to the errors, without any slide and with these."""
+        found = (("no slide", self.figures.before), ("these", self.figures.deviations))
+        return [
+            f"{name}: {math.degrees(direction):.2f} deg, {100 * speed:.2f} %, {offset:.3f} mm expected from the map"
+            for name, (direction, speed, offset) in found
+        ]
+
+
 def plan(
-    sensor: Path,
-    slides: int,
-    atlas: Path | None,
-    candidates: Path | None,
-    directions_deg: Sequence[float],
-    speeds_mm_s: Sequence[float],
-    depth_mm: float,
-) -> tuple[pd.DataFrame, Plan, Sensor]:
-    """The planned slides, the most useful first, in the manifest's columns; the plan's figures; the sensor.
+    sensor: str | Path,
+    slides: int = 12,
+    *,
+    atlas: str | Path | None = None,
+    candidates: str | Path | None = None,
+    directions_deg: Sequence[float] = DIRECTIONS_DEG,
+    speeds_mm_s: Sequence[float] = SPEEDS_MM_S,
+    depth_mm: float = 0.5,
+    out: str | Path | None = None,
+    picture: str | Path | None = None,
+) -> "SlidePlan":
+    """The slides to record. out: a CSV of them, to write; picture: of them, to draw.
 
     atlas: of the design; None: as `pipeline.atlas.library.atlas_of` finds it. candidates: a manifest, of which the
     slides of calibration and train splits may be chosen; None: lines in all directions over the chamber.
@@ -52,7 +86,7 @@ def plan(
     table = (
         _lines(design, directions_deg, speeds_mm_s, depth_mm)
         if candidates is None
-        else _recorded(candidates, design)
+        else _recorded(Path(candidates), design)
     )
     if len(table) < slides:
         raise InputError(f"{slides}: there are {len(table)} candidates; take fewer slides", "slides")
@@ -72,17 +106,13 @@ def plan(
     picked = table.iloc[chosen.chosen]
     if candidates is None:
         picked = picked.assign(recording=[f"p{n:02d}" for n in range(1, slides + 1)])
-    return picked[list(COLUMNS)], chosen, design
-
-
-def write_plan(path: Path, plan: pd.DataFrame) -> None:
-    """Writes a plan, in the order of its rows.
-
-    Raises:
-        InputError: the file cannot be written.
-    """
-    with writing(path, "name another file"):
-        plan.to_csv(path, index=False, lineterminator="\n")
+    planned = SlidePlan(picked[list(COLUMNS)], chosen, design)
+    if out:
+        with writing(Path(out), "name another file"):
+            planned.slides.to_csv(out, index=False, lineterminator="\n")
+    if picture:
+        planned.plot(picture)
+    return planned
 
 
 def _lines(

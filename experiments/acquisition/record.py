@@ -40,10 +40,10 @@ class Times:
     """In s. rest: before and after each motion. start: to start the stage in. timeout: silence that counts as a pulled
     cable. wait: for the source to come back."""
 
-    rest: float = 3.0
-    start: float = 3.0
-    timeout: float = 2.0
-    wait: float = 600.0
+    rest: float
+    start: float
+    timeout: float
+    wait: float
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -92,12 +92,21 @@ def level_bar(volts: float) -> str:
 
 
 def record(
-    source: str, plan: Path, out: Path, sensor: Path | None, form: str, times: Times, yes: bool
+    source: str,
+    plan: str | Path,
+    out: str | Path,
+    sensor: str | Path | None = None,
+    format: str = "csv",
+    rest_s: float = 3.0,
+    start_s: float = 3.0,
+    timeout_s: float = 2.0,
+    wait_s: float = 600.0,
+    yes: bool = False,
 ) -> tuple[Folder, int]:
     """Records the slides of a plan that the folder `out` does not hold yet. Returns the folder, and how many are left.
 
     source: serial://, udp:// or ros2://, as in serve/stream/sources.py. sensor: a sensor.toml; None: the folder's own.
-    form: csv or f32, of the bytes that come in. yes: asks nothing.
+    format: csv or f32, of the bytes that come in. rest_s, start_s, timeout_s, wait_s: as in `Times`. yes: asks nothing.
 
     Raises:
         InputError: the source, the plan, the sensor or the folder is wrong, or the source did not come back.
@@ -105,13 +114,14 @@ def record(
     """
     if not source.startswith(LIVE):
         raise InputError(f"{source}: name a live one, {', '.join(f'{kind}...' for kind in LIVE)}", "source")
+    out, times = Path(out), Times(rest_s, start_s, timeout_s, wait_s)
     folder = open_growing(out, None if sensor is None else read_sensor(sensor))
-    slides = read_plan(plan, folder.sensor)
+    slides = read_plan(Path(plan), folder.sensor)
     operator = Operator(yes)
     if done := int(slides.index.isin(folder.manifest.index).sum()):
         operator.say(f"{out}: {done} of {len(slides)} slides are recorded; going on")
     columns = len(folder.sensor.columns)
-    with closing(Listener(lambda: open_live(source, columns, form))) as listener:
+    with closing(Listener(lambda: open_live(source, columns, format))) as listener:
         for place, (name, labels) in enumerate(slides.iterrows(), 1):
             if name in folder.manifest.index:
                 continue

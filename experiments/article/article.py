@@ -43,22 +43,24 @@ class Article:
         return [f"{row.verdict}: {row.claim}: {row.measured}" for row in self.claims.itertuples()]
 
 
-def article(recordings: Path, atlas_path: Path | None, out: Path) -> Article:
+def article(recordings: str | Path, out: str | Path, atlas: str | Path | None = None) -> Article:
     """Writes `article.html`, `claims.csv`, `variants.csv` and `figure-NN.csv` to `out`, whole or not at all.
+
+    atlas: of the design; None: as `pipeline.atlas.library.atlas_of` finds it.
 
     Raises:
         InputError: the folder, a recording or the atlas is not what it should be, or the sensing elements are not
             accelerometers.
     """
-    folder = derived(read_folder(recordings))
+    out, folder = Path(out), derived(read_folder(recordings))
     slides, left_out = read_axis_slides(folder)
-    sensor, atlas = folder.sensor, atlas_of(folder.sensor, atlas_path)
+    sensor, solved = folder.sensor, atlas_of(folder.sensor, atlas)
     whole = None if slides is None else whole_slides(slides)
     results = _scores(slides)
     published, best = results.get(PUBLISHED.name), results.get(BEST.name)
-    skin, pressure = skin_figures.static_output(atlas, folder), skin_figures.pressure(atlas, folder, whole)
+    skin, pressure = skin_figures.static_output(solved, folder), skin_figures.pressure(solved, folder, whole)
     slide_sections = _slide_sections(whole, results, sensor)
-    sections = (skin_figures.simulation(atlas, sensor), skin, *slide_sections, pressure)
+    sections = (skin_figures.simulation(solved, sensor), skin, *slide_sections, pressure)
     assert skin.table is not None
     assert pressure.table is not None
     claims = claims_table(whole, published, best, read_bounds(), skin.table, pressure.table)

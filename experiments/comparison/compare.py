@@ -64,8 +64,13 @@ class Findings:
         return paired(new, REFERENCE if REFERENCE in new else next(iter(new)))
 
 
-def compare(recordings: Sequence[Path], out: Path, models: Sequence[str] = MODELS, jobs: int = 1) -> None:
-    """Fits, reads out and scores every model on every folder, and writes tables and a page into `out`.
+def compare(
+    recordings: str | Path | Sequence[str | Path],
+    out: str | Path,
+    models: Sequence[str] = MODELS,
+    jobs: int = 1,
+) -> pd.DataFrame:
+    """Fits, reads out and scores every model on every folder, and writes tables and a page into `out`; the errors.
 
     models: some of MODELS, or folders of bundles. jobs: recordings that a bundle reads at a time.
 
@@ -79,9 +84,10 @@ def compare(recordings: Sequence[Path], out: Path, models: Sequence[str] = MODEL
             raise InputError(
                 f"no model '{name}', nor a bundle there; name some of {known}, or folders of bundles"
             )
-    places = {folder.resolve().name: folder for folder in recordings}
+    out, given = Path(out), [recordings] if isinstance(recordings, str | Path) else recordings
+    places = {Path(folder).resolve().name: Path(folder) for folder in given}
     _distinct([label(name) for name in models], "models")
-    _distinct([folder.resolve().name for folder in recordings], "folders")
+    _distinct([Path(folder).resolve().name for folder in given], "folders")
     with writing(out):
         out.mkdir(parents=True, exist_ok=True)
     # Read before any work, so that bad input is found at once. At these sizes more threads are slower.
@@ -100,6 +106,7 @@ def compare(recordings: Sequence[Path], out: Path, models: Sequence[str] = MODEL
         for name, findings in found.items()
     ]
     (out / "comparison.html").write_text(render(TEMPLATE, sections=sections), encoding="utf-8")
+    return tables["comparison"]
 
 
 def label(model: str) -> str:

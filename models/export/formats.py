@@ -36,17 +36,19 @@ from softslide.serve.bundle import open_bundle
 EVERY = 4
 
 
-def export(bundle: Path, shape: str, out: Path) -> dict[str, Any]:
-    """Writes the bundle in another shape, whole or not at all, and returns what there is to say about it.
+def export(model: str | Path, to: str, out: str | Path) -> dict[str, Any]:
+    """Writes the bundle in another format, whole or not at all, and returns what there is to say about it.
 
     Raises:
-        InputError: the bundle is not what it should be, or the shape is impossible for its model.
+        InputError: the bundle is not what it should be, or the format is impossible for its model.
     """
-    card, _ = open_bundle(bundle)
-    path = bundle / "model.onnx"
+    card, _ = open_bundle(model)
+    path = Path(model) / "model.onnx"
     if not path.is_file():
         raise InputError(f"{path}: no such file; name the bundle that 'softslide train' wrote")
-    return {"ort": _as_ort, "c": _as_c}[shape](card, path, out)
+    if to not in ("ort", "c"):
+        raise InputError(f"{to}: name ort or c", "to")
+    return {"ort": _as_ort, "c": _as_c}[to](card, path, Path(out))
 
 
 def _as_c(card: Card, path: Path, out: Path) -> dict[str, Any]:

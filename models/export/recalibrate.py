@@ -22,7 +22,7 @@ from softslide.pipeline.staging import staged
 from softslide.serve.bundle import open_bundle
 
 
-def recalibrate(bundle: Path, folder: Folder, out: Path, data: dict[str, str]) -> dict[str, Any]:
+def recalibrated(bundle: Path, folder: Folder, out: Path, data: dict[str, str]) -> dict[str, Any]:
     """Fits the bundle's map to the gains that the folder's strokes and presses show, and writes the bundle anew.
 
     data: hashes of the recordings, for the card. Returns what was found, for people to read.

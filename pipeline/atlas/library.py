@@ -10,7 +10,7 @@ from softslide.pipeline.progress import progress_bar
 from softslide.pipeline.sensor import Sensor, check_design, design_hash
 
 
-def atlas_of(sensor: Sensor, named: Path | None = None, workers: int = 2) -> Atlas:
+def atlas_of(sensor: Sensor, named: str | Path | None = None, workers: int = 2) -> Atlas:
     """The sensor's atlas; says on standard error where it is from.
 
     A design that is not the shipped one is solved coarsely (minutes on two cores) and cached in the user's cache
@@ -24,7 +24,7 @@ def atlas_of(sensor: Sensor, named: Path | None = None, workers: int = 2) -> Atl
     if (atlas := atlas_at_hand(sensor, named)) is not None:
         return atlas
     # The solver needs numba, which the io extra does not bring.
-    from softslide.pipeline.atlas.solve import COARSE, coarse, solve_atlas
+    from softslide.pipeline.atlas.solve import COARSE, coarsened, solve_atlas
 
     cached = _cached(sensor)
     print(
@@ -32,7 +32,7 @@ def atlas_of(sensor: Sensor, named: Path | None = None, workers: int = 2) -> Atl
         file=sys.stderr,
     )
     atlas = solve_atlas(
-        coarse(sensor),
+        coarsened(sensor),
         COARSE,
         workers=workers,
         work=cached.with_suffix(".work"),
@@ -43,7 +43,7 @@ def atlas_of(sensor: Sensor, named: Path | None = None, workers: int = 2) -> Atl
     return atlas
 
 
-def atlas_at_hand(sensor: Sensor, named: Path | None = None) -> Atlas | None:
+def atlas_at_hand(sensor: Sensor, named: str | Path | None = None) -> Atlas | None:
     """The sensor's atlas that is named, ships or was solved earlier; None: there is none.
 
     Raises:
@@ -54,7 +54,7 @@ def atlas_at_hand(sensor: Sensor, named: Path | None = None) -> Atlas | None:
             return None
         check_design(sensor, sensor.name)
     if named is not None:
-        atlas = read_atlas(named)
+        atlas = read_atlas(Path(named))
         check_atlas(atlas, sensor, str(named))
         return atlas
     if _is_shipped(sensor):

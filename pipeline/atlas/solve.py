@@ -2,7 +2,7 @@
 
 import math
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -60,7 +60,7 @@ Done = dict[Task, tuple[np.ndarray, dict[str, float]]]
 HEADING_DEG = {(0, 1): 0.0, (0, -1): 180.0, (1, 1): 90.0, (1, -1): 270.0}
 
 
-def coarse(sensor: Sensor) -> Sensor:
+def coarsened(sensor: Sensor) -> Sensor:
     """The same design with larger elements, for `COARSE`: minutes on two cores."""
     return replace(sensor, mesh=replace(sensor.mesh, size_mm=max(sensor.mesh.size_mm, 3.4)))
 
@@ -120,32 +120,34 @@ def solve_atlas(
 
 
 def simulate(
-    sensor_path: Path | None,
-    out: Path,
-    is_coarse: bool,
-    depths: list[float] | None,
-    jobs: int,
-    backend: str,
-    scheduler: str,
-) -> None:
+    sensor: str | Path | None,
+    out: str | Path,
+    coarse: bool = False,
+    depth_mm: Sequence[float] | None = None,
+    jobs: int = 2,
+    backend: str = "loky",
+    scheduler: str = "",
+) -> Atlas:
     """`softslide simulate`: reads a design, solves it, writes the atlas, says what did not converge.
+
+    sensor: None: the article's. coarse: minutes in place of an hour. depth_mm: contact depths; None: the grid's own.
 
     Raises:
         InputError: see `solve_atlas`; an `out` that is a folder; a depth that is not positive.
     """
-    path = sensor_path or DEFAULT_SENSOR
-    sensor = read_sensor(path)
+    path, out = sensor or DEFAULT_SENSOR, Path(out)
+    design = read_sensor(path)
     if out.is_dir():
         raise InputError(f"{out}: a folder; name a file that ends in .npz")
     if jobs < 1:
         raise InputError(f"{jobs}: at least one is needed", "jobs")
-    grid = COARSE if is_coarse else Grid()
+    grid = COARSE if coarse else Grid()
     try:
-        grid = replace(grid, depth_mm=tuple(depths)) if depths else grid
+        grid = replace(grid, depth_mm=tuple(depth_mm)) if depth_mm else grid
     except ValueError as error:
-        raise InputError(f"{' '.join(f'{d:g}' for d in depths or ())}: {error}", "depth") from None
+        raise InputError(f"{' '.join(f'{d:g}' for d in depth_mm or ())}: {error}", "depth_mm") from None
     atlas = solve_atlas(
-        coarse(sensor) if is_coarse else sensor,
+        coarsened(design) if coarse else design,
         grid,
         workers=jobs,
         backend=backend,
@@ -167,6 +169,7 @@ def simulate(
             f"skin height {height:.2f} mm",
             file=sys.stderr,
         )
+    return atlas
 
 
 def _levels(sensor: Sensor, source: str) -> list[tuple[float, State]]:

@@ -1,11 +1,12 @@
 """What `softslide check` says of a folder: its findings, what was not checked, skin heights, what is not covered."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from softslide.features.errors import InputError
 from softslide.pipeline.atlas.library import atlas_at_hand
@@ -32,9 +33,18 @@ class Report:
     skin_heights: list[dict[str, Any]] = field(default_factory=list)
     not_covered: list[str] = field(default_factory=list)
 
+    @property
+    def unreadable(self) -> str:
+        """Why the folder could not be read; empty where it could."""
+        return next((each.text for each in self.findings if each.kind == "unreadable"), "")
+
     def level(self, level: str) -> list[Finding]:
         """The findings that are an `error`, or a `warning`."""
         return [finding for finding in self.findings if finding.level == level]
+
+    def to_frame(self) -> pd.DataFrame:
+        """A row for each finding."""
+        return pd.DataFrame(map(asdict, self.findings), columns=[each.name for each in fields(Finding)])
 
     def as_json(self) -> dict[str, Any]:
         """The report as plain values; null where a number is not known."""

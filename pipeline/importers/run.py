@@ -53,7 +53,7 @@ class Imported:
     notes: tuple[str, ...]
 
 
-def import_recordings(sources: Sequence[Path], mapping: Map, out: Path) -> Imported:
+def import_files(sources: Sequence[Path], mapping: Map, out: Path) -> Imported:
     """Imports every recording found in the sources.
 
     Raises:

@@ -34,6 +34,7 @@ from softslide.pipeline.synthesis.slide_plan import Slide
 from softslide.pipeline.synthesis.specimen import Specimen, draw_specimen
 from softslide.pipeline.synthesis.upsampling import upsampled
 from softslide.pipeline.synthesis.viscoelastic_lag import standard_solid
+from softslide.pipeline.toml_tables import from_table, read_toml
 
 KNOT_MM = 0.5
 SLOW_S = 0.01
@@ -249,56 +250,60 @@ def sensor_of(atlas: Atlas) -> Sensor:
 
 
 def synthesize(
-    atlas_path: Path | None,
-    sensor_path: Path | None,
-    count: int,
-    seed: int,
-    out: Path,
-    distribution: Distribution | None = None,
+    out: str | Path,
+    slides: int = 0,
     paths: int = 0,
-    protocol: bool = False,
+    *,
+    atlas: str | Path | None = None,
+    sensor: str | Path | None = None,
+    seed: int = 0,
+    config: str | Path | Distribution | None = None,
+    protocol: str | None = None,
     solved: bool = False,
 ) -> Folder:
     """`softslide synthesize`: writes a folder of recordings, whole or not at all.
 
-    count: of slides along straight lines; paths: of contacts along any path; protocol: the article's slides as well,
-    all on the same specimen. solved: paths are solved step by step instead of read from the atlas.
+    slides: how many along straight lines; paths: how many contacts along any path; protocol: "article" for the
+    article's slides as well, all on the same specimen. config: what they are drawn from, or a TOML file with changes.
+    solved: paths are solved step by step instead of read from the atlas.
 
     Raises:
         InputError: no recordings, a negative seed, an atlas that is not one or of another design, an `out` not to be
             written.
     """
-    if count < 0:
-        raise InputError(f"{count}: it must not be negative", "slides")
+    if slides < 0:
+        raise InputError(f"{slides}: it must not be negative", "slides")
     if paths < 0:
         raise InputError(f"{paths}: it must not be negative", "paths")
-    if not count + paths + protocol:
-        raise InputError(f"{count}: at least one is needed, or a path", "slides")
+    if protocol not in (None, "article"):
+        raise InputError(f"{protocol}: name article", "protocol")
+    if not slides + paths and protocol is None:
+        raise InputError(f"{slides}: at least one is needed, or a path", "slides")
     if solved and not paths:
         raise InputError("only paths are solved; ask for some", "solved")
     if seed < 0:
         raise InputError(f"{seed}: it must not be negative", "seed")
-    atlas = read_atlas(atlas_path) if atlas_path else read_atlas()
-    sensor = read_sensor(sensor_path) if sensor_path else sensor_of(atlas)
-    if sensor.base is not None:
-        raise InputError(f"{sensor_path}: has a [base], and synthetic slides none; take it out")
-    check_atlas(atlas, sensor, str(atlas_path or "the default atlas"))
-    if paths and not solved and any(sensor.indenter_edge_mm):
+    solution = read_atlas(Path(atlas)) if atlas else read_atlas()
+    design = read_sensor(sensor) if sensor else sensor_of(solution)
+    if design.base is not None:
+        raise InputError(f"{sensor}: has a [base], and synthetic slides none; take it out")
+    check_atlas(solution, design, str(atlas or "the default atlas"))
+    if paths and not solved and any(design.indenter_edge_mm):
         raise InputError(
             f"{paths}: how a touch grows is known of a ball, not of an edge; have the paths solved", "paths"
         )
     # Whoever reads a report on these recordings is to see what they are.
-    sensor = replace(sensor, name=f"{sensor.name}, synthetic", origin="synthetic")
-    distribution = distribution or Distribution()
-    specimen = draw_specimen(sensor, distribution, seed)
+    design = replace(design, name=f"{design.name}, synthetic", origin="synthetic")
+    distribution = _distribution(config)
+    specimen = draw_specimen(design, distribution, seed)
     plans: list[tuple[Slide | ContactPath, np.random.Generator]] = []
-    for number, slide in enumerate(article_slides(atlas, sensor, distribution, seed) if protocol else ()):
+    for number, slide in enumerate(article_slides(solution, design, distribution, seed) if protocol else ()):
         plans.append((slide, noise_of(number, seed, _PROTOCOL_NOISE)))
-    for number in range(count):
-        plans.append((plan(number, seed, atlas, sensor, distribution), noise_of(number, seed)))
+    for number in range(slides):
+        plans.append((plan(number, seed, solution, design, distribution), noise_of(number, seed)))
     for number in range(paths):
         plans.append(
-            (path_plan(number, seed, atlas, sensor, distribution), noise_of(number, seed, _PATH_NOISE))
+            (path_plan(number, seed, solution, design, distribution), noise_of(number, seed, _PATH_NOISE))
         )
     manifest = pd.DataFrame([each.labels() for each, _ in plans])
     respond = path_response
@@ -306,13 +311,13 @@ def synthesize(
         # The solver needs numba, which the io extra does not bring.
         from softslide.pipeline.synthesis.paths.solved import solved_response
 
-        respond = partial(solved_response, sensor_of(atlas))
-    recordings = (record(each, specimen, atlas, noise, respond) for each, noise in plans)
+        respond = partial(solved_response, sensor_of(solution))
+    recordings = (record(each, specimen, solution, noise, respond) for each, noise in plans)
     origin = {
         "what": "synthetic slides, made by softslide synthesize; never measured on hardware",
         "seed": seed,
-        "atlas_design": atlas.meta["design_hash"],
-        "atlas_heights_mm": atlas.height_mm.tolist(),
+        "atlas_design": solution.meta["design_hash"],
+        "atlas_heights_mm": solution.height_mm.tolist(),
         "distribution": asdict(distribution),
     }
     if protocol:
@@ -321,4 +326,10 @@ def synthesize(
         origin["paths"] = asdict(PathDistribution()) | {"solved": solved}
     notes = {"synthesis.json": json.dumps(origin, indent=1) + "\n"}
     watched = progress_bar("synthesizing", "slide", recordings, len(plans))
-    return write_folder(out, sensor, manifest, watched, notes)
+    return write_folder(out, design, manifest, watched, notes)
+
+
+def _distribution(config: str | Path | Distribution | None) -> Distribution:
+    if config is None or isinstance(config, Distribution):
+        return config or Distribution()
+    return from_table(Distribution, read_toml(Path(config)), str(config))

@@ -23,10 +23,10 @@ from softslide.serve.stream.sources import is_live, open_source
 
 
 def serve(
-    bundle: Path,
+    model: str | Path,
     source: str,
-    sinks: Sequence[str],
-    form: str = "csv",
+    sink: Sequence[str] | None = None,
+    format: str = "csv",
     fast: bool = False,
     page: str | None = None,
     smooth: bool = False,
@@ -37,7 +37,7 @@ def serve(
 
     While no samples come from a live source, an estimate that is not valid (`no_signal`) is handed on each WAIT_S.
 
-    source, sinks: as in serve/stream/sources.py and serve/stream/sinks.py. form: csv or f32, of bytes that come in.
+    source, sink: as in serve/stream/sources.py and serve/stream/sinks.py. format: csv or f32, of bytes that come in.
     fast: play a recording as fast as possible. page: [HOST:]PORT of the live page, None for none.
     height_mm: the skin's, for a bundle over heights; None: as the static output shows it.
     unsigned: also a bundle whose card carries no hash of itself.
@@ -46,19 +46,21 @@ def serve(
     Raises:
         InputError: the bundle, the source, a sink or the page's address is wrong or cannot be opened.
     """
-    localizer = Localizer.load(bundle, height_mm, unsigned)
+    localizer = Localizer.load(model, height_mm, unsigned)
     steady = TrackFilter().update if smooth else None
     age = SampleAge() if is_live(source) else None
-    written = 0
+    written, sink = 0, sink or ("-",)
     with _stoppable() as stopped, ExitStack() as held:
-        waits = age is None or (len(sinks) == 1 and page is None)
-        opened = [held.enter_context(closing(open_sink(name, waits))) for name in sinks]
+        waits = age is None or (len(sink) == 1 and page is None)
+        opened = [held.enter_context(closing(open_sink(name, waits))) for name in sink]
         shown = (
             None
             if page is None
-            else held.enter_context(closing(Page(page, localizer.card, _name(source), bundle, height_mm)))
+            else held.enter_context(
+                closing(Page(page, localizer.card, _name(source), Path(model), height_mm))
+            )
         )
-        chunks = open_source(source, localizer.card, form, fast)
+        chunks = open_source(source, localizer.card, format, fast)
         if shown is not None:
             print(f"softslide serve: the page is at {shown.address}", file=sys.stderr, flush=True)
         try:

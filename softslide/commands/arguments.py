@@ -15,6 +15,7 @@ from typing import Any
 from softslide.features.errors import InputError
 
 Parser = argparse.ArgumentParser
+UNITS = ("DEG", "MM", "MM_S", "S")
 # Runs with the arguments given; returns the exit status, None for 0.
 Run = Callable[[argparse.Namespace], int | None]
 Command = Callable[[Parser], Run]
@@ -59,6 +60,11 @@ def located(given: argparse.Namespace) -> Iterator[None]:
         yield
 
 
+def options(given: argparse.Namespace) -> dict[str, Any]:
+    """The values of a command's arguments, by name: what the function of the same name takes."""
+    return {name: value for name, value in vars(given).items() if name not in ("command", "run", "existing")}
+
+
 def is_registered(value: object) -> bool:
     """Whether a bundle is named by its place in the registry, as in `models:/softslide@champion`."""
     return isinstance(value, Path) and str(value).startswith("models:/")
@@ -68,6 +74,7 @@ def skin_height(parser: Parser) -> None:
     """`--height`, of the inflated skin, for a bundle over heights."""
     parser.add_argument(
         "--height",
+        dest="height_mm",
         type=float,
         metavar="MM",
         help="of the inflated skin, mm, for a bundle trained at several (default: as the static output shows it)",
@@ -110,12 +117,17 @@ def atlas(parser: Parser, help: str) -> None:
 
 
 def number(
-    parser: Parser, name: str, metavar: str, help: str, default: Any = None, *also: str, **options: Any
+    parser: Parser, name: str, metavar: str, help: str, default: Any = None, *also: str, **further: Any
 ) -> None:
-    """A number, or several; of the default's type, else a float. Its help ends with the default. also: older names."""
+    """A number, or several; of the default's type, else a float. Its help ends with the default. also: older names.
+
+    What it is kept as ends with the unit, as the function's parameter does.
+    """
     shown = f"{help} (default: %(default)s)" if isinstance(default, int | float) else help
-    options = {"type": float if default is None else type(default), "default": default} | options
-    parser.add_argument(name, *also, metavar=metavar, help=shown, **options)
+    unit = f"_{metavar.lower()}" if metavar in UNITS else ""
+    kept = {"type": float if default is None else type(default), "default": default}
+    kept["dest"] = name.strip("-") + unit
+    parser.add_argument(name, *also, metavar=metavar, help=shown, **(kept | further))
 
 
 def picture(parser: Parser, metavar: str, help: str) -> None:

@@ -3,7 +3,6 @@
 import argparse
 import json
 import sys
-from typing import Any
 
 from softslide.commands import arguments
 from softslide.commands.arguments import Parser, Run
@@ -32,25 +31,15 @@ def check(parser: Parser) -> Run:
     arguments.picture(parser, "coverage.svg", "draw what the slides cover")
 
     def run(given: argparse.Namespace) -> None:
-        from softslide.experiments.derived_labels import derived
-        from softslide.pipeline.checks.report import checked, refused
-        from softslide.pipeline.recordings.folder import read_folder
+        from softslide.experiments.check import check
 
-        try:
-            recordings = read_folder(given.folder, files=False)
-        except InputError as error:
-            if given.json:
-                print(json.dumps(refused(given.folder, error).as_json(), indent=1))
-            raise
-        if given.picture:
-            from softslide.experiments.acquisition.pictures import draw_coverage
-
-            draw_coverage(derived(recordings), given.picture)
-        report = checked(recordings, given.atlas, derived)
+        report = check(given.folder, given.atlas, given.picture)
         if given.json:
             print(json.dumps(report.as_json(), indent=1, allow_nan=False))
-        else:
+        elif not report.unreadable:
             print(*report.lines(), sep="\n")
+        if report.unreadable:
+            raise InputError(report.unreadable)
         if errors := report.level("error"):
             first = errors[0].line()
             raise InputError(f"{given.folder}: {len(errors)} errors, first {first}; correct or remove these")
@@ -82,7 +71,7 @@ def import_(parser: Parser) -> Run:
     parser.add_argument("--sensor-template", action="store_true", help=printed("sensor.toml"))
 
     def run(given: argparse.Namespace) -> None:
-        from softslide.pipeline.importers.import_map import is_grid, read_map, sensor_template, template
+        from softslide.pipeline.importers.import_map import sensor_template, template
 
         if given.sensor_template:
             print(sensor_template(), end="")
@@ -97,21 +86,9 @@ def import_(parser: Parser) -> Run:
             raise InputError(
                 "give SOURCE..., --map MAP.toml and --out DIR, or --map-template KIND, or --sensor-template"
             )
-        if is_grid(given.map):
-            from softslide.pipeline.importers.grid.assemble import import_grid
-            from softslide.pipeline.importers.grid.grid_map import read_grid_map
+        from softslide.pipeline.importers.importer import import_recordings
 
-            if len(given.sources) > 1:
-                raise InputError(
-                    f"{given.sources[1]}: a grid of presses is one file; import each to a folder"
-                )
-            folder, notes = import_grid(given.sources[0], read_grid_map(given.map), given.out)
-            print(*notes, sep="\n", end="\n" if notes else "", file=sys.stderr)
-            print(_counted(folder))
-            return
-        from softslide.pipeline.importers.run import import_recordings
-
-        done = import_recordings(given.sources, read_map(given.map), given.out)
+        done = import_recordings(given.sources, given.map, given.out)
         print(*done.notes, sep="\n", end="\n" if done.notes else "", file=sys.stderr)
         resumed = f", {done.resumed} of them finished before" if done.resumed else ""
         print(f"{done.out}: {done.recordings} recordings imported{resumed}")
@@ -142,8 +119,7 @@ def simulate(parser: Parser) -> Run:
     def run(given: argparse.Namespace) -> None:
         from softslide.pipeline.atlas.solve import simulate
 
-        places = (given.sensor, given.out)
-        simulate(*places, given.coarse, given.depth, given.jobs, given.backend, given.scheduler)
+        simulate(**arguments.options(given))
 
     return run
 
@@ -178,30 +154,20 @@ def synthesize(parser: Parser) -> Run:
     parser.add_argument("--solved", action="store_true", help=f"{solved}touch-downs, at some seconds a path")
     protocol = "the article's 512 slides along x and y, split calibration (default: none)"
     parser.add_argument("--protocol", choices=("article",), help=protocol)
-    arguments.number(parser, "--seed", "S", "of all that is random", 0)
+    arguments.number(parser, "--seed", "N", "of all that is random", 0)
     keys = "height_mm, pressure_share, depth_mm, offset_mm, speed_mm_s, [electronics] noise and more (docs/format.md)"
     changes = f"a TOML file that changes what slides and sensor are like: {keys}"
     arguments.existing(parser, "--config", "FILE", changes)
     arguments.out(parser, "the folder to write")
 
     def run(given: argparse.Namespace) -> None:
-        from softslide.pipeline.synthesis.distribution import Distribution
         from softslide.pipeline.synthesis.synthesize import synthesize
-        from softslide.pipeline.toml_tables import from_table, read_toml
 
-        table = given.config and read_toml(given.config)
-        drawn = from_table(Distribution, table, str(given.config)) if given.config else None
-        options = {"paths": given.paths, "protocol": given.protocol is not None, "solved": given.solved}
-        design = (given.atlas, given.sensor)
-        print(_counted(synthesize(*design, given.slides, given.seed, given.out, drawn, **options)))
+        folder = synthesize(**arguments.options(given))
+        counts = folder.manifest["split"].value_counts(sort=False)
+        print(f"{folder.root}: {', '.join(f'{count} {split}' for split, count in counts.items())}")
 
     return run
-
-
-def _counted(folder: Any) -> str:
-    """How many recordings of each split a folder holds."""
-    counts = folder.manifest["split"].value_counts(sort=False)
-    return f"{folder.root}: {', '.join(f'{count} {split}' for split, count in counts.items())}"
 
 
 COMMANDS = (check, import_, simulate, synthesize)

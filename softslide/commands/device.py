@@ -58,7 +58,7 @@ def predict(parser: Parser) -> Run:
                 given.files,
                 given.track,
                 bad.append,
-                given.height,
+                given.height_mm,
                 given.whole_contact,
                 given.unsigned,
             )
@@ -86,7 +86,7 @@ def _presses(given: argparse.Namespace, refused: Callable[[InputError], None]) -
     from softslide.serve.files import read_recording
 
     card, _ = open_bundle(given.model, given.unsigned)
-    if given.height is None:
+    if given.height_mm is None:
         raise InputError(
             "is needed: a press is read at a height of the inflated skin; name it in mm", "height"
         )
@@ -98,7 +98,7 @@ def _presses(given: argparse.Namespace, refused: Callable[[InputError], None]) -
         except InputError as error:
             refused(error)
             continue
-        yield {"recording": path.stem, "file": str(path), **press_in(volts, sensor, atlas, given.height)}
+        yield {"recording": path.stem, "file": str(path), **press_in(volts, sensor, atlas, given.height_mm)}
 
 
 def serve(parser: Parser) -> Run:
@@ -151,10 +151,7 @@ def serve(parser: Parser) -> Run:
         from softslide.serve.stream.live import serve
 
         print(f"softslide serve: {given.source}; stop with Ctrl-C", file=sys.stderr)
-        streams = (given.source, given.sink or ["-"], given.format)
-        written = serve(
-            given.model, *streams, given.fast, given.page, given.smooth, given.height, given.unsigned
-        )
+        written = serve(**arguments.options(given))
         print(f"softslide serve: {written} estimates", file=sys.stderr)
 
     return run

@@ -1,7 +1,6 @@
 """Subcommands at the bench: design, plan, record."""
 
 import argparse
-import math
 
 from softslide.commands import arguments
 from softslide.commands.arguments import Parser, Run
@@ -32,9 +31,7 @@ def design(parser: Parser) -> Run:
     def run(given: argparse.Namespace) -> None:
         from softslide.experiments.acquisition.design import design
 
-        chamber = tuple(given.chamber) if given.chamber else None
-        skin = (given.thickness, given.height, chamber, given.depth)
-        table = design(given.sensor, given.boards, given.out, *skin)
+        table = design(**arguments.options(given))
         print(table.to_string(index=False, float_format="{:.3g}".format))
         print(given.out / "design.html")
 
@@ -71,19 +68,9 @@ def plan(parser: Parser) -> Run:
     arguments.picture(parser, "plan.svg", "draw the plan too")
 
     def run(given: argparse.Namespace) -> None:
-        from softslide.experiments.acquisition.plan import plan, write_plan
+        from softslide.experiments.acquisition.plan import plan
 
-        lines = (given.candidates, given.directions, given.speeds, given.depth)
-        table, figures, sensor = plan(given.sensor, given.slides, given.atlas, *lines)
-        write_plan(given.out, table)
-        if given.picture:
-            from softslide.experiments.acquisition.pictures import draw_plan
-
-            draw_plan(table, sensor, given.picture)
-        for name, (direction, speed, offset) in (("no slide", figures.before), ("these", figures.deviations)):
-            errors = f"{math.degrees(direction):.2f} deg, {100 * speed:.2f} %, {offset:.3f} mm"
-            print(f"{name}: {errors} expected from the map")
-        print(given.out)
+        print(*plan(**arguments.options(given)).lines(), given.out, sep="\n")
 
     return run
 
@@ -131,11 +118,9 @@ def record(parser: Parser) -> Run:
     parser.add_argument("--yes", action="store_true", help="ask nothing: record and keep every slide")
 
     def run(given: argparse.Namespace) -> None:
-        from softslide.experiments.acquisition.record import Times, record
+        from softslide.experiments.acquisition.record import record
 
-        times = Times(given.rest, given.start, given.timeout, given.wait)
-        places = (given.source, given.plan, given.out, given.sensor)
-        folder, left = record(*places, given.format, times, given.yes)
+        folder, left = record(**arguments.options(given))
         missing = f", {left} of the plan are left" if left else ""
         print(f"{folder.root}: {len(folder)} recordings{missing}")
 

@@ -83,9 +83,9 @@ def train(parser: Parser) -> Run:
             raise InputError("is needed, or --from-run; name a folder", "recordings")
         from softslide.experiments.train import train
 
-        named = ("atlas", "init", "config", "design_alone", "register", "fresh")
-        options = {name: getattr(given, name) for name in named}
-        done = train(given.recordings, given.out, given.model, weights=given.weight, **options)
+        named = arguments.options(given)
+        del named["from_run"]
+        done = train(**named)
         print(f"softslide train: {done.run.place}", file=sys.stderr)
         model, folder = shlex.quote(str(done.bundle)), shlex.quote(str(given.recordings[0]))
         for line in (
@@ -123,16 +123,18 @@ def evaluate(parser: Parser) -> Run:
     arguments.out(parser, "where the results go")
     untested = "a bound that no recording tests does not count as not met"
     parser.add_argument("--allow-untested", action="store_true", help=untested)
-    parser.add_argument("--no-report", action="store_true", help="draw no report.html, which takes seconds")
+    no_report = "draw no report.html, which takes seconds"
+    parser.add_argument("--no-report", dest="report", action="store_false", help=no_report)
     arguments.number(parser, "--jobs", "N", "recordings at a time", 2)
     arguments.scheduler(parser)
 
     def run(given: argparse.Namespace) -> int:
         from softslide.experiments.evaluate import evaluate
 
-        what, how = (given.model, given.recordings, given.split), (given.jobs, not given.no_report)
-        result = evaluate(*what, given.out, *how, scheduler=given.scheduler)
-        written = "metrics.json" if given.no_report else "report.html"
+        named = arguments.options(given)
+        del named["allow_untested"]
+        result = evaluate(**named)
+        written = "report.html" if given.report else "metrics.json"
         print(f"softslide evaluate: wrote {given.out}/{written}", file=sys.stderr)
         print("\n".join(result.lines()))
         if result.untested and not given.allow_untested:
@@ -161,7 +163,7 @@ def export(parser: Parser) -> Run:
     def run(given: argparse.Namespace) -> None:
         from softslide.models.export.formats import export
 
-        print(json.dumps(export(given.model, given.to, given.out)))
+        print(json.dumps(export(**arguments.options(given))))
         print(f"softslide export: wrote {given.out}", file=sys.stderr)
 
     return run
@@ -187,9 +189,9 @@ def recalibrate(parser: Parser) -> Run:
     arguments.out(parser, "where the new bundle goes", metavar="BUNDLE")
 
     def run(given: argparse.Namespace) -> None:
-        from softslide.experiments.recalibrate import recalibrate_bundle
+        from softslide.experiments.recalibrate import recalibrate
 
-        print(json.dumps(recalibrate_bundle(given.model, given.recordings, given.split, given.out)))
+        print(json.dumps(recalibrate(**arguments.options(given))))
 
     return run
 

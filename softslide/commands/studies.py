@@ -29,7 +29,7 @@ def article(parser: Parser) -> Run:
     def run(given: argparse.Namespace) -> None:
         from softslide.experiments.article.article import article
 
-        made = article(given.recordings, given.atlas, given.out)
+        made = article(**arguments.options(given))
         print("\n".join(made.lines()))
         print(made.page)
 

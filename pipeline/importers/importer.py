@@ -1,0 +1,28 @@
+"""`softslide import`: a lab's files, or presses on a grid, into a folder of recordings."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from softslide.features.errors import InputError
+from softslide.pipeline.importers.grid.assemble import import_grid
+from softslide.pipeline.importers.grid.grid_map import read_grid_map
+from softslide.pipeline.importers.import_map import is_grid, read_map
+from softslide.pipeline.importers.run import Imported, import_files
+
+
+def import_recordings(
+    sources: str | Path | Sequence[str | Path], map: str | Path, out: str | Path
+) -> Imported:
+    """Imports what a map says of the sources, files or folders to search; an interrupted import resumes.
+
+    Raises:
+        InputError: a source, the map or a label is bad; nothing is left then.
+    """
+    files = [Path(each) for each in ([sources] if isinstance(sources, str | Path) else sources)]
+    map, out = Path(map), Path(out)
+    if not is_grid(map):
+        return import_files(files, read_map(map), out)
+    if len(files) > 1:
+        raise InputError(f"{files[1]}: a grid of presses is one file; import each to a folder")
+    folder, notes = import_grid(files[0], read_grid_map(map), out)
+    return Imported(out, len(folder), 0, tuple(notes))
