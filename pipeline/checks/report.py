@@ -72,7 +72,7 @@ class Report:
 
 def checked(
     folder: Folder,
-    atlas: Path | None = None,
+    atlas: str | Path | None = None,
     derive: Callable[[Folder], Folder] = with_derived_labels,
 ) -> Report:
     """Every recording measured, with the labels that follow from others where the manifest leaves them out.
