@@ -39,7 +39,7 @@ def read_toml(path: Path, remedy: str = "name a TOML file") -> dict[str, Any]:
     """
     content = read_regular(path, MOST_BYTES, remedy)
     try:
-        table = tomllib.loads(content.decode("utf-8"))
+        table = tomllib.loads(content.decode("utf-8-sig"))
     except RecursionError:
         raise InputError(f"{path}: nested too deep; at most {DEEPEST} levels are read") from None
     except ValueError as error:  # of syntax, of encoding, or a number of thousands of digits

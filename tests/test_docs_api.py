@@ -21,8 +21,8 @@ FUNCTIONS = {"import": "import_recordings"}
 OWN = {
     "check": {"json"},
     "evaluate": {"allow_untested"},
-    "import": {"map_template", "sensor_template"},
-    "predict": {"presses", "atlas"},
+    "import": {"guess", "map_template", "sensor_template"},
+    "predict": {"presses", "atlas", "map"},
     "train": {"from_run"},
 }
 PAGE = (ROOT / "docs" / "api.md").read_text(encoding="utf-8")

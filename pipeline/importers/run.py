@@ -23,6 +23,7 @@ from softslide.features.errors import InputError, printable
 from softslide.features.names import REMEDY, is_plain
 from softslide.features.units import impossible_output
 from softslide.pipeline.checks.zone_signs import sign_agreement, start_mm
+from softslide.pipeline.importers.guess import cure, kind_of
 from softslide.pipeline.importers.import_map import Map
 from softslide.pipeline.importers.labels import Row, label_columns, label_row, read_sheet, recording_name
 from softslide.pipeline.importers.messages import clock_notes, inverted, mounting_notes
@@ -92,9 +93,11 @@ def _imported(
                 if journal.has(job):
                     resumed += 1
                 else:
-                    journal.add(
-                        job, _import_one(job, mapping, sheet, to_volts, partial, bound(progress, job=job))
-                    )
+                    try:
+                        entry = _import_one(job, mapping, sheet, to_volts, partial, bound(progress, job=job))
+                    except InputError as error:
+                        raise InputError(f"{error}{cure(next(iter(job.files.values())), mapping)}") from None
+                    journal.add(job, entry)
                 progress(1.0, job)
                 done = bar.n
         notes = _finish(jobs, mapping, journal, partial, out)
@@ -137,7 +140,13 @@ def find_sources(sources: Sequence[Path], mapping: Map) -> list[Source]:
             job.files[part] = path
     if not found:
         kinds = ", ".join(READERS[mapping.kind].suffixes)
-        raise InputError(f"{', '.join(map(str, sources))}: no file ({kinds}) fits the map; name its folder")
+        there = kind_of([path for source in sources if source.is_dir() for path in source.rglob("*")])
+        remedy = (
+            f'the files there are of kind = "{there}"'
+            if there not in ("", mapping.kind)
+            else "name its folder"
+        )
+        raise InputError(f"{', '.join(map(str, sources))}: no file ({kinds}) fits the map; {remedy}")
     return [found[name] for name in sorted(found)]
 
 

@@ -57,6 +57,7 @@ def import_(parser: Parser) -> Run:
     A map with kind = "grid" puts slides together from presses on a grid.
 
         softslide import --sensor-template > sensor.toml
+        softslide import --guess lab > map.toml
         softslide import --map-template csv > map.toml
         softslide import lab/*.csv --map map.toml --out my-recordings
     """
@@ -68,6 +69,8 @@ def import_(parser: Parser) -> Run:
     arguments.out(parser, "the folder of recordings to write", required=False)
     printed = "print a commented {} to start from".format
     parser.add_argument("--map-template", metavar="KIND", help=f"{printed('map')}: {kinds}, grid")
+    guess = "print a map guessed from delimited text files and their names; what is unsure is marked"
+    parser.add_argument("--guess", action="store_true", help=guess)
     parser.add_argument("--sensor-template", action="store_true", help=printed("sensor.toml"))
 
     def run(given: argparse.Namespace) -> None:
@@ -82,9 +85,15 @@ def import_(parser: Parser) -> Run:
                 raise InputError(f"{given.map_template}: name one of {kinds}, grid", "map_template")
             print(template(given.map_template), end="")
             return
+        if given.guess and given.sources:
+            from softslide.pipeline.importers.guess import guess_map
+
+            print(guess_map(given.sources), end="")
+            return
         if not (given.sources and given.map and given.out):
             raise InputError(
-                "give SOURCE..., --map MAP.toml and --out DIR, or --map-template KIND, or --sensor-template"
+                "give SOURCE..., --map MAP.toml and --out DIR, or SOURCE... --guess, or --map-template KIND, or "
+                "--sensor-template"
             )
         from softslide.pipeline.importers.importer import import_recordings
 

@@ -4,6 +4,9 @@ import argparse
 import json
 import sys
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from softslide.commands import arguments
@@ -26,6 +29,7 @@ def predict(parser: Parser) -> Run:
 
         softslide predict --model my-model slide.csv
         softslide predict --model my-model --presses --height 7.1 press.csv
+        softslide predict --model my-model --map map.toml lab/slide.txt
         softslide predict --model my-model --track path.csv > path.jsonl
         softslide predict --model my-model --whole-contact curve.csv > curve.jsonl
     """
@@ -43,6 +47,8 @@ def predict(parser: Parser) -> Run:
     )
     arguments.skin_height(parser)
     arguments.unsigned(parser)
+    raw = "what the files mean, as in 'import', where they are a lab's own (needs the io extra)"
+    arguments.existing(parser, "--map", "MAP.toml", raw)
     kinds = "CSV with time_s (s) and a0_vx, a0_vy, a0_vz, ... (V), or Parquet (needs the io extra)"
     arguments.existing(parser, "files", "FILE", kinds, nargs="+")
 
@@ -50,21 +56,16 @@ def predict(parser: Parser) -> Run:
         from softslide.serve.predict import predict
 
         bad: list[InputError] = []
-        lines = (
-            _presses(given, bad.append)
-            if given.presses
-            else predict(
-                given.model,
-                given.files,
-                given.track,
-                bad.append,
-                given.height_mm,
-                given.whole_contact,
-                given.unsigned,
-            )
-        )
-        for line in lines:
-            print(json.dumps(line, allow_nan=False), flush=True)
+        how = (given.track, bad.append, given.height_mm, given.whole_contact, given.unsigned)
+        with ExitStack() as stack:
+            if given.map:
+                from softslide.pipeline.importers.importer import volts_of
+
+                scratch = stack.enter_context(TemporaryDirectory(prefix="softslide-"))
+                given.files = volts_of(given.files, given.map, Path(scratch) / "volts")
+            lines = _presses(given, bad.append) if given.presses else predict(given.model, given.files, *how)
+            for line in lines:
+                print(json.dumps(line, allow_nan=False), flush=True)
         for error in bad[:-1]:
             print(f"softslide predict: {error}", file=sys.stderr)
         if bad:
