@@ -1,11 +1,16 @@
 """Configuration files: a model's defaults, a frozen dataclass, and the file that changes some of them."""
 
+import inspect
 import json
+from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
+import tomli_w
+
 from softslide.features.errors import InputError
 from softslide.features.regular_file import read_regular
+from softslide.models.registry import model_named
 from softslide.pipeline.toml_tables import changed, read_toml
 
 Config = TypeVar("Config")
@@ -49,3 +54,25 @@ def read_configuration(path: Path) -> dict[str, Any]:
     if not isinstance(table, dict):
         raise InputError(f"{path}: no table; name a run's configuration.json")
     return table
+
+
+def configuration_template(model: str) -> str:
+    """A model's whole configuration as TOML, each key with its default, below what the code says of each table.
+
+    Raises:
+        InputError: no such model.
+    """
+    return f"# softslide train --model {model} --config THIS.toml; leave out what stays.\n" + "\n".join(
+        _table(model_named(model).config(), ())
+    )
+
+
+def _table(settings: Any, keys: tuple[str, ...]) -> list[str]:
+    """The lines of one table and of those inside it. A value that is None, "as the code finds it", is left out."""
+    values = {f.name: getattr(settings, f.name) for f in fields(settings)}
+    inside = {name: value for name, value in values.items() if is_dataclass(value)}
+    plain = {n: value for n, value in values.items() if n not in inside and value is not None}
+    says = (inspect.getdoc(settings) or "").partition("\n\nRaises:")[0]
+    lines = ["", *(f"# {line}".rstrip() for line in says.splitlines())]
+    lines += [f"[{'.'.join(keys)}]"] * bool(keys) + tomli_w.dumps(plain).splitlines()
+    return lines + [line for name, value in inside.items() for line in _table(value, (*keys, name))]

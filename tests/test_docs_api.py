@@ -23,7 +23,7 @@ OWN = {
     "evaluate": {"allow_untested"},
     "import": {"guess", "map_template", "sensor_template"},
     "predict": {"presses", "atlas", "map"},
-    "train": {"from_run"},
+    "train": {"config_template", "from_run"},
 }
 PAGE = (ROOT / "docs" / "api.md").read_text(encoding="utf-8")
 

@@ -1,12 +1,15 @@
 """A configuration file changes what it names and refuses what it does not know."""
 
-from dataclasses import dataclass, field
+import re
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 
 import pytest
 
+import softslide
 from softslide.experiments.configuration import configured
 from softslide.features.errors import InputError
+from softslide.models.registry import MODELS, model_named
 
 
 @dataclass(frozen=True)
@@ -67,3 +70,15 @@ def test_what_is_wrong_is_named(tmp_path: Path, text: str, says: str) -> None:
 def test_a_missing_file_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no such file"):
         configured(Outer(), tmp_path / "none.toml", "outer")
+
+
+@pytest.mark.parametrize("model", sorted(MODELS))
+def test_the_template_is_the_default_of_every_key(
+    tmp_path: Path, model: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert softslide.main(["train", "--config-template", "--model", model]) == 0
+    text = capsys.readouterr().out
+    (tmp_path / "c.toml").write_text(text)
+    default = model_named(model).config()
+    assert configured(default, tmp_path / "c.toml", model) == default
+    assert {f.name for f in fields(default)} <= set(re.findall(r"^\[?(\w+)", text, re.MULTILINE))

@@ -261,6 +261,22 @@ def test_a_module_of_our_own_that_is_missing_is_not_an_extra(monkeypatch: pytest
         softslide.main(["check", str(SAMPLE)])
 
 
+@pytest.mark.parametrize("place", ["/proc/none", "a-file/out"])
+@pytest.mark.parametrize("command", [name for name, words in CALLS.items() if OUT[0] in words])
+def test_a_place_that_cannot_be_written_is_said_before_the_work(
+    command: str,
+    place: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "a-file").write_text("")
+    assert softslide.main([command, *(place if word == "out" else str(word) for word in CALLS[command])]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"softslide {command}: {place}: nothing can be written there")
+
+
 FROM_DEVICE = ("BUNDLE", "slide.parquet")
 GIVEN = [(c, w) for c, words in CALLS.items() for w in words if isinstance(w, Path) or w in FROM_DEVICE]
 

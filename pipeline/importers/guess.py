@@ -51,7 +51,9 @@ def guess_map(sources: Sequence[Path]) -> str:
     if not kind:
         raise InputError(f"{', '.join(map(str, sources))}: no file of a known kind; name the lab's files")
     if kind != "csv":
-        raise InputError(f"{files[0]}: begin from the template of its kind, --map-template {kind}", "guess")
+        raise InputError(
+            f"{files[0]}: only delimited text is guessed from; begin from the template of {kind}"
+        )
     files = [path for path in files if path.suffix.lower() in READERS["csv"].suffixes]
     is_split = all(any(re.fullmatch(SPLIT, name) for name in found[path]) for path in files)
     layout, names, units, rows = guess_layout(files[0])

@@ -41,13 +41,16 @@ def located(given: argparse.Namespace) -> Iterator[None]:
     names from the registry, for as long as the block runs.
 
     Raises:
-        InputError: there is no such file, folder or registered bundle, or a picture of this kind is not drawn.
+        InputError: there is no such file, folder or registered bundle, nothing can be written where the output is to
+            go, or a picture of this kind is not drawn.
     """
     for name in getattr(given, "existing", ()):
         value = getattr(given, name)
         for path in value if isinstance(value, list) else [value]:
             if path is not None and not is_registered(path) and not path.exists():
                 raise InputError(f"{path}: no such file or folder; name one that exists")
+    if out := getattr(given, "out", None):
+        _check_place(out)
     picture = getattr(given, "picture", None)
     if picture is not None and picture.suffix not in (".svg", ".png", ".pdf"):
         raise InputError(f"{picture}: name a .svg, .png or .pdf", "picture")
@@ -58,6 +61,19 @@ def located(given: argparse.Namespace) -> Iterator[None]:
             scratch = stack.enter_context(tempfile.TemporaryDirectory(prefix="softslide-"))
             given.model = fetched(str(given.model), Path(scratch))
         yield
+
+
+def _check_place(out: Path) -> None:
+    """Sees that something can be written there, before the work and not after it."""
+    above = next(folder for folder in (out, *out.absolute().parents) if folder.exists())
+    if above == out and not above.is_dir():
+        above = out.absolute().parent
+    try:
+        with tempfile.TemporaryFile(dir=above):
+            return
+    except OSError as error:
+        reason = f"{above}: {error.strerror}"
+    raise InputError(f"{out}: nothing can be written there ({reason}); name another place")
 
 
 def options(given: argparse.Namespace) -> dict[str, Any]:

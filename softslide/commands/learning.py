@@ -64,14 +64,23 @@ def train(parser: Parser) -> Run:
     parser.add_argument("--model", default=registry.DEFAULT, metavar="NAME", help=models)
     changes = "TOML with changes to the model's defaults, or configuration.json of a run"
     arguments.existing(parser, "--config", "FILE", changes)
+    template = "print the configuration of --model, each key with its default, to start FILE from"
+    parser.add_argument("--config-template", action="store_true", help=template)
     parser.add_argument("--design-alone", action="store_true", help="use no recording, the design alone")
     register = "register the bundle, as the next version of models:/softslide"
     parser.add_argument("--register", action="store_true", help=register)
     fresh = "calibrate the response map anew, even where one is kept"
     parser.add_argument("--fresh", action="store_true", help=fresh)
-    arguments.out(parser, "where the bundle goes", metavar="BUNDLE")
+    arguments.out(parser, "where the bundle goes", metavar="BUNDLE", required=False)
 
     def run(given: argparse.Namespace) -> int:
+        if given.config_template:
+            from softslide.experiments.configuration import configuration_template
+
+            print(configuration_template(given.model), end="")
+            return 0
+        if not given.out:
+            raise InputError("is needed; name where the bundle goes", "out")
         if given.from_run:
             from softslide.experiments.from_run import train_from_run
 
@@ -84,7 +93,7 @@ def train(parser: Parser) -> Run:
         from softslide.experiments.train import train
 
         named = arguments.options(given)
-        del named["from_run"]
+        del named["from_run"], named["config_template"]
         done = train(**named)
         print(f"softslide train: {done.run.place}", file=sys.stderr)
         model, folder = shlex.quote(str(done.bundle)), shlex.quote(str(given.recordings[0]))
