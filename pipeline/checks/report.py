@@ -36,7 +36,7 @@ class Report:
     @property
     def unreadable(self) -> str:
         """Why the folder could not be read; empty where it could."""
-        return next((each.text for each in self.findings if each.kind == "unreadable"), "")
+        return next((f.text for f in self.findings if f.kind == "unreadable" and not f.recording), "")
 
     def level(self, level: str) -> list[Finding]:
         """The findings that are an `error`, or a `warning`."""
