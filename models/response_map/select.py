@@ -12,6 +12,7 @@ skin: lines that are close together or cross show the same places.
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
+from itertools import islice
 
 import numpy as np
 
@@ -33,6 +34,7 @@ from softslide.models.response_map.slides import (
     main_height_mm,
 )
 from softslide.pipeline.atlas.atlas import Atlas
+from softslide.pipeline.progress import progress_bar
 from softslide.pipeline.recordings.derived_labels import USUAL_DEPTH_MM
 from softslide.pipeline.recordings.folder import Folder
 from softslide.pipeline.sensor import Sensor
@@ -285,10 +287,10 @@ def _chosen(slides: list[CalibrationSlide], known: _Known) -> tuple[ResponseMap,
     candidates = _candidates(len(slides), known)
     whole, folds = _parts(slides, known)
     names = [np.array([slide.recording for slide in fold.unseen]) for fold in folds]
-    maps = {
-        name: list(zip([candidate.fit(fold, known)[0] for fold in folds], names, strict=True))
-        for name, candidate in candidates.items()
-    }
+    work = [(name, fold) for name in candidates for fold in folds]
+    bar = progress_bar("calibrating the map", "fit", work)
+    fits = iter([candidates[name].fit(fold, known)[0] for name, fold in bar])
+    maps = {name: list(zip(islice(fits, len(folds)), names, strict=True)) for name in candidates}
     unseen = [slide for fold in folds for slide in fold.unseen]
     residual = {name: _median(_residuals(fitted, unseen)) for name, fitted in maps.items()}
     best = min(candidates, key=lambda name: residual[name])
