@@ -24,7 +24,7 @@ COMMAND_EXTRA = {
     "record": "io",
 }
 PACKAGE_EXTRA = {
-    **dict.fromkeys(("fastapi", "serial", "uvicorn", "websockets"), "live"),
+    **dict.fromkeys(("fastapi", "mcap", "serial", "uvicorn", "websockets"), "live"),
     **dict.fromkeys(("dask", "distributed"), "cluster"),
     **dict.fromkeys(("matplotlib", "mlflow", "numba"), "train"),
 }

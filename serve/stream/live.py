@@ -32,6 +32,7 @@ def serve(
     smooth: bool = False,
     height_mm: float | None = None,
     unsigned: bool = False,
+    log: str | Path | None = None,
 ) -> int:
     """Streams until the source ends, or SIGINT or SIGTERM comes. Returns the number of estimates written.
 
@@ -40,7 +41,7 @@ def serve(
     source, sink: as in serve/stream/sources.py and serve/stream/sinks.py. format: csv or f32, of bytes that come in.
     fast: play a recording as fast as possible. page: [HOST:]PORT of the live page, None for none.
     height_mm: the skin's, for a bundle over heights; None: as the static output shows it.
-    unsigned: also a bundle whose card carries no hash of itself.
+    unsigned: also a bundle whose card carries no hash of itself. log: an MCAP file to write (serve/stream/log.py).
     smooth: filter each slide's position, direction and speed (features/track_filter.py).
 
     Raises:
@@ -61,6 +62,11 @@ def serve(
             )
         )
         chunks = open_source(source, localizer.card, format, fast)
+        if log is not None:
+            from softslide.serve.stream.log import Log
+
+            kept = held.enter_context(closing(Log(Path(log), localizer.card)))
+            chunks, opened = kept.passed(chunks), [*opened, kept]
         if shown is not None:
             print(f"softslide serve: the page is at {shown.address}", file=sys.stderr, flush=True)
         try:

@@ -111,6 +111,7 @@ def serve(parser: Parser) -> Run:
     SIGTERM. Other machines can connect only where HOST says so.
 
         softslide serve --model my-model --source slide.csv --page 8000
+        softslide serve --model my-model --source udp://:9000 --log run.mcap
         softslide serve --model my-model --source udp://:9000 --sink udp://127.0.0.1:9001
     """
     arguments.model(parser)
@@ -140,6 +141,8 @@ def serve(parser: Parser) -> Run:
     parser.add_argument("--smooth", action="store_true", help=smooth)
     arguments.skin_height(parser)
     arguments.unsigned(parser)
+    log = "a new MCAP file for what comes (V) and goes out, as Foxglove and Rerun open it; 'import' reads its volts "
+    parser.add_argument("--log", type=Path, metavar="FILE.mcap", help=f"{log}(needs the live extra)")
     parser.add_argument("--fast", action="store_true", help="play a recording as fast as it goes")
     parser.add_argument(
         "--page",

@@ -30,5 +30,6 @@ READERS = {
     "hdf5": Reader((".h5", ".hdf5", ".hdf"), "HDF5", "hdf5", "read_hdf5"),
     "tdms": Reader((".tdms",), "TDMS of LabVIEW", "tdms", "read_tdms"),
     "mat": Reader((".mat",), "MATLAB of either format", "matlab", "read_matlab"),
+    "mcap": Reader((".mcap",), "log of softslide serve", "mcap_log", "read_mcap"),
     "ros": Reader((".bag", ".mcap", ".db3"), "ROS 1, ROS 2, MCAP", "ros", "read_ros"),
 }
