@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from softslide.experiments.acquisition.gcode import gcode as as_gcode
 from softslide.experiments.acquisition.pictures import draw_plan
 from softslide.experiments.acquisition.record import NEEDED
 from softslide.features.errors import InputError
@@ -50,6 +51,10 @@ class SlidePlan:
         """Draws the slides from above, as the kind that the file's ending says."""
         draw_plan(self.slides, self.sensor, Path(path))
 
+    def to_gcode(self, firmware: str = "marlin") -> str:
+        """The slides as a program of a machine that moves the ball: of marlin or grbl."""
+        return as_gcode(self.slides, firmware)
+
     def lines(self) -> list[str]:
         """What the map is expected to add to the errors, without any slide and with these."""
         found = (("no slide", self.figures.before), ("these", self.figures.deviations))
@@ -70,8 +75,10 @@ def plan(
     depth_mm: float = 0.5,
     out: str | Path | None = None,
     picture: str | Path | None = None,
+    gcode: str | Path | None = None,
+    firmware: str = "marlin",
 ) -> "SlidePlan":
-    """The slides to record. out: a CSV of them, to write; picture: of them, to draw.
+    """The slides to record. out: a CSV of them, to write; picture: of them, to draw; gcode: a program, to write.
 
     atlas: of the design; None: as `pipeline.atlas.library.atlas_of` finds it. candidates: a manifest, of which the
     slides of calibration and train splits may be chosen; None: lines in all directions over the chamber.
@@ -112,6 +119,10 @@ def plan(
             planned.slides.to_csv(out, index=False, lineterminator="\n")
     if picture:
         planned.plot(picture)
+    if gcode:
+        program = planned.to_gcode(firmware)
+        with writing(Path(gcode), "name another file"):
+            Path(gcode).write_text(program, encoding="ascii")
     return planned
 
 

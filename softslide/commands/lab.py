@@ -1,6 +1,7 @@
 """Subcommands at the bench: design, plan, record."""
 
 import argparse
+from pathlib import Path
 
 from softslide.commands import arguments
 from softslide.commands.arguments import Parser, Run
@@ -50,6 +51,7 @@ def plan(parser: Parser) -> Run:
     and distance (mm), over the skin, without any slide and with these.
 
         softslide plan --sensor sensor.toml --slides 12 --out plan.csv --picture plan.svg
+        softslide plan --sensor sensor.toml --slides 12 --out plan.csv --gcode plan.gcode
         softslide plan --sensor my-recordings/sensor.toml --slides 12 --out plan.csv \\
             --candidates my-recordings/manifest.csv
     """
@@ -66,6 +68,10 @@ def plan(parser: Parser) -> Run:
     arguments.number(parser, "--depth", "MM", "contact depth, mm", 0.5)
     arguments.out(parser, "the CSV to write", metavar="plan.csv")
     arguments.picture(parser, "plan.svg", "draw the plan too")
+    program = "G-code too, for a printer or a small CNC machine that moves the ball (docs/hardware.md)"
+    parser.add_argument("--gcode", type=Path, metavar="plan.gcode", help=program)
+    firmware = "whose dialect it is in (default: %(default)s)"
+    parser.add_argument("--firmware", choices=("marlin", "grbl"), default="marlin", help=firmware)
 
     def run(given: argparse.Namespace) -> None:
         from softslide.experiments.acquisition.plan import plan
