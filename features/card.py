@@ -2,7 +2,7 @@
 
 import json
 import math
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +22,9 @@ VERSION = 1
 MOST_BYTES = 1 << 26
 # An integer of more decimal digits may be beyond a float.
 MOST_DIGITS = 300
+# Sample rates that are read, whatever the calibration's: below, a block of too few samples keeps too much noise
+# (experiments/LOG.md).
+RATES_HZ = (250.0, 100_000.0)
 INPUTS = ("window", "features")
 UNITS = {
     "direction_cos": "1",
@@ -125,6 +128,23 @@ class Card:
     def block_samples(self) -> float:
         """Length of a block in samples: not always a whole number."""
         return self.conditioning.block_samples(self.sample_rate_hz)
+
+    def at_rate(self, rate_hz: float) -> "Card":
+        """The card for samples at another rate: the blocks that a model reads hold more of them, or fewer.
+
+        Raises:
+            InputError: a rate outside RATES_HZ.
+        """
+        low, high = RATES_HZ
+        if rate_hz == self.sample_rate_hz:
+            return self
+        if not low <= rate_hz <= high:
+            raise InputError(
+                f"{rate_hz:.6g} Hz is not read: a block of {self.conditioning.block_s:g} s needs samples at {low:g} to "
+                f"{high:g} Hz",
+                "rate_hz",
+            )
+        return replace(self, sample_rate_hz=rate_hz)
 
     @property
     def samples_per_block(self) -> int:

@@ -8,6 +8,18 @@ from softslide.features.errors import InputError
 
 # A crystal keeps time to 0.01 %. A clock off by 0.2 % shifts every speed by 0.2 %, as much as the best models err.
 RATE_TOLERANCE = 0.002
+# A rate is another one beyond this; within it, a clock is off.
+ANOTHER = 0.02
+
+
+def own_rate_hz(time_s: np.ndarray, rate_hz: float) -> float:
+    """The rate of a recording's own clock, where it is another than the sensor's by more than ANOTHER; else `rate_hz`,
+    which `check_clock` holds it to. time_s: (n,) s, n >= 2."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        step, mean = float(np.median(np.diff(time_s))), float(time_s[-1] - time_s[0]) / (len(time_s) - 1)
+    if not (step > 0 and abs(mean / step - 1) < ANOTHER) or abs(step * rate_hz - 1) < ANOTHER:
+        return rate_hz
+    return 1 / mean
 
 
 def check_clock(place: Path | str, time_s: np.ndarray, rate_hz: float) -> None:

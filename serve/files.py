@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from softslide.features.card import Card
-from softslide.features.clock import check_clock
+from softslide.features.clock import check_clock, own_rate_hz
 from softslide.features.errors import InputError
 from softslide.features.recording_file import finite, read_samples
 from softslide.features.units import impossible_output
@@ -24,13 +24,21 @@ def read_recording(path: Path, channels: Sequence[str], rate_hz: float) -> np.nd
     return checked_volts(path, columns, read_samples(path, columns), rate_hz)
 
 
-def read_for(path: Path, card: Card) -> np.ndarray:
-    """The volts (n, C) of one recording of a bundle's sensor, in the order of `Card.columns`.
+def read_for(path: Path, card: Card) -> tuple[np.ndarray, float]:
+    """The volts (n, C) of one recording of a bundle's sensor, in the order of `Card.columns`, and their rate in Hz.
 
     Raises:
-        InputError: as `read_recording`, or numbers that are volts of none of the accelerometers.
+        InputError: as `read_recording`, a rate that is not read, or numbers that are volts of none of the
+            accelerometers.
     """
-    volts = read_recording(path, card.columns, card.sample_rate_hz)
+    columns = ("time_s", *card.columns)
+    values = read_samples(path, columns)
+    rate_hz = own_rate_hz(values[:, 0], card.sample_rate_hz)
+    volts = checked_volts(path, columns, values, rate_hz)
+    try:
+        card.at_rate(rate_hz)
+    except InputError as error:
+        raise InputError(f"{path}: column time_s: {str(error).removeprefix('rate_hz ')}") from None
     # Most of a recording is rest, or a slide of a few hundredths of a g.
     median = np.median(volts, axis=0)
     faults = [
@@ -39,7 +47,7 @@ def read_for(path: Path, card: Card) -> np.ndarray:
     ]
     if all(not fault.endswith(": ") for fault in faults):
         raise InputError(f"{path}: {faults[0]}")
-    return volts
+    return volts, rate_hz
 
 
 def checked_volts(

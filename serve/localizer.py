@@ -1,6 +1,7 @@
 """The runtime: load a bundle, push volts, read estimates. It needs numpy and ONNX Runtime alone."""
 
 import math
+import sys
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -84,6 +85,7 @@ class Localizer:
             InputError: the bundle is for one height, or not for this one.
         """
         self.card = card
+        self._named_mm = height_mm
         self._given_mm = given_height(card.heights, height_mm)
         self._session = session
         channels, accelerometers = len(card.channels), card.sensor["accelerometers"]
@@ -125,14 +127,37 @@ class Localizer:
         self.reset()
 
     @classmethod
-    def load(cls, bundle: str | Path, height_mm: float | None = None, unsigned: bool = False) -> "Localizer":
-        """Opens a bundle and checks the example of its card. height_mm: as in `__init__`; unsigned: as in `read_card`.
+    def load(
+        cls,
+        bundle: str | Path,
+        height_mm: float | None = None,
+        unsigned: bool = False,
+        rate_hz: float | None = None,
+    ) -> "Localizer":
+        """Opens a bundle and checks the example of its card. height_mm: as in `__init__`; unsigned: as in `read_card`;
+        rate_hz: of the samples; None: as in its calibration.
 
         Raises:
             InputError: the bundle is missing, altered or truncated, does not give the result of its example, or is not
-                for this height.
+                for this height or rate.
         """
-        return cls(*open_bundle(bundle, unsigned), height_mm)
+        opened = cls(*open_bundle(bundle, unsigned), height_mm)
+        return opened if rate_hz is None else opened.at_rate(rate_hz)
+
+    def at_rate(self, rate_hz: float) -> "Localizer":
+        """This one, or a new one for samples at another rate, which is said on standard error.
+
+        Raises:
+            InputError: as `Card.at_rate`.
+        """
+        if rate_hz == self.card.sample_rate_hz:
+            return self
+        card = self.card.at_rate(rate_hz)
+        print(
+            f"samples at {rate_hz:.6g} Hz are read (calibrated at {self.card.sample_rate_hz:.6g} Hz)",
+            file=sys.stderr,
+        )
+        return Localizer(card, self._session, self._named_mm)
 
     def reset(self) -> None:
         """Forgets the stream; the static output has to be learned anew."""

@@ -31,16 +31,16 @@ def predict(
         InputError: the bundle or a file is missing, damaged, or of another format, or the bundle knows no whole
             contacts.
     """
-    localizer = Localizer.load(model, height_mm, unsigned)
-    card = localizer.card
+    opened = localizer = Localizer.load(model, height_mm, unsigned)
     for path in map(Path, [files] if isinstance(files, str | Path) else files):
         try:
-            volts = read_for(path, card)
+            volts, rate_hz = read_for(path, opened.card)
         except InputError as error:
             if refused is None:
                 raise
             refused(error)
             continue
+        localizer = localizer.at_rate(rate_hz)
         localizer.reset()
         name = {"recording": path.stem, "file": str(path)}
         if whole_contact:

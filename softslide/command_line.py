@@ -96,7 +96,7 @@ def with_option(error: InputError) -> str:
     """The error's message; a parameter that it begins with is shown as the option of that name, without its unit."""
     if not error.parameter:
         return str(error)
-    option = re.sub("_(deg|mm|mm_s|s)$", "", error.parameter).replace("_", "-")
+    option = re.sub("_(deg|hz|mm|mm_s|s)$", "", error.parameter).replace("_", "-")
     return f"--{option}" + str(error).removeprefix(error.parameter)
 
 

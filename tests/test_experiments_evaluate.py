@@ -298,7 +298,7 @@ def test_another_sensors_bundle_is_refused(tmp_path: Path, capsys: pytest.Captur
     a_folder(tmp_path / "lab", one={})
     arguments = ["--model", tmp_path / "b", "--recordings", tmp_path / "lab", "--out", tmp_path / "out"]
     assert softslide.main(["evaluate", *map(str, arguments)]) == 2
-    assert "sample_rate_hz is 200" in capsys.readouterr().err
+    assert "sample_rate_hz 200 Hz is not read" in capsys.readouterr().err
 
 
 def report_of(bundle: Path, lab: Path, out: Path) -> Page:

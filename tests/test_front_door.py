@@ -155,7 +155,14 @@ def spoil(lines: list[str], row: int, cell: int, text: str) -> list[str]:
         (lambda lines: spoil(lines, 7, 3, "nan"), "row 7, column a0_vz is nan"),
         (lambda lines: [*lines[:9], "1.0,2.0", *lines[10:]], "row 9, column a0_vy is empty"),
         (lambda lines: lines[:50] + lines[80:], "a gap"),
-        (lambda lines: lines[:1] + lines[1::2], "runs at 500 Hz"),
+        (lambda lines: lines[:1] + lines[1::5], "column time_s: 200 Hz is not read"),
+        (
+            lambda lines: [
+                lines[0],
+                *(f"{1.004 * float(t)!r},{v}" for t, v in (x.split(",", 1) for x in lines[1:])),
+            ],
+            "runs at 996.0",
+        ),
         (lambda lines: [*lines[:9], *lines[8:]], "does not increase"),
     ],
 )
@@ -274,7 +281,7 @@ def test_a_place_that_cannot_be_written_is_said_before_the_work(
     (tmp_path / "a-file").write_text("")
     assert softslide.main([command, *(place if word == "out" else str(word) for word in CALLS[command])]) == 2
     (line,) = capsys.readouterr().err.splitlines()
-    assert line.startswith(f"softslide {command}: {place}: nothing can be written there")
+    assert line.startswith(f"softslide {command}: {place}: cannot be written")
 
 
 FROM_DEVICE = ("BUNDLE", "slide.parquet")

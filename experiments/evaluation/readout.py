@@ -59,7 +59,7 @@ def read_at(
 
 def predict_recording(bundle: Path, folder: Folder, name: str) -> list[dict[str, Any]]:
     """One recording's rows of `predictions.csv`, as dictionaries of COLUMNS; NaN where not estimated."""
-    localizer, recording = open_localizer(bundle), folder.read(name)
+    localizer, recording = open_localizer(bundle, folder.sensor.sample_rate_hz), folder.read(name)
     return rows_of(
         localizer, recording, samples_for(localizer, recording), folder.manifest.loc[name].to_dict()
     )
@@ -102,7 +102,7 @@ def check_fits(localizer: Localizer, folder: Folder) -> None:
     """Sees that the bundle was made for sensors like the folder's.
 
     Raises:
-        InputError: other channels, no base where the bundle reads one, or another sample rate.
+        InputError: other channels, no base where the bundle reads one, or a sample rate that is not read.
     """
     card, sensor = localizer.card, folder.sensor
     place = folder.root / "sensor.toml"
@@ -113,14 +113,16 @@ def check_fits(localizer: Localizer, folder: Folder) -> None:
         )
     if card.base is not None and sensor.base is None:
         raise InputError(f"{place}: has no [base], which the bundle reads; train one on this sensor")
-    if not math.isclose(card.sample_rate_hz, sensor.sample_rate_hz, rel_tol=1e-3):
-        raise InputError(
-            f"{place}: sample_rate_hz is {sensor.sample_rate_hz:g}, the bundle was made for "
-            f"{card.sample_rate_hz:g}; train one on this sensor or resample the recordings"
-        )
+    try:
+        card.at_rate(sensor.sample_rate_hz)
+    except InputError as error:
+        raise InputError(f"{place}: {str(error).replace('rate_hz', 'sample_rate_hz', 1)}") from None
 
 
-@lru_cache(maxsize=1)
-def open_localizer(bundle: Path) -> Localizer:
-    """One session a process, since opening it takes longer than a short recording."""
-    return Localizer.load(bundle)
+@lru_cache(maxsize=2)
+def open_localizer(bundle: Path, rate_hz: float | None = None) -> Localizer:
+    """One session a process, since opening it takes longer than a short recording. rate_hz: of the samples, None: as in
+    the bundle's calibration, which one within 0.1 % is taken for."""
+    localizer = Localizer.load(bundle)
+    close = rate_hz is None or math.isclose(localizer.card.sample_rate_hz, rate_hz, rel_tol=1e-3)
+    return localizer if close or rate_hz is None else localizer.at_rate(rate_hz)

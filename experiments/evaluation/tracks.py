@@ -93,7 +93,8 @@ def _judged_whole(bundle: Path, folder: Folder, names: list[str]) -> pd.DataFram
 def _judged(
     bundle: Path, folder: Folder, name: str, estimates: Callable[[Localizer, np.ndarray], list[Estimate]]
 ) -> pd.DataFrame:
-    localizer, recording = open_localizer(bundle), folder.load(name)
+    localizer = open_localizer(bundle, folder.sensor.sample_rate_hz)
+    recording = folder.load(name)
     assert recording.truth is not None
     samples = samples_for(localizer, recording)
     stream = estimate_table([record(estimate) for estimate in estimates(localizer, samples)])

@@ -14,12 +14,13 @@ import numpy as np
 from softslide.features.errors import InputError
 from softslide.features.estimate import Estimate, Reason
 from softslide.features.track_filter import TrackFilter
+from softslide.serve.files import read_for
 from softslide.serve.localizer import Localizer
 from softslide.serve.page.process import Page
 from softslide.serve.stream.age import SampleAge
 from softslide.serve.stream.framing import Chunk
 from softslide.serve.stream.sinks import Sink, open_sink
-from softslide.serve.stream.sources import is_live, open_source
+from softslide.serve.stream.sources import is_live, open_source, played
 
 
 def serve(
@@ -33,6 +34,7 @@ def serve(
     height_mm: float | None = None,
     unsigned: bool = False,
     log: str | Path | None = None,
+    rate_hz: float | None = None,
 ) -> int:
     """Streams until the source ends, or SIGINT or SIGTERM comes. Returns the number of estimates written.
 
@@ -42,12 +44,16 @@ def serve(
     fast: play a recording as fast as possible. page: [HOST:]PORT of the live page, None for none.
     height_mm: the skin's, for a bundle over heights; None: as the static output shows it.
     unsigned: also a bundle whose card carries no hash of itself. log: an MCAP file to write (serve/stream/log.py).
+    rate_hz: of a live source's samples; None: as in the bundle's calibration. A recording's own clock says it.
     smooth: filter each slide's position, direction and speed (features/track_filter.py).
 
     Raises:
         InputError: the bundle, the source, a sink or the page's address is wrong or cannot be opened.
     """
-    localizer = Localizer.load(model, height_mm, unsigned)
+    localizer = Localizer.load(model, height_mm, unsigned, rate_hz)
+    if not is_live(source):
+        volts, own_hz = read_for(Path(source), localizer.card)
+        localizer = localizer.at_rate(own_hz)
     steady = TrackFilter().update if smooth else None
     age = SampleAge() if is_live(source) else None
     written, sink = 0, sink or ("-",)
@@ -61,7 +67,11 @@ def serve(
                 closing(Page(page, localizer.card, _name(source), Path(model), height_mm))
             )
         )
-        chunks = open_source(source, localizer.card, format, fast)
+        chunks = (
+            open_source(source, localizer.card, format)
+            if is_live(source)
+            else played(volts, localizer.card, fast)
+        )
         if log is not None:
             from softslide.serve.stream.log import Log
 

@@ -10,14 +10,12 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
-from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
 
 from softslide.features.card import Card
 from softslide.features.errors import InputError
-from softslide.serve.files import read_for
 from softslide.serve.stream.datagrams import Datagrams
 from softslide.serve.stream.framing import Chunk, Framing, framing_of
 
@@ -32,8 +30,8 @@ _READ_BYTES = 1 << 16
 _WAITING = 16
 
 
-def open_source(name: str, card: Card, form: str, fast: bool) -> Source:
-    """The source of that name (KINDS). form: csv or f32, of bytes that come in; fast: play a recording without waiting.
+def open_source(name: str, card: Card, form: str) -> Source:
+    """The live source of that name (KINDS). form: csv or f32, of bytes that come in.
 
     Raises:
         InputError: no such source, or a package that it needs is missing.
@@ -42,10 +40,7 @@ def open_source(name: str, card: Card, form: str, fast: bool) -> Source:
         from softslide.serve.stream.ros import accelerations
 
         return accelerations(name.removeprefix("ros2+imu://"), card)
-    if is_live(name):
-        return open_live(name, len(card.columns), form)
-    volts = read_for(Path(name), card)
-    return _played(volts, card, fast)
+    return open_live(name, len(card.columns), form)
 
 
 def is_live(name: str) -> bool:
@@ -122,7 +117,7 @@ def _heard(name: str, port: BinaryIO, framing: Framing) -> Source:
                 yield ()
 
 
-def _played(volts: np.ndarray, card: Card, fast: bool) -> Source:
+def played(volts: np.ndarray, card: Card, fast: bool) -> Source:
     """A block at a time, at the recorded rate or as fast as possible."""
     size = card.samples_per_block
     begun = time.monotonic()

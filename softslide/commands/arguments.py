@@ -15,7 +15,7 @@ from typing import Any
 from softslide.features.errors import InputError
 
 Parser = argparse.ArgumentParser
-UNITS = ("DEG", "MM", "MM_S", "S")
+UNITS = ("DEG", "HZ", "MM", "MM_S", "S")
 # Runs with the arguments given; returns the exit status, None for 0.
 Run = Callable[[argparse.Namespace], int | None]
 Command = Callable[[Parser], Run]
@@ -73,7 +73,7 @@ def _check_place(out: Path) -> None:
             return
     except OSError as error:
         reason = f"{above}: {error.strerror}"
-    raise InputError(f"{out}: nothing can be written there ({reason}); name another place")
+    raise InputError(f"{out}: cannot be written ({reason}); name another place")
 
 
 def options(given: argparse.Namespace) -> dict[str, Any]:

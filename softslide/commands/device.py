@@ -143,6 +143,8 @@ def serve(parser: Parser) -> Run:
     arguments.unsigned(parser)
     log = "a new MCAP file for what comes (V) and goes out, as Foxglove and Rerun open it; 'import' reads its volts "
     parser.add_argument("--log", type=Path, metavar="FILE.mcap", help=f"{log}(needs the live extra)")
+    rate = "of a live source's samples (default: as in the bundle's calibration); a recording's clock says it"
+    arguments.number(parser, "--rate", "HZ", rate)
     parser.add_argument("--fast", action="store_true", help="play a recording as fast as it goes")
     parser.add_argument(
         "--page",

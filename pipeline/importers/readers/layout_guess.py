@@ -7,6 +7,7 @@ from pathlib import Path
 from softslide.features.errors import InputError
 from softslide.pipeline.importers.readers.delimited import CsvLayout
 
+LEAST_ROWS = 3
 LOOKED_AT = 1 << 16  # bytes: hundreds of rows
 DELIMITERS = (";", "\t", ",", "|", " ")
 NUMBER = re.compile(r"\s*[-+]?\d*([.,]?)\d+(?:[eE][-+]?\d+)?\s*$")
@@ -33,7 +34,7 @@ def guess_layout(path: Path) -> tuple[CsvLayout, list[str], list[str], list[list
     lines = lines[:-1] if len(content) == LOOKED_AT else lines
     found = [(_rows(lines, delimiter), delimiter) for delimiter in DELIMITERS]
     (first, rows), delimiter = max(found, key=lambda each: len(each[0][1]) * len((each[0][1] or [[]])[0]))
-    if not rows or first == 0:
+    if len(rows) < LEAST_ROWS or first == 0:
         raise InputError(f"{path}: no rows of numbers below a row of names; name a table, or give its kind")
     above = [next(csv.reader([line], delimiter=delimiter)) for line in lines[:first]]
     units_row = first > 1 and len(above[-2]) == len(rows[0]) == len(above[-1])
