@@ -33,22 +33,17 @@ def gcode(slides: pd.DataFrame, firmware: str = "marlin") -> str:
         "; Put the ball over the chamber's middle, just touching the skin, then start. Never tried on hardware.",
         *("G21 ; mm", "G90 ; absolute", "G92 X0 Y0 Z0 ; here", _to(DOWN_MM_S, z=CLEAR_MM)),
     ]
-    for row in slides.itertuples():
-        if not 0 <= row.depth_mm <= DEEPEST_MM:
-            raise InputError(
-                f"{row.recording}: depth {row.depth_mm:g} mm; at most {DEEPEST_MM:g} is driven", "gcode"
-            )
-        angle = math.radians(row.direction_deg)
-        end = (
-            row.start_x_mm + row.travel_mm * math.cos(angle),
-            row.start_y_mm + row.travel_mm * math.sin(angle),
-        )
+    for row in slides.to_dict("records"):
+        name, depth, speed, way = (row[key] for key in ("recording", "depth_mm", "speed_mm_s", "travel_mm"))
+        if not 0 <= depth <= DEEPEST_MM:
+            raise InputError(f"{name}: depth {depth:g} mm; at most {DEEPEST_MM:g} is driven", "gcode")
+        x, y, angle = row["start_x_mm"], row["start_y_mm"], math.radians(row["direction_deg"])
         lines += [
-            f"; {row.recording}: {row.direction_deg:g} deg, {row.speed_mm_s:g} mm/s, offset {row.offset_mm:g} mm",
-            _to(TRAVEL_MM_S, row.start_x_mm, row.start_y_mm),
-            _to(DOWN_MM_S, z=-row.depth_mm),
+            f"; {name}: {row['direction_deg']:g} deg, {speed:g} mm/s, offset {row['offset_mm']:g} mm",
+            _to(TRAVEL_MM_S, x, y),
+            _to(DOWN_MM_S, z=-depth),
             rest,
-            _to(row.speed_mm_s, *end),
+            _to(speed, x + way * math.cos(angle), y + way * math.sin(angle)),
             rest,
             _to(DOWN_MM_S, z=CLEAR_MM),
         ]
