@@ -425,3 +425,12 @@ def test_a_figure_in_a_page_takes_the_pages_colours() -> None:
     assert "var(--ink)" in text
     assert not re.search("|".join([*COLOURS, INK]), text)
     assert 'aria-label="of &quot;this&quot; &amp; that"' in text
+
+
+def test_the_report_lists_its_sections(bundle: Path, tmp_path: Path) -> None:
+    a_folder(tmp_path / "lab", one={"speed_mm_s": 2.0, "offset_mm": 3.0})
+    evaluated(bundle, tmp_path / "lab", tmp_path / "out", report=True)
+    text = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    titles = dict(re.findall(r'<h2 id="(section-\d+)">(.*?)</h2>', text))
+    assert len(titles) > 3
+    assert titles == dict(re.findall(r'<li><a href="#(section-\d+)">(.*?)</a></li>', text))

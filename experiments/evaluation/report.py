@@ -32,7 +32,7 @@ RANGES = {
     "true_depth_mm": ("Contact depths", "mm"),
     "true_pressure_mpa": ("Pressures", "MPa"),
 }
-WORST = 10
+WORST = 3
 
 
 def write_report(

@@ -1,6 +1,8 @@
 """Renders a page: one HTML file that opens anywhere, without a network."""
 
+import re
 from collections.abc import Sequence
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -8,6 +10,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from softslide.experiments.pages.figures import Panel
 
+LEAST_LISTED = 4  # sections of a page that begins with a list of them
 HERE = Path(__file__).parent
 # What `origin` of a sensor.toml means.
 ORIGINS = {
@@ -43,7 +46,18 @@ def render(template: Path, **values: Any) -> str:
         lstrip_blocks=True,
     )
     environment.filters |= {"number": number, "words": _words, "percent": _percent}
-    return environment.get_template(template.name).render(origins=ORIGINS, **values)
+    return with_contents(environment.get_template(template.name).render(origins=ORIGINS, **values))
+
+
+def with_contents(page: str) -> str:
+    """The page with a list of its sections before the first, where there are several."""
+    titles = re.findall(r"<h2>(.*?)</h2>", page)
+    if len(titles) < LEAST_LISTED:
+        return page
+    items = "".join(f'<li><a href="#section-{n}">{title}</a></li>' for n, title in enumerate(titles))
+    numbers = count()
+    named = re.sub("<h2>", lambda _: f'<h2 id="section-{next(numbers)}">', page)
+    return named.replace('<h2 id="section-0">', f'<nav><ul>{items}</ul></nav>\n<h2 id="section-0">', 1)
 
 
 def panels_page(title: str, lines: Sequence[str], groups: Sequence[tuple[str, Sequence[Panel]]]) -> str:
