@@ -40,7 +40,8 @@ def predict(
                 raise
             refused(error)
             continue
-        localizer = localizer.at_rate(rate_hz)
+        if rate_hz != localizer.card.sample_rate_hz:
+            localizer = opened.at_rate(rate_hz)
         localizer.reset()
         name = {"recording": path.stem, "file": str(path)}
         if whole_contact:

@@ -80,3 +80,12 @@ def test_a_log_is_never_written_over(
     assert served(bundle, recorded[0], tmp_path / "run.mcap") == 2
     assert "name a new file" in capsys.readouterr().err
     assert (tmp_path / "run.mcap").read_bytes() == b"kept"
+
+
+def test_samples_of_another_rate_are_kept_at_their_times(bundle: Path, tmp_path: Path) -> None:
+    rows = "".join(f"{n / 500!r},1.65,1.65,2.45\n" for n in range(SAMPLES))
+    (tmp_path / "a.csv").write_text("time_s,a0_vx,a0_vy,a0_vz\n" + rows)
+    assert served(bundle, tmp_path / "a.csv", tmp_path / "run.mcap") == 0
+    with (tmp_path / "run.mcap").open("rb") as file:
+        kept = [json.loads(m.data)["time_s"] for _, _, m in make_reader(file).iter_messages(topics=[VOLTS])]
+    assert kept == [n / 500 for n in range(SAMPLES)]

@@ -50,3 +50,12 @@ def test_a_live_stream_at_another_rate_is_named(bundle: Path) -> None:
     assert len(slow.push(volts_at(time_s))) == LENGTH_S / 0.02
     with pytest.raises(InputError, match=r"rate_hz 120 Hz is not read: .* at 250 to 100000 Hz"):
         Localizer.load(bundle, rate_hz=120.0)
+
+
+def test_each_rate_is_said_next_to_the_calibration_s(
+    bundle: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    files = [written(tmp_path / f"{n}.csv", rate_hz) for n, rate_hz in enumerate((500.0, 500.0, 2000.0))]
+    assert len(list(softslide.predict(bundle, files))) == 3
+    said = capsys.readouterr().err.splitlines()
+    assert said == [f"samples at {rate} Hz are read (calibrated at 1000 Hz)" for rate in (500, 2000)]

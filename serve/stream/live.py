@@ -50,12 +50,13 @@ def serve(
     Raises:
         InputError: the bundle, the source, a sink or the page's address is wrong or cannot be opened.
     """
-    localizer = Localizer.load(model, height_mm, unsigned, rate_hz)
-    if not is_live(source):
+    live = is_live(source)
+    localizer = Localizer.load(model, height_mm, unsigned, rate_hz if live else None)
+    if not live:
         volts, own_hz = read_for(Path(source), localizer.card)
         localizer = localizer.at_rate(own_hz)
     steady = TrackFilter().update if smooth else None
-    age = SampleAge() if is_live(source) else None
+    age = SampleAge() if live else None
     written, sink = 0, sink or ("-",)
     with _stoppable() as stopped, ExitStack() as held:
         waits = age is None or (len(sink) == 1 and page is None)
@@ -67,11 +68,7 @@ def serve(
                 closing(Page(page, localizer.card, _name(source), Path(model), height_mm))
             )
         )
-        chunks = (
-            open_source(source, localizer.card, format)
-            if is_live(source)
-            else played(volts, localizer.card, fast)
-        )
+        chunks = open_source(source, localizer.card, format) if live else played(volts, localizer.card, fast)
         if log is not None:
             from softslide.serve.stream.log import Log
 

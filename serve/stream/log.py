@@ -32,7 +32,7 @@ class Log:
     """
 
     def __init__(self, path: Path, card: Card) -> None:
-        self._columns, self._rate_hz, self._samples = card.columns, card.sensor["sample_rate_hz"], 0
+        self._columns, self._rate_hz, self._samples = card.columns, card.sample_rate_hz, 0
         try:
             self._file = path.open("xb")
         except OSError as error:
