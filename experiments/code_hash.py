@@ -10,8 +10,9 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from softslide import ROOMS as ROOMS
+
 ROOT = Path(__file__).parents[1]
-ROOMS = ("features", "serve", "pipeline", "models", "experiments")
 # Files of package data that figures depend on; a module names them by these.
 DATA = (".npz", ".toml")
 

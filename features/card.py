@@ -129,8 +129,10 @@ class Card:
         """Length of a block in samples: not always a whole number."""
         return self.conditioning.block_samples(self.sample_rate_hz)
 
-    def at_rate(self, rate_hz: float) -> "Card":
+    def at_rate(self, rate_hz: float, place: str = "") -> "Card":
         """The card for samples at another rate: the blocks that a model reads hold more of them, or fewer.
+
+        place: of the rate in a file, which opens an error's message; none: it is a parameter.
 
         Raises:
             InputError: a rate outside RATES_HZ.
@@ -139,11 +141,11 @@ class Card:
         if rate_hz == self.sample_rate_hz:
             return self
         if not low <= rate_hz <= high:
-            raise InputError(
-                f"{rate_hz:.6g} Hz is not read: a block of {self.conditioning.block_s:g} s needs samples at {low:g} to "
-                f"{high:g} Hz",
-                "rate_hz",
+            text = (
+                f"{rate_hz:.6g} Hz is not read: a block of {self.conditioning.block_s:g} s needs samples at "
             )
+            text += f"{low:g} to {high:g} Hz"
+            raise InputError(f"{place} {text}") if place else InputError(text, "rate_hz")
         return replace(self, sample_rate_hz=rate_hz)
 
     @property

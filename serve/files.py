@@ -35,10 +35,7 @@ def read_for(path: Path, card: Card) -> tuple[np.ndarray, float]:
     values = read_samples(path, columns)
     rate_hz = own_rate_hz(values[:, 0], card.sample_rate_hz)
     volts = checked_volts(path, columns, values, rate_hz)
-    try:
-        card.at_rate(rate_hz)
-    except InputError as error:
-        raise InputError(f"{path}: column time_s: {str(error).removeprefix('rate_hz ')}") from None
+    card.at_rate(rate_hz, f"{path}: column time_s:")
     # Most of a recording is rest, or a slide of a few hundredths of a g.
     median = np.median(volts, axis=0)
     faults = [

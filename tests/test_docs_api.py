@@ -78,8 +78,14 @@ def test_texts_are_taken_for_paths() -> None:
 @pytest.mark.parametrize("command", sorted(SUBPARSERS))
 def test_every_command_is_a_function_that_takes_its_options(command: str) -> None:
     function = serve if command == "serve" else getattr(softslide, FUNCTIONS.get(command, command))
-    given = {action.dest for action in SUBPARSERS[command]._actions} - {"help"} - OWN.get(command, set())
-    assert given <= set(inspect.signature(function).parameters)
+    named = {action.dest: action for action in SUBPARSERS[command]._actions}
+    given = named.keys() - {"help"} - OWN.get(command, set())
+    parameters = inspect.signature(function).parameters
+    assert given <= set(parameters)
+    for name in given:
+        if named[name].default and not named[name].required:
+            kept = parameters[name].default
+            assert named[name].default == (list(kept) if isinstance(kept, tuple) else kept), name
     assert inspect.getdoc(function)
 
 

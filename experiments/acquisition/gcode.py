@@ -4,10 +4,9 @@ Never tried on hardware. The program begins where the ball just touches the skin
 middle, and calls this place the origin. Between slides the ball is above the skin; it goes down and up clear of it.
 """
 
-import math
-
 import pandas as pd
 
+from softslide.experiments.evaluation.figures import slide_lines
 from softslide.features.errors import InputError
 
 CLEAR_MM = 10.0  # above the skin's highest point, between slides
@@ -33,17 +32,16 @@ def gcode(slides: pd.DataFrame, firmware: str = "marlin") -> str:
         "; Put the ball over the chamber's middle, just touching the skin, then start. Never tried on hardware.",
         *("G21 ; mm", "G90 ; absolute", "G92 X0 Y0 Z0 ; here", _to(DOWN_MM_S, z=CLEAR_MM)),
     ]
-    for row in slides.to_dict("records"):
-        name, depth, speed, way = (row[key] for key in ("recording", "depth_mm", "speed_mm_s", "travel_mm"))
+    for row, (start, end) in zip(slides.to_dict("records"), slide_lines(slides), strict=True):
+        name, depth, speed = row["recording"], row["depth_mm"], row["speed_mm_s"]
         if not 0 <= depth <= DEEPEST_MM:
             raise InputError(f"{name}: depth {depth:g} mm; at most {DEEPEST_MM:g} is driven", "gcode")
-        x, y, angle = row["start_x_mm"], row["start_y_mm"], math.radians(row["direction_deg"])
         lines += [
             f"; {name}: {row['direction_deg']:g} deg, {speed:g} mm/s, offset {row['offset_mm']:g} mm",
-            _to(TRAVEL_MM_S, x, y),
+            _to(TRAVEL_MM_S, *start),
             _to(DOWN_MM_S, z=-depth),
             rest,
-            _to(speed, x + way * math.cos(angle), y + way * math.sin(angle)),
+            _to(speed, *end),
             rest,
             _to(DOWN_MM_S, z=CLEAR_MM),
         ]

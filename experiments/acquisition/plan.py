@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from softslide.experiments.acquisition.gcode import gcode as as_gcode
+from softslide.experiments.acquisition.gcode import gcode as program_of
 from softslide.experiments.acquisition.pictures import draw_plan
 from softslide.experiments.acquisition.record import NEEDED
 from softslide.features.errors import InputError
@@ -51,10 +51,6 @@ class SlidePlan:
         """Draws the slides from above, as the kind that the file's ending says."""
         draw_plan(self.slides, self.sensor, Path(path))
 
-    def to_gcode(self, firmware: str = "marlin") -> str:
-        """The slides as a program of a machine that moves the ball: of marlin or grbl."""
-        return as_gcode(self.slides, firmware)
-
     def lines(self) -> list[str]:
         """What the map is expected to add to the errors, without any slide and with these."""
         found = (("no slide", self.figures.before), ("these", self.figures.deviations))
@@ -70,8 +66,8 @@ def plan(
     *,
     atlas: str | Path | None = None,
     candidates: str | Path | None = None,
-    directions_deg: Sequence[float] = DIRECTIONS_DEG,
-    speeds_mm_s: Sequence[float] = SPEEDS_MM_S,
+    directions_deg: Sequence[float] | None = None,
+    speeds_mm_s: Sequence[float] | None = None,
     depth_mm: float = 0.5,
     out: str | Path | None = None,
     picture: str | Path | None = None,
@@ -79,6 +75,7 @@ def plan(
     firmware: str = "marlin",
 ) -> "SlidePlan":
     """The slides to record. out: a CSV of them, to write; picture: of them, to draw; gcode: a program, to write.
+    directions_deg, speeds_mm_s: of the stage; None: DIRECTIONS_DEG, SPEEDS_MM_S.
 
     atlas: of the design; None: as `pipeline.atlas.library.atlas_of` finds it. candidates: a manifest, of which the
     slides of calibration and train splits may be chosen; None: lines in all directions over the chamber.
@@ -91,7 +88,7 @@ def plan(
     if slides < 1:
         raise InputError(f"{slides}: plan at least one", "slides")
     table = (
-        _lines(design, directions_deg, speeds_mm_s, depth_mm)
+        _lines(design, directions_deg or DIRECTIONS_DEG, speeds_mm_s or SPEEDS_MM_S, depth_mm)
         if candidates is None
         else _recorded(Path(candidates), design)
     )
@@ -120,7 +117,7 @@ def plan(
     if picture:
         planned.plot(picture)
     if gcode:
-        program = planned.to_gcode(firmware)
+        program = program_of(planned.slides, firmware)
         with writing(Path(gcode), "name another file"):
             Path(gcode).write_text(program, encoding="ascii")
     return planned

@@ -113,10 +113,7 @@ def check_fits(localizer: Localizer, folder: Folder) -> None:
         )
     if card.base is not None and sensor.base is None:
         raise InputError(f"{place}: has no [base], which the bundle reads; train one on this sensor")
-    try:
-        card.at_rate(sensor.sample_rate_hz)
-    except InputError as error:
-        raise InputError(f"{place}: {str(error).replace('rate_hz', 'sample_rate_hz', 1)}") from None
+    card.at_rate(sensor.sample_rate_hz, f"{place}: sample_rate_hz")
 
 
 @lru_cache(maxsize=2)

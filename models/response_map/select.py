@@ -12,7 +12,6 @@ skin: lines that are close together or cross show the same places.
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
-from itertools import islice
 
 import numpy as np
 
@@ -287,10 +286,10 @@ def _chosen(slides: list[CalibrationSlide], known: _Known) -> tuple[ResponseMap,
     candidates = _candidates(len(slides), known)
     whole, folds = _parts(slides, known)
     names = [np.array([slide.recording for slide in fold.unseen]) for fold in folds]
-    work = [(name, fold) for name in candidates for fold in folds]
-    bar = progress_bar("calibrating the map", "fit", work)
-    fits = iter([candidates[name].fit(fold, known)[0] for name, fold in bar])
-    maps = {name: list(zip(islice(fits, len(folds)), names, strict=True)) for name in candidates}
+    maps: dict[str, Maps] = {name: [] for name in candidates}
+    work = [(name, fold, out) for name in candidates for fold, out in zip(folds, names, strict=True)]
+    for name, fold, out in progress_bar("calibrating the map", "fit", work):
+        maps[name].append((candidates[name].fit(fold, known)[0], out))
     unseen = [slide for fold in folds for slide in fold.unseen]
     residual = {name: _median(_residuals(fitted, unseen)) for name, fitted in maps.items()}
     best = min(candidates, key=lambda name: residual[name])

@@ -35,6 +35,8 @@ WORDS = {
 NUMBER = r"\d+(?:\.\d+)?"
 SPLIT = r"(?:calibration|train|test)[\w-]*"
 AXIS = r"(?<![A-Za-z])[XY][FB](?![A-Za-z])"  # X forward and so on
+# A label, by the word before it in the names, what stands between, and its pattern.
+Labels = dict[str, tuple[str, str, str]]
 DIRECTIONS = "{XF = 0, YF = 90, XB = 180, YB = 270}"
 
 
@@ -56,17 +58,23 @@ def guess_map(sources: Sequence[Path]) -> str:
         )
     files = [path for path in files if path.suffix.lower() in READERS["csv"].suffixes]
     is_split = all(any(re.fullmatch(SPLIT, name) for name in found[path]) for path in files)
-    layout, names, units, rows = guess_layout(files[0])
-    values = np.array([[_number(cell, layout.decimal) for cell in row] for row in rows])
-    time, seconds = _time(names, units, values, rows)
+    layout, names, units, values, time, seconds = _looked_at(files[0])
+    labels = _found(files)
     signals = [k for k in range(len(names)) if k != time and np.ptp(values[:, k]) > 0]
     lines = [
         f"# Guessed from {files[0].name} and the names of {len(files)} files. Read the lines marked unsure."
     ]
-    lines += ['kind = "csv"', 'sensor = "sensor.toml"', "", *_pattern(files, is_split), 'signs = "zones"', ""]
+    lines += [
+        'kind = "csv"',
+        'sensor = "sensor.toml"',
+        "",
+        *_pattern(files, is_split, labels),
+        'signs = "zones"',
+        "",
+    ]
     lines += ["[csv]", *layout_lines(layout), "", *_clock(names, time, seconds, values), ""]
     lines += _channels(names, units, values, signals)
-    return "\n".join([*lines, *_labels(files, is_split), ""])
+    return "\n".join([*lines, *_labels(is_split, labels), ""])
 
 
 def kind_of(files: Sequence[Path]) -> str:
@@ -88,17 +96,26 @@ def cure(path: Path, mapping: Map) -> str:
     if mapping.kind != "csv":
         return ""
     try:
-        layout, names, units, rows = guess_layout(path)
+        layout, names, _, values, time, unit = _looked_at(path)
     except InputError:
         return ""
     if not mapping.csv.encoding.startswith("utf-8"):
         layout = replace(layout, encoding=mapping.csv.encoding)
     lines = [f"[csv] {line}" for line in layout_lines(layout, mapping.csv)]
-    values = np.array([[_number(cell, layout.decimal) for cell in row] for row in rows])
-    time, unit = _time(names, units, values, rows)
     if not lines and time is not None and (names[time], unit) != (mapping.time.column, mapping.time.unit):
         lines = [f"[time] {line}" for line in _clock(names, time, unit, values)[1:3]]
     return f"; it looks like {', '.join(lines)}, as import --guess shows" if lines else ""
+
+
+def _looked_at(path: Path) -> tuple[CsvLayout, list[str], list[str], np.ndarray, int | None, str]:
+    """A file's layout, its columns' names and units, its first rows (n, columns), the column of times and its unit.
+
+    Raises:
+        InputError: as `guess_layout`.
+    """
+    layout, names, units, rows = guess_layout(path)
+    values = np.array([[_number(cell, layout.decimal) for cell in row] for row in rows])
+    return layout, names, units, values, *_time(names, units, values, rows)
 
 
 def _text(value: str) -> str:
@@ -197,17 +214,17 @@ def _by_size(values: np.ndarray) -> str:
     return "V" if length < 20 else "mV" if length < 8000 else "counts"
 
 
-def _pattern(files: Sequence[Path], is_split: bool) -> list[str]:
+def _pattern(files: Sequence[Path], is_split: bool, labels: Labels) -> list[str]:
     """Of the file's name; of its path where folders are called as splits are, or hold files of the same name."""
     twice = len({path.name for path in files}) < len(files)
     start = f"(?P<split>{SPLIT})/.*?" if is_split else ""
-    return [f"pattern = '{start}(?P<recording>{'[^/]+/' if twice else ''}{_groups(files)})'"]
+    return [f"pattern = '{start}(?P<recording>{'[^/]+/' if twice else ''}{_groups(labels)})'"]
 
 
-def _groups(files: Sequence[Path]) -> str:
+def _groups(labels: Labels) -> str:
     parts = [
         f"{re.escape(word)}{between}(?P<{_group(label)}>{number})"
-        for label, (word, between, number) in _found(files).items()
+        for label, (word, between, number) in labels.items()
     ]
     return r"[^/]*?" + "".join(f"{part}[^/]*?" for part in parts) + r"(?=\.[^.]*$)"
 
@@ -216,9 +233,9 @@ def _group(label: str) -> str:
     return label.removesuffix("_mm_s").removesuffix("_mm").removesuffix("_deg").removesuffix("_mpa")
 
 
-def _found(files: Sequence[Path]) -> dict[str, tuple[str, str, str]]:
+def _found(files: Sequence[Path]) -> Labels:
     """Labels that every file's name holds, in its order: the word before each, what stands between, and its pattern."""
-    found: dict[str, tuple[str, str, str]] = {}
+    found: Labels = {}
     for match in re.finditer(rf"([A-Za-zÄÖÜäöü]+)[=_-]?[-+]?{NUMBER}|{AXIS}", files[0].stem):
         word = match[1] or ""
         label = next((name for name, words in WORDS.items() if word.lower() in words), "direction_deg")
@@ -234,10 +251,10 @@ def _found(files: Sequence[Path]) -> dict[str, tuple[str, str, str]]:
     return found
 
 
-def _labels(files: Sequence[Path], is_split: bool) -> list[str]:
+def _labels(is_split: bool, labels: Labels) -> list[str]:
     split = 'name = "split"' if is_split else 'value = "calibration"  # unsure: which are for tests'
     lines = ["[labels.split]", split, ""]
-    for label, (word, _, number) in _found(files).items():
+    for label, (word, _, number) in labels.items():
         lines += [f"[labels.{label}]", f'name = "{_group(label)}"']
         lines += [f"values = {DIRECTIONS}"] if number == AXIS else []
         lines += [f"# unsure: what stands after '{word}' in the names" if word else "# XF: X forward", ""]

@@ -65,15 +65,13 @@ def located(given: argparse.Namespace) -> Iterator[None]:
 
 def _check_place(out: Path) -> None:
     """Sees that something can be written there, before the work and not after it."""
+    from softslide.pipeline.staging import writing
+
     above = next(folder for folder in (out, *out.absolute().parents) if folder.exists())
     if above == out and not above.is_dir():
         above = out.absolute().parent
-    try:
-        with tempfile.TemporaryFile(dir=above):
-            return
-    except OSError as error:
-        reason = f"{above}: {error.strerror}"
-    raise InputError(f"{out}: cannot be written ({reason}); name another place")
+    with writing(out, "name another place"), tempfile.TemporaryFile(dir=above):
+        pass
 
 
 def options(given: argparse.Namespace) -> dict[str, Any]:

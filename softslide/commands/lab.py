@@ -60,11 +60,10 @@ def plan(parser: Parser) -> Run:
     arguments.atlas(parser, "from 'simulate' (default: the shipped one for its design, else solved coarsely)")
     among = "choose among the calibration and train slides of a manifest (default: lines in all directions)"
     arguments.existing(parser, "--candidates", "manifest.csv", among)
-    every, few = [15.0 * n for n in range(24)], [1.0, 2.0, 4.0]
     directions = "that the stage can move in, deg (default: every 15)"
     speeds = "that the stage can move at, mm/s (default: 1 2 4)"
-    arguments.number(parser, "--directions", "DEG", directions, every, type=float, nargs="+")
-    arguments.number(parser, "--speeds", "MM_S", speeds, few, type=float, nargs="+")
+    arguments.number(parser, "--directions", "DEG", directions, nargs="+")
+    arguments.number(parser, "--speeds", "MM_S", speeds, nargs="+")
     arguments.number(parser, "--depth", "MM", "contact depth, mm", 0.5)
     arguments.out(parser, "the CSV to write", metavar="plan.csv")
     arguments.picture(parser, "plan.svg", "draw the plan too")

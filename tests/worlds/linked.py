@@ -8,8 +8,9 @@ import shutil
 import sys
 from pathlib import Path
 
+from softslide import ROOMS as ROOMS
+
 ROOT = Path(__file__).parents[2]
-ROOMS = ("features", "pipeline", "models", "experiments", "serve")
 
 
 def link(folder: Path) -> None:

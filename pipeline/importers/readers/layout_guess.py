@@ -10,7 +10,7 @@ from softslide.pipeline.importers.readers.delimited import CsvLayout
 LEAST_ROWS = 3
 LOOKED_AT = 1 << 16  # bytes: hundreds of rows
 DELIMITERS = (";", "\t", ",", "|", " ")
-NUMBER = re.compile(r"\s*[-+]?\d*([.,]?)\d+(?:[eE][-+]?\d+)?\s*$")
+NUMBER = re.compile(r"\s*[-+]?\d*[.,]?\d+(?:[eE][-+]?\d+)?\s*$")
 TIMESTAMP = re.compile(r"\s*\d{4}-\d\d-\d\d[T ]\d\d:\d\d")
 
 
@@ -59,7 +59,7 @@ def _rows(lines: list[str], delimiter: str) -> tuple[int, list[list[str]]]:
             if run and len(cells) != len(run[0]):
                 run = []
             start = start if run else number
-            run = [*run, cells] if len(run) < 2000 else run
+            run.append(cells)
         else:
             run = []
         if len(run) > len(best[1]):
