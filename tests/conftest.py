@@ -1,14 +1,22 @@
 """What holds for every test: runs are logged into a store, and files cached in a folder, of the test session's own."""
 
 import os
+import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from playwright.sync_api import Browser, sync_playwright
 from small_bundle import write_small_bundle
 from streams import a_sensor
 
 from softslide.serve.localizer import Localizer
+
+CHROMIUM = shutil.which("chromium")
+FLAGS = (
+    *("--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-sync"),
+    *("--disable-background-networking", "--disable-component-update"),
+)
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -44,3 +52,13 @@ def two_boards(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def localizer(bundle: Path) -> Localizer:
     """To be reset before use."""
     return Localizer.load(bundle)
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    if CHROMIUM is None:
+        pytest.skip("no chromium here; install Debian's package 'chromium'")
+    with sync_playwright() as playwright:
+        started = playwright.chromium.launch(executable_path=CHROMIUM, args=list(FLAGS))
+        yield started
+        started.close()

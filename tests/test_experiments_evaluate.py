@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from bump_map import bump_map
+from playwright.sync_api import Browser
 from small_bundle import write_small_bundle
 from trial_folder import SENSOR, a_folder
 
@@ -261,6 +262,24 @@ def test_the_report_opens_without_a_network(bundle: Path, tmp_path: Path) -> Non
     assert not re.search(r"url\((?!#)|@import|https?://", text)
     for word in ("section 5.2.2", "not tested", "X forward", "test"):
         assert word in page.words
+
+
+def test_every_row_of_the_report_shows_its_numbers_on_a_telephone(
+    bundle: Path, tmp_path: Path, browser: Browser
+) -> None:
+    a_folder(tmp_path / "lab", one={}, two={})
+    evaluated(bundle, tmp_path / "lab", tmp_path / "out", report=True)
+    page = browser.new_page(viewport={"width": 400, "height": 800})
+    page.goto((tmp_path / "out/report.html").as_uri())
+    assert page.evaluate("document.documentElement.scrollWidth") <= 400
+    rows = page.locator("table.cards tbody tr").all()
+    assert len(rows) > 5
+    for row in rows:
+        for cell in row.locator("[data-name]").all():
+            box = cell.bounding_box()
+            assert box is not None
+            assert box["x"] + box["width"] <= 400
+    page.close()
 
 
 @pytest.mark.parametrize(

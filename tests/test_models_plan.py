@@ -59,9 +59,10 @@ def test_a_wrong_map_misleads_least_squares_as_predicted(
     wrong = 0.02 * np.random.default_rng(1).normal(size=unknowns.size)
     reference_mm = unknowns.response.reference_mm
     x, y = places(reference_mm, direction, offset, along)
-    rows, _ = unknowns.rows(x, y, direction, LINE_SPEED_MM_S)
+    rows, *_ = unknowns.rows(x, y, direction, LINE_SPEED_MM_S)
     response = unknowns.response
-    truth = response.response(x, y, direction) + rows @ wrong
+    change = rows.times(wrong[:, None]).reshape(response.channels, -1).T
+    truth = response.response(x, y, direction) + change
     noise_v = float(np.median(response.noise_v)) * np.sqrt(2 * 0.01 + 0.5)
 
     def residuals(p: np.ndarray) -> np.ndarray:

@@ -2,7 +2,6 @@
 
 import json
 import re
-import shutil
 import signal
 import socket
 import struct
@@ -18,7 +17,7 @@ from typing import Literal
 
 import numpy as np
 import pytest
-from playwright.sync_api import Browser, ConsoleMessage, Locator, Page, expect, sync_playwright
+from playwright.sync_api import Browser, ConsoleMessage, Locator, Page, expect
 from small_bundle import write_small_bundle
 from streams import a_sensor, pass_over, still, stream
 from tracked_map import INFLATION, TWO_BOARDS, noisy_map, pressed
@@ -30,11 +29,6 @@ from softslide.models.response_map.card import contact_calibration
 from softslide.pipeline.sensor import Accelerometer
 from softslide.serve.localizer import Localizer
 
-CHROMIUM = shutil.which("chromium")
-FLAGS = (
-    *("--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-sync"),
-    *("--disable-background-networking", "--disable-component-update"),
-)
 BOARDS = 2
 VOLTS = stream(still(0.6), pass_over(1.0), still(0.4), accelerometers=BOARDS)
 REST, SLIDE = VOLTS[:600], VOLTS[600:1400]
@@ -200,16 +194,6 @@ def test_a_bad_address_or_a_taken_port_is_an_error_of_one_line(
             assert softslide.main(["serve", "--model", str(bundle), "--source", "-", "--page", place]) == 2
             _, said = capsys.readouterr().err.splitlines()
             assert said.startswith(f"softslide serve: --page {place}: ")
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    if CHROMIUM is None:
-        pytest.skip("no chromium here; install Debian's package 'chromium'")
-    with sync_playwright() as playwright:
-        started = playwright.chromium.launch(executable_path=CHROMIUM, args=list(FLAGS))
-        yield started
-        started.close()
 
 
 @contextmanager

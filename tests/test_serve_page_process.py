@@ -12,7 +12,7 @@ from urllib.parse import urlsplit
 import numpy as np
 import pytest
 from playwright.sync_api import Browser, Page, expect
-from test_serve_page import REST, SLIDE, Serving, browser, cell, opened, serving, upgrade  # noqa: F401
+from test_serve_page import REST, SLIDE, Serving, opened, serving, upgrade
 
 from softslide.features.contact.places import Place
 from softslide.features.estimate import Contact, Estimate, Reason
@@ -135,7 +135,7 @@ def test_the_static_output_is_learnt_anew_on_request(two_boards: Path) -> None:
         assert set(states[-30:]) == {"rest"}
 
 
-def test_the_page_pauses_and_replays(two_boards: Path, browser: Browser) -> None:  # noqa: F811
+def test_the_page_pauses_and_replays(two_boards: Path, browser: Browser) -> None:
     with serving(two_boards) as running, opened(browser, running.address) as (page, complaints):
         running.feed(REST)
         expect(page.locator("#phase")).to_have_text("rest")
@@ -149,7 +149,7 @@ def test_the_page_pauses_and_replays(two_boards: Path, browser: Browser) -> None
         assert complaints == []
 
 
-def test_the_page_shows_where_a_contact_may_be(two_boards: Path, browser: Browser) -> None:  # noqa: F811
+def test_the_page_shows_where_a_contact_may_be(two_boards: Path, browser: Browser) -> None:
     """While several places explain the output each is drawn, in place and to scale, and named with its share."""
     card = Localizer.load(two_boards).card
     places = (Place(-20, 10, 0.7), Place(15, -5, 0.25))

@@ -39,7 +39,7 @@ from softslide.models.response_map.calibrate import (
     rim_gram,
     roughness,
 )
-from softslide.models.response_map.from_atlas import SAMPLE_MM, SensorSpread, prior_deviations
+from softslide.models.response_map.from_atlas import SensorSpread, prior_deviations
 from softslide.models.response_map.map import PARTS, ResponseMap, knots, tensor_splines
 from softslide.models.response_map.slide_fit import CalibrationConfig
 from softslide.models.response_map.slides import STRETCH_MM
@@ -52,10 +52,13 @@ RESIDUAL_STIFFNESS = 0.3
 MODES = 40  # of the residual, the largest for each part
 PLAN_LINES = 150  # that the errors are averaged over
 ALONG_STEP_MM = 0.1  # of the difference along a line
-# How much more a slide may gain than when it was last looked at, as one that was chosen since is taken out again: 4
-# gives the plan that looking at all gives, in twice the time (experiments/LOG.md).
-GAIN_RISES = 2.0
-PLAN_SWEEPS = 2  # of exchanges; a third changes nothing on bench-a
+PLACES_MM = 4.0  # between the places of a slide that are looked at
+# How much more a slide may gain than when it was last looked at, as one that was chosen since is taken out again.
+# 2, and places 2 mm apart, give plans as good in 2.7 times the time (experiments/LOG.md).
+GAIN_RISES = 1.5
+PLAN_SWEEPS = (
+    1  # of exchanges; a second changes nothing on the sample's sensor or one of three accelerometers
+)
 
 
 @dataclass(frozen=True)
@@ -99,8 +102,24 @@ def plan_slides(
     return Plan(chosen, *deviations)
 
 
+@dataclass(frozen=True)
+class Rows:
+    """How n readings of C channels follow from the unknowns: by parameter, (C, n, P) V, and by the mode of their own
+    channel, (n, M) V, which is alike for all."""
+
+    by_parameter: np.ndarray
+    by_mode: np.ndarray
+
+    def times(self, matrix: np.ndarray) -> np.ndarray:
+        """(C n, K): these rows times a matrix (R, K), without the zeros for other channels' modes."""
+        channels, _, parameters = self.by_parameter.shape
+        own = matrix[parameters:].reshape(channels, self.by_mode.shape[1], -1)
+        product = self.by_parameter @ matrix[:parameters] + self.by_mode @ own
+        return product.reshape(-1, product.shape[-1])
+
+
 class Unknowns:
-    """A response that is the prior's mean map plus rows @ u; `size` is the number R of unknowns u, standard normal.
+    """A response that is the prior's mean map plus rows times u; `size` is the number R of unknowns u, standard normal.
 
     They are one for each parameter of the design, then MODES for each channel and part of the map.
     """
@@ -121,22 +140,17 @@ class Unknowns:
 
     def rows(
         self, x_mm: np.ndarray, y_mm: np.ndarray, direction_rad: float, speed_mm_s: float
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """(n, C, R) V for contacts at (n,) places; and the response's slope along the motion, (n, C) V/mm."""
+    ) -> tuple[Rows, np.ndarray, np.ndarray]:
+        """Of contacts at (n,) places; the response there, (n, C) V, and its slope along the motion, (n, C) V/mm."""
         channels, parameters = self.response.channels, len(self._lags_s)
         weights = part_weights(direction_rad)
         splines = tensor_splines(x_mm, y_mm, self.response.half_mm)
         changes = (splines @ self._changes).reshape(len(x_mm), PARTS, channels, parameters)
-        slope = _slope(self.response, x_mm, y_mm, direction_rad)
-        rows = np.zeros((len(x_mm), channels, self.size))
-        rows[..., :parameters] = np.tensordot(weights, changes, (0, 1))
-        rows[..., :parameters] -= speed_mm_s * slope[..., None] * self._lags_s
+        volts, slope = _volts_and_slope(self.response, x_mm, y_mm, direction_rad)
+        by_parameter = np.tensordot(weights, changes, (0, 1)) - speed_mm_s * slope[..., None] * self._lags_s
         mean, friction = (splines @ modes for modes in self._modes)
-        field = np.hstack([weights[0] * mean, weights[1] * friction, weights[2] * friction])
-        for channel in range(channels):
-            begin = parameters + channel * PARTS * MODES
-            rows[:, channel, begin : begin + PARTS * MODES] = field
-        return rows, slope
+        by_mode = np.hstack([weights[0] * mean, weights[1] * friction, weights[2] * friction])
+        return Rows(by_parameter.transpose(1, 0, 2), by_mode), volts, slope
 
 
 def _modes(response: ResponseMap, smooth: float, near: float) -> np.ndarray:
@@ -154,42 +168,37 @@ def _noise_v(response: ResponseMap) -> float:
     return float(np.median(response.noise_v))
 
 
-def _slope(response: ResponseMap, x_mm: np.ndarray, y_mm: np.ndarray, direction_rad: float) -> np.ndarray:
-    """The response's derivative along a motion, (n, C) V/mm."""
-    along = ALONG_STEP_MM * np.array([np.cos(direction_rad), np.sin(direction_rad)])
-    ahead, behind = (
-        response.response(x_mm + sign * along[0], y_mm + sign * along[1], direction_rad) for sign in (1, -1)
-    )
-    return (ahead - behind) / (2 * ALONG_STEP_MM)
-
-
-def _observation(
-    unknowns: Unknowns, row: pd.Series, config: CalibrationConfig
+def _volts_and_slope(
+    response: ResponseMap, x_mm: np.ndarray, y_mm: np.ndarray, direction_rad: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """A slide's rows (n C, R) V and the covariance (n C, n C) V^2 of its noise, at places SAMPLE_MM apart."""
+    """The response, (n, C) V, and its derivative along a motion, (n, C) V/mm."""
+    steps = ALONG_STEP_MM * np.array([[0.0], [1.0], [-1.0]])
+    x, y = x_mm + steps * np.cos(direction_rad), y_mm + steps * np.sin(direction_rad)
+    volts = response.response(x.ravel(), y.ravel(), direction_rad)
+    here, ahead, behind = volts.reshape(3, len(x_mm), -1)
+    return here, (ahead - behind) / (2 * ALONG_STEP_MM)
+
+
+def _observation(unknowns: Unknowns, row: pd.Series, config: CalibrationConfig) -> tuple[Rows, np.ndarray]:
+    """A slide's rows and the covariance (C n, C n) V^2 of its noise, at places PLACES_MM apart."""
     response = unknowns.response
     assert response.drift_v is not None
     direction = float(np.deg2rad(row["direction_deg"]))
-    along = np.arange(SAMPLE_MM / 2, row["travel_mm"], SAMPLE_MM)
+    along = np.arange(PLACES_MM / 2, row["travel_mm"], PLACES_MM)
     x = row["start_x_mm"] + along * np.cos(direction)
     y = row["start_y_mm"] + along * np.sin(direction)
     inside = np.maximum(np.abs(x), np.abs(y)) < response.half_mm
     x, y = x[inside], y[inside]
-    rows, slope = unknowns.rows(x, y, direction, float(row["speed_mm_s"]))
-    volts = response.response(x, y, direction)
+    rows, volts, slope = unknowns.rows(x, y, direction, float(row["speed_mm_s"]))
     blocks = max(1.0, STRETCH_MM / row["speed_mm_s"] / Conditioning.block_s)
     # As the calibration weighs a stretch, for the stretches between two places.
-    variance = _noise_v(response) ** 2 * (1 / blocks + MAP_VARIANCE) * STRETCH_MM / SAMPLE_MM
-    static = np.eye(response.channels) * response.drift_v
-    own = np.stack(
-        [
-            config.gain_sd * volts,
-            config.shift_sd_mm * slope,
-            *np.broadcast_to(static[:, None], (len(static), *volts.shape)),
-        ],
-        axis=-1,
-    ).reshape(volts.size, -1)
-    return rows.reshape(volts.size, -1), variance * np.eye(volts.size) + own @ own.T
+    variance = _noise_v(response) ** 2 * (1 / blocks + MAP_VARIANCE) * STRETCH_MM / PLACES_MM
+    static = np.repeat(np.diag(np.broadcast_to(response.drift_v, response.channels)), len(x), axis=0)
+    own = np.column_stack([config.gain_sd * volts.T.ravel(), config.shift_sd_mm * slope.T.ravel(), static])
+    noise = variance * np.eye(volts.size) + own @ own.T
+    return Rows(rows.by_parameter.astype(np.float32), rows.by_mode.astype(np.float32)), noise.astype(
+        np.float32
+    )
 
 
 def _line_errors(unknowns: Unknowns, sensor: Sensor, random: np.random.Generator) -> np.ndarray:
@@ -205,13 +214,14 @@ def _line_error(unknowns: Unknowns, line: Line) -> np.ndarray:
     jacobian, variance = slopes(response, line), reading_variance(_noise_v(response))
     weighted = without_static(jacobian, response.drift_v, variance) / variance
     information = np.einsum("ncj,nck->jk", weighted, jacobian)
-    answer = np.linalg.solve(with_gain_prior(information), weighted.reshape(-1, len(STEPS)).T)[:ERRORS]
+    by_channel = weighted.transpose(2, 1, 0).reshape(len(STEPS), -1)
+    answer = np.linalg.solve(with_gain_prior(information), by_channel)[:ERRORS]
     x, y = places(response.reference_mm, line.direction_rad, line.offset_mm, line.along_mm)
-    rows, _ = unknowns.rows(x, y, line.direction_rad, LINE_SPEED_MM_S)
-    return answer @ rows.reshape(answer.shape[1], -1)
+    rows, *_ = unknowns.rows(x, y, line.direction_rad, LINE_SPEED_MM_S)
+    return answer @ rows.times(np.eye(unknowns.size))
 
 
-Observations = list[tuple[np.ndarray, np.ndarray]]
+Observations = list[tuple[Rows, np.ndarray]]
 
 
 def _posterior(size: int, observations: Observations, chosen: Sequence[int]) -> np.ndarray:
@@ -219,8 +229,8 @@ def _posterior(size: int, observations: Observations, chosen: Sequence[int]) -> 
     covariance = np.eye(size)
     for one in chosen:
         rows, noise = observations[one]
-        shown = covariance @ rows.T
-        covariance -= shown @ cho_solve(cho_factor(rows @ shown + noise), shown.T)
+        shown = rows.times(covariance)
+        covariance -= shown.T @ cho_solve(cho_factor(rows.times(shown.T) + noise), shown)
     return covariance
 
 
@@ -242,8 +252,9 @@ def _best(
     gains less the more others there are, so that those that gained least need no look (Minoux 1978).
     """
     flat = np.asarray(errors.reshape(-1, errors.shape[-1]), np.float32)
-    carried, known = flat @ np.asarray(covariance, np.float32), np.asarray(covariance, np.float32)
-    variances = np.einsum("tr,tr->t", carried, flat)
+    known = np.asarray(covariance, np.float32)
+    carried = known @ flat.T
+    variances = np.einsum("rt,tr->t", carried, flat)
     now = float(criterion(variances.reshape(errors.shape[:2]).T))
     best = -1
     for one in np.argsort(-gains, kind="stable"):
@@ -251,9 +262,9 @@ def _best(
             continue
         if best >= 0 and GAIN_RISES * gains[one] < gains[best]:
             break
-        rows, noise = (np.asarray(part, np.float32) for part in observations[one])
-        shown = rows @ carried.T
-        noisy = np.linalg.cholesky(rows @ known @ rows.T + noise)
+        rows, noise = observations[one]
+        shown = rows.times(carried)
+        noisy = np.linalg.cholesky(rows.times(rows.times(known).T) + noise)
         less = np.square(solve_triangular(noisy, shown, lower=True, check_finite=False)).sum(axis=0)
         gains[one] = now - float(criterion((variances - less).reshape(errors.shape[:2]).T))
         if best < 0 or gains[one] > gains[best]:

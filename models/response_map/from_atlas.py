@@ -10,7 +10,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import least_squares
 
-from softslide.models.response_map.map import MARGIN_MM, PARTS, ResponseMap, spline_coefficients, spline_grid
+from softslide.models.response_map.map import (
+    MARGIN_MM,
+    PARTS,
+    ResponseMap,
+    spline_coefficients,
+    spline_grid,
+    tensor_splines,
+)
 from softslide.models.response_map.slides import CalibrationSlide, at_height, main_height_mm, several
 from softslide.pipeline.atlas.atlas import Atlas
 from softslide.pipeline.ranges import SIZE, check_ranges
@@ -301,12 +308,10 @@ def _warped(design: ResponseMap, sensor: Sensor, p: np.ndarray) -> ResponseMap:
     boards = []
     for k in range(design.channels // 2):
         gain, turn = p[COMMON + 4 * k : COMMON + 2 + 4 * k]
-        place, one = _design_place(x, y, sensor, k, p), _board(design, k)
-        surfaces = []
-        for surface in (*one.coefficients, one.depth_slope):
-            still = replace(one, coefficients=np.stack([surface, 0 * surface, 0 * surface]))
-            values = np.exp(gain) * _rotated(still.response(*place, 0.0), turn)
-            surfaces.append(spline_coefficients(values, grid, design.half_mm))
-        boards.append(np.stack(surfaces))
-    moved = np.concatenate(boards, axis=-1)
+        one, splines = _board(design, k), tensor_splines(*_design_place(x, y, sensor, k, p), design.half_mm)
+        surfaces = np.stack([*one.coefficients, one.depth_slope], axis=2)
+        values = (splines @ surfaces.reshape(splines.shape[1], -1)).reshape(len(x), *surfaces.shape[2:])
+        turned = np.exp(gain) * _rotated(values, turn)
+        boards.append(spline_coefficients(turned, grid, design.half_mm).reshape(surfaces.shape))
+    moved = np.concatenate(boards, axis=-1).transpose(2, 0, 1, 3)
     return replace(design, coefficients=moved[:PARTS], depth_slope=moved[PARTS])
