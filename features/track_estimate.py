@@ -303,6 +303,12 @@ def stopped_on(line: Estimate, track: Estimate, limits: TrackLimits, ended: bool
     )
 
 
+def earlier(straight: Estimate, since_s: float) -> Estimate:
+    """A straight slide as it was so long ago."""
+    x_mm, y_mm = straight.x_mm - since_s * straight.vx_mm_s, straight.y_mm - since_s * straight.vy_mm_s
+    return straight._replace(x_mm=x_mm, y_mm=y_mm)
+
+
 def _ends(name: str) -> tuple[str, str]:
     """Names of the interval of a quantity, x_lo_mm and x_hi_mm of x_mm."""
     quantity, unit = name.split("_", 1)

@@ -9,8 +9,10 @@ from softslide.features.card import Card
 from softslide.features.contact.replay import ReplayingTracker
 from softslide.features.contact.response_surface import ResponseSurface
 from softslide.features.contact.touch_down import TouchDownConfig, TouchDownTracker
-from softslide.features.contact.tracker import ContactTracker, TrackingConfig
+from softslide.features.contact.tracker import STEP_BLOCKS, ContactTracker, TrackingConfig
 from softslide.features.stream.conditioning import ONSETS
+
+AnyTracker = ContactTracker | TouchDownTracker | ReplayingTracker
 
 
 def contact_tracker(
@@ -19,11 +21,13 @@ def contact_tracker(
     height_mm: float,
     config: TrackingConfig | None = None,
     replays: bool = True,
-) -> ContactTracker | TouchDownTracker | ReplayingTracker | None:
+    lag_blocks: int = 0,
+) -> AnyTracker | None:
     """The tracker that a card describes; None for a bundle that knows straight slides alone.
 
     height_mm: of the skin, for a card over heights; NaN: the card's. config: of contacts over the rim, but for the
     card's depth; None: TrackingConfig(). replays: whether one of several accelerometers goes back where one has failed.
+    lag_blocks: how far back `past` reads.
     """
     contact = card.contact
     if contact is None:
@@ -39,7 +43,7 @@ def contact_tracker(
             floor_v=contact.floor_v,
             gain_sd=contact.gain_sd,
             release_v=card.conditioning.release_v,
-            config=TouchDownConfig(),
+            config=TouchDownConfig(remembered=lag_blocks + 1 if lag_blocks else 0),
         )
     else:
         tracker = ContactTracker(
@@ -51,7 +55,11 @@ def contact_tracker(
             gain_sd=contact.gain_sd,
             trigger_v=card.conditioning.trigger_v,
             release_v=card.conditioning.release_v,
-            config=replace(config or TrackingConfig(), depth_sd_mm=contact.depth_sd_mm),
+            config=replace(
+                config or TrackingConfig(),
+                depth_sd_mm=contact.depth_sd_mm,
+                remembered=math.ceil(lag_blocks / STEP_BLOCKS) + 1 if lag_blocks else 0,
+            ),
             inflation_v_per_mm=contact.inflation_v_per_mm,
         )
     # Where the only accelerometer fails, nothing is left to track with.

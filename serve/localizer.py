@@ -31,6 +31,7 @@ from softslide.features.track_estimate import (
     TrackLimits,
     apart,
     crosses,
+    earlier,
     explains,
     judged,
     same_line,
@@ -43,7 +44,7 @@ from softslide.features.vector.energy import energy_width_s
 from softslide.features.vector.feature_vector import feature_vector
 from softslide.features.window import WINDOW_BINS, Window
 from softslide.serve.bundle import open_bundle
-from softslide.serve.contact_tracker import contact_tracker
+from softslide.serve.contact_tracker import AnyTracker, contact_tracker
 from softslide.serve.sample_slots import SampleClock
 
 # Largest share of a slide's blocks whose means may be old ones (features/stream/faults.py); above it none is valid.
@@ -63,11 +64,26 @@ _OF_THE_SIGNAL = (Reason.DEAD_CHANNEL, Reason.DRIFT, Reason.TOO_EARLY)
 _WITHOUT_REST = (Reason.DEAD_CHANNEL, Reason.UNKNOWN_ZERO)
 
 
+# And whatever comes after or before it.
+_OF_ANY_LAG = (
+    *(Reason.DEAD_CHANNEL, Reason.DRIFT, Reason.UNKNOWN_ZERO),
+    *(Reason.ATTITUDE, Reason.SKIN_HEIGHT),
+)
+MOST_LAG_S = 2.0
+
+
 class _Fit(NamedTuple):
     """A straight slide, and after how many blocks it was fitted."""
 
     blocks: int
     estimate: Estimate
+
+
+class _Moment(NamedTuple):
+    """What was estimated live, and the straight slide as it was then."""
+
+    live: Estimate
+    straight: Estimate | None
 
 
 class Localizer:
@@ -78,12 +94,21 @@ class Localizer:
     one. After that its static output is learned anew, which takes three times `trigger_blocks`.
     """
 
-    def __init__(self, card: Card, session: ort.InferenceSession, height_mm: float | None = None) -> None:
-        """height_mm: the skin's, for a bundle over heights; None: as the static output shows it.
+    def __init__(
+        self,
+        card: Card,
+        session: ort.InferenceSession,
+        height_mm: float | None = None,
+        lag_s: float = 0.0,
+    ) -> None:
+        """height_mm: the skin's, for a bundle over heights; None: as the static output shows it. lag_s: s, at most
+        MOST_LAG_S, in whole blocks: `push` gives each moment's estimate so much later, from the samples since as well.
 
         Raises:
-            InputError: the bundle is for one height, or not for this one.
+            InputError: the bundle is for one height, or not for this one, or follows no contacts and so has no lag.
         """
+        self._lag_s, self._lag_blocks = lag_s, _lag_blocks(card, lag_s)
+        self._moments: deque[_Moment] = deque()
         self.card = card
         self._named_mm = height_mm
         self._given_mm = given_height(card.heights, height_mm)
@@ -101,7 +126,7 @@ class Localizer:
         self._drift = DriftWatch(accelerometers, card.conditioning.touch_axes, card.conditioning.scale)
         self._gravity = GravityWatch(accelerometers, card.conditioning)
         self._lag = LagUndone(card.conditioning, len(self._tracker.touch))
-        self._contact = contact_tracker(card, self._lag.noise_gain, math.nan)
+        self._contact = self._contact_tracker(math.nan)
         self._contact_step = 0  # of the height that it is for, MAP_STEP_MM off the card's
         # The last straight slide that was fitted, and the last ones that the track agreed with: the newest of a contact
         # that stops is of some of the stop.
@@ -133,15 +158,16 @@ class Localizer:
         height_mm: float | None = None,
         unsigned: bool = False,
         rate_hz: float | None = None,
+        lag_s: float = 0.0,
     ) -> "Localizer":
-        """Opens a bundle and checks the example of its card. height_mm: as in `__init__`; unsigned: as in `read_card`;
-        rate_hz: of the samples; None: as in its calibration.
+        """Opens a bundle and checks the example of its card. height_mm, lag_s: as in `__init__`; unsigned: as in
+        `read_card`; rate_hz: of the samples; None: as in its calibration.
 
         Raises:
             InputError: the bundle is missing, altered or truncated, does not give the result of its example, or is not
-                for this height or rate.
+                for this height, rate or lag.
         """
-        opened = cls(*open_bundle(bundle, unsigned), height_mm)
+        opened = cls(*open_bundle(bundle, unsigned), height_mm, lag_s)
         return opened if rate_hz is None else opened.at_rate(rate_hz)
 
     def at_rate(self, rate_hz: float) -> "Localizer":
@@ -157,13 +183,14 @@ class Localizer:
             f"samples at {rate_hz:.6g} Hz are read (calibrated at {self.card.sample_rate_hz:.6g} Hz)",
             file=sys.stderr,
         )
-        return Localizer(card, self._session, self._named_mm)
+        return Localizer(card, self._session, self._named_mm, self._lag_s)
 
     def reset(self) -> None:
         """Forgets the stream; the static output has to be learned anew."""
         self._blocks.reset()
         self._clock.reset()
         self._count = 0
+        self._moments.clear()
         self.zero()
 
     def zero(self) -> None:
@@ -192,6 +219,7 @@ class Localizer:
     def push(self, volts: np.ndarray, time_s: np.ndarray | None = None) -> list[Estimate]:
         """Takes samples (n, C) V in the order of `Card.columns`; one estimate for each block that they complete.
 
+        With a lag they are the estimates of the moments so long ago, first none; `rest` has the last ones.
         time_s: (n,) s, the samples' time stamps; None: each sample follows the one before. With stamps a lost sample
         leaves an empty slot. After a long gap, or when time runs back, the stream begins anew: estimates are not valid
         until the static output is known. The estimates' time_s is then of the stamps' clock.
@@ -202,22 +230,64 @@ class Localizer:
         estimates = []
         for block in self._whole_blocks(volts, time_s):
             self._advance(*block)
-            estimates.append(self.read())
+            now = self._now()
+            if not self._lag_blocks:
+                estimates.append(now.live)
+                continue
+            self._moments.append(now)
+            if len(self._moments) > self._lag_blocks:
+                estimates.append(self._in_hindsight(self._moments.popleft(), now))
         return estimates
 
+    def rest(self) -> list[Estimate]:
+        """At the end of a stream that is read with a lag, the estimates that `push` has not given yet."""
+        left = []
+        while self._moments:
+            now = self._moments[-1]
+            left.append(self._in_hindsight(self._moments.popleft(), now))
+        return left
+
     def read(self) -> Estimate:
-        """The estimate from the samples up to now."""
+        """The estimate from the samples up to now, without a lag."""
+        return self._now().live
+
+    def _now(self) -> _Moment:
         tracker = self._tracker
         time_s = self._clock.start_s + self._count * self.card.conditioning.block_s
         window = tracker.window()
         if tracker.state is SlideState.ENDED:
             assert self._held is not None
-            return self._held[1]._replace(time_s=time_s)
+            return _Moment(self._held[1]._replace(time_s=time_s), None)
         if self._fit is not None and self._fit.blocks == self._count:
             straight: Estimate | None = self._fit.estimate._replace(time_s=time_s)
         else:
             straight = None if window is None else self._straight(window, time_s)
-        return self._chosen(straight, time_s)
+        return _Moment(self._chosen(straight, time_s), straight)
+
+    def _in_hindsight(self, then: _Moment, now: _Moment) -> Estimate:
+        """A moment's estimate from the samples since as well, where the contact is still tracked.
+
+        That is the straight slide of now or then, where the track of the moment agrees with it, else the track.
+        """
+        block_s, limits = self.card.conditioning.block_s, self._limits
+        blocks = len(self._moments)
+        past = None if self._contact is None or not blocks else self._contact.past(blocks)
+        if past is None or then.live.reason in _OF_ANY_LAG:
+            return then.live
+        if now.live.reason in _OF_ANY_LAG:
+            return then.live._replace(valid=False, reason=now.live.reason)
+        tracked = self._judged(past, then.live.time_s)
+        lines = [] if self._touches_down else [(now.straight, blocks * block_s), (then.straight, 0.0)]
+        for line, since_s in lines:
+            if line is not None and line.valid and apart(line, past, since_s, limits) <= limits.agreement:
+                tracked = with_track(earlier(line, since_s), tracked, limits.shared)
+                break
+        return self._complete(tracked, past)._replace(
+            time_s=then.live.time_s,
+            state=then.live.state,
+            misfit=then.live.misfit,
+            accelerometers=now.live.accelerometers,
+        )
 
     @property
     def state(self) -> SlideState:
@@ -338,7 +408,11 @@ class Localizer:
                 misfit=math.nan if straight is None else straight.misfit,
                 accelerometers=tracker.usable.tolist().count(True) if straight is not None else 0,
             )
-        if not touch:
+        return self._complete(estimate, track)
+
+    def _complete(self, estimate: Estimate, track: Track | None) -> Estimate:
+        """The estimate with what is common to straight slides and tracks."""
+        if not self._touches_down:
             chamber, ball = self.card.sensor["chamber_mm"], self.card.sensor.get("indenter_diameter_mm", 0.0)
             estimate = held_at_rim(estimate, chamber, ball)
         if self._forces is not None:
@@ -455,8 +529,11 @@ class Localizer:
         step = round((used_mm - heights.height_mm) / MAP_STEP_MM)
         if self._track is None and step != self._contact_step:
             contact_mm = heights.height_mm + step * MAP_STEP_MM
-            self._contact = contact_tracker(self.card, self._lag.noise_gain, contact_mm)
+            self._contact = self._contact_tracker(contact_mm)
             self._contact_step = step
+
+    def _contact_tracker(self, height_mm: float) -> AnyTracker | None:
+        return contact_tracker(self.card, self._lag.noise_gain, height_mm, lag_blocks=self._lag_blocks)
 
     def _whole_blocks(
         self, volts: np.ndarray, time_s: np.ndarray | None
@@ -525,6 +602,14 @@ class Localizer:
                 f"time_s of shape {time_s.shape} for {len(volts)} samples; push a finite time in s for each"
             )
         return volts, time_s
+
+
+def _lag_blocks(card: Card, lag_s: float) -> int:
+    if not 0.0 <= lag_s <= MOST_LAG_S:
+        raise InputError(f"{lag_s:g} s is not from 0 to {MOST_LAG_S:g} s", "lag")
+    if lag_s and card.contact is None:
+        raise InputError(f"a lag of {lag_s:g} s: this bundle follows no contacts, and so has none", "lag")
+    return round(lag_s / card.conditioning.block_s)
 
 
 def output_range(elements: Sequence[Mapping[str, Any]]) -> tuple[np.ndarray, np.ndarray]:

@@ -4,10 +4,11 @@ Each holds a state and its covariance. The state of a sensor with C tilt channel
 x, y (mm), heading (rad), speed along it (mm/s, negative: backwards), acceleration (mm/s2), curvature (1/mm), gain
 (1: the calibration's), depth (mm off the map's), rise (1/s: of the gain, while the contact is pressed on or lifted),
 the friction on the skin along x and y (1: as large as where the contact slides), and the map's residual in each channel
-(V).
+(V). For a lag each also holds where it was at the last steps, corrected by what was measured since: a fixed-lag
+smoother by state augmentation (Anderson and Moore, Optimal Filtering, 1979, section 7.3).
 """
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,6 +17,7 @@ from softslide.features.contact.response_surface import ResponseSurface
 
 X, Y, HEADING, SPEED, ACCELERATION, CURVATURE, GAIN, DEPTH, RISE, FRICTION_X, FRICTION_Y = range(11)
 FRICTION = slice(FRICTION_X, FRICTION_Y + 1)
+MOTION = slice(X, SPEED + 1)  # what is reported, and remembered
 RESIDUAL = 11
 
 FRICTION_MM = (
@@ -61,6 +63,8 @@ class Hypotheses:
     log_weight: (N,), the largest is 0. partial: (N,) bool, whether the contact is being pressed on or lifted.
     misfit: (N,), the innovation's chi-square over C, a running mean. way_mm: (N,) since the last branching; age_mm:
     (N,) in all, forgotten over MANOEUVRE_MM, and so is manoeuvres: (N,).
+    past: (N, K, 4), x, y, heading and speed at the last K steps, the newest first, NaN from before the hypothesis
+    began; past_covariance: (N, K, 4, 4); past_cross: (N, K, 4, n), their covariance with the state.
     """
 
     state: np.ndarray
@@ -71,6 +75,9 @@ class Hypotheses:
     way_mm: np.ndarray
     age_mm: np.ndarray
     manoeuvres: np.ndarray
+    past: np.ndarray
+    past_covariance: np.ndarray
+    past_cross: np.ndarray
 
     def __len__(self) -> int:
         return len(self.state)
@@ -120,7 +127,51 @@ def started(state: np.ndarray, sd: np.ndarray, log_weight: np.ndarray, partial: 
         zero.copy(),
         zero.copy(),
         zero.copy(),
+        *_no_past(count, size, 0),
     )
+
+
+def _no_past(count: int, size: int, steps: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    return (
+        np.full((count, steps, 4), np.nan),
+        np.zeros((count, steps, 4, 4)),
+        np.zeros((count, steps, 4, size)),
+    )
+
+
+def remembering(bank: Hypotheses, steps: int) -> Hypotheses:
+    """A bank that has just begun, which remembers so many steps."""
+    past, covariance, cross = _no_past(len(bank), bank.state.shape[1], steps)
+    return replace(bank, past=past, past_covariance=covariance, past_cross=cross)
+
+
+def remember(bank: Hypotheses) -> None:
+    """Takes the present motion for the newest step of the past, after a measurement."""
+    for past, newest in (
+        (bank.past, bank.state[:, MOTION]),
+        (bank.past_covariance, bank.covariance[:, MOTION, MOTION]),
+        (bank.past_cross, bank.covariance[:, MOTION]),
+    ):
+        past[:, 1:] = past[:, :-1]
+        past[:, :1] = newest[:, None]
+
+
+def correct(bank: Hypotheses, along: np.ndarray, change: np.ndarray, less: np.ndarray) -> None:
+    """Changes states and their past by J @ change, their covariance by -J @ less @ J', where J = covariance @ along.
+
+    along: (N, n, m), change: (N, m, 1), less: (N, m, m).
+    """
+    crossed = bank.covariance @ along
+    bank.state += (crossed @ change)[:, :, 0]
+    covariance = bank.covariance - crossed @ less @ crossed.transpose(0, 2, 1)
+    bank.covariance = 0.5 * (covariance + covariance.transpose(0, 2, 1))
+    if not bank.past.shape[1]:
+        return
+    earlier = bank.past_cross @ along[:, None]
+    gain = earlier @ less[:, None]
+    bank.past += (earlier @ change[:, None])[..., 0]
+    bank.past_covariance -= gain @ earlier.swapaxes(2, 3)
+    bank.past_cross -= gain @ crossed.transpose(0, 2, 1)[:, None]
 
 
 def predict(bank: Hypotheses, elapsed_s: float, floor_v: float, partial_v: float, noise: MotionNoise) -> None:
@@ -169,6 +220,7 @@ def predict(bank: Hypotheses, elapsed_s: float, floor_v: float, partial_v: float
     grown[:, RESIDUAL:] += (floor_v**2 * (1.0 - kept[:, 1] ** 2))[:, None]
     grown[:, RESIDUAL:] += np.where(bank.partial, partial_v**2 * elapsed_s, 0.0)[:, None]
     bank.covariance = covariance
+    bank.past_cross = bank.past_cross @ slope.transpose(0, 2, 1)[:, None]
     bank.way_mm += way
     bank.age_mm = kept[:, 3] * (bank.age_mm + way)
     bank.manoeuvres *= kept[:, 3]
@@ -195,14 +247,13 @@ def update(
     volts: (C,) V, subtracted; variance: (C,) V^2 of its noise, infinite for a dead channel; local: further errors.
     -> the logarithm of the measurement's predicted density, less C/2 log(2 pi).
     """
-    state, count = bank.state, len(bank)
+    count = len(bank)
     channels = np.flatnonzero(np.isfinite(variance))
     if not len(channels):
         return 0.0
     shown, by_state = expected(bank, surface)
     volts, shown, by_state = volts[channels], shown[:, channels], by_state[:, channels]
-    crossed = bank.covariance @ by_state.transpose(0, 2, 1)
-    spread = by_state @ crossed
+    spread = by_state @ bank.covariance @ by_state.transpose(0, 2, 1)
     spread.reshape(count, -1)[:, :: len(channels) + 1] += variance[channels]
     if local is not None:
         slopes = by_state[:, :, : Y + 1]
@@ -212,9 +263,7 @@ def update(
     inverse = np.linalg.inv(spread)
     pull = inverse @ gap
     chi_square = (gap * pull).sum((1, 2))
-    state += (crossed @ pull)[:, :, 0]
-    covariance = bank.covariance - crossed @ inverse @ crossed.transpose(0, 2, 1)
-    bank.covariance = 0.5 * (covariance + covariance.transpose(0, 2, 1))
+    correct(bank, by_state.transpose(0, 2, 1), pull, inverse)
     # One outlying block must not decide between hypotheses: its likelihood is cut off.
     evidence = np.minimum(chi_square, OUTLIER) + _log_determinants(spread)
     before = np.logaddexp.reduce(bank.log_weight)

@@ -18,6 +18,8 @@ from softslide.features.contact.hypotheses import (
     RISE,
     SPEED,
     Hypotheses,
+    Y,
+    correct,
     joined,
 )
 
@@ -171,13 +173,14 @@ def _halves(parent: Hypotheses) -> list[Hypotheses]:
     variance, axes = np.linalg.eigh(parent.covariance[:, :2, :2])
     wide = np.flatnonzero(variance[:, 1] > WIDE_MM**2)
     sd, axis = np.sqrt(variance[wide, 1]), axes[wide, :, 1]
-    along = (parent.covariance[wide, :, :2] * axis[:, None]).sum(2) / sd[:, None]
+    along = np.zeros((len(wide), parent.state.shape[1], 1))
+    along[:, : Y + 1, 0] = axis / sd[:, None]
     children = []
     for side in (-SPLIT, SPLIT):
         child = parent.take(wide)
         # The state given the place along the axis: shifted, and with less left of it.
-        child.state += side * along
-        child.covariance -= SPLIT**2 * along[:, :, None] * along[:, None]
+        one = np.ones((len(wide), 1, 1))
+        correct(child, along, side * one, SPLIT**2 * one)
         child.log_weight += np.log(HALF)
         children.append(child)
     return children
@@ -189,6 +192,7 @@ def _set(bank: Hypotheses, n: int, value: np.ndarray, sd: np.ndarray) -> None:
     bank.covariance[:, n, :] = 0.0
     bank.covariance[:, :, n] = 0.0
     bank.covariance[:, n, n] = sd**2
+    bank.past_cross[..., n] = 0.0
 
 
 def _set_speed(bank: Hypotheses, value: np.ndarray, sd: np.ndarray) -> None:
@@ -215,11 +219,11 @@ def _made_whole(partial: Hypotheses, gain_sd: float, chance: float) -> Hypothese
     child = _child(partial, chance)
     gap = 1.0 - child.state[:, GAIN]
     total = child.covariance[:, GAIN, GAIN] + gain_sd**2
-    column = child.covariance[:, :, GAIN].copy()
     # The density of the prior of a gain between 0 and 1 is 1.
     child.log_weight -= 0.5 * (gap**2 / total + np.log(2 * np.pi * total))
-    child.state += column * (gap / total)[:, None]
-    child.covariance -= column[:, :, None] * column[:, None] / total[:, None, None]
+    along = np.zeros((*child.state.shape, 1))
+    along[:, GAIN] = 1.0
+    correct(child, along, (gap / total)[:, None, None], 1.0 / total[:, None, None])
     child.partial[:] = False
     child.manoeuvres -= 1.0
     _set(child, RISE, np.zeros(len(child)), np.zeros(len(child)))

@@ -46,6 +46,10 @@ class ReplayingTracker:
         self._keep(block)
         return self._tracker.push(*block)
 
+    def past(self, blocks: int) -> Track | None:
+        """As `ContactTracker.past`."""
+        return self._tracker.past(blocks)
+
     def offer(self, fit: StraightFit) -> None:
         """As `ContactTracker.offer`."""
         assert isinstance(self._tracker, ContactTracker)

@@ -25,12 +25,14 @@ from softslide.features.contact.hypotheses import (
     X,
     Y,
     predict,
+    remember,
+    remembering,
     started,
     update,
 )
 from softslide.features.contact.manoeuvres import Manoeuvres, branched, merged
 from softslide.features.contact.response_surface import ResponseSurface
-from softslide.features.contact.tracker import Track, read
+from softslide.features.contact.tracker import Track, moved_on, read, read_past
 
 # A contact comes down and is lifted within a block, which then shows a part of it.
 PARTIAL_BLOCKS = 1
@@ -72,7 +74,8 @@ class TouchDownConfig:
     """local, level_share: what the map leaves of a block: errors of place and gain, and what is alike everywhere, as a
     share of the variance in calibration. first, most: hypotheses kept after a touch and after a branching; parents:
     that get children, within parent_odds. log_odds: of a hypothesis to the best, beyond which it is dropped. Chosen on
-    circles, S-curves and lines assembled from a pass and places that the map had not seen (experiments/LOG.md)."""
+    circles, S-curves and lines assembled from a pass and places that the map had not seen (experiments/LOG.md).
+    remembered: as in `TrackingConfig`."""
 
     noise: MotionNoise = field(default_factory=lambda: SLIDING_ON)
     manoeuvres: Manoeuvres = field(default_factory=lambda: BENDS)
@@ -83,6 +86,7 @@ class TouchDownConfig:
     parents: int = 4
     parent_odds: float = 6.0
     log_odds: float = 15.0
+    remembered: int = 0
 
 
 class TouchDownTracker:
@@ -146,14 +150,22 @@ class TouchDownTracker:
             self._start(usable)
         return self._track
 
+    def past(self, blocks: int) -> Track | None:
+        """As `ContactTracker.past`."""
+        if self._bank is None or self._lifted or not self._touched:
+            return None
+        track = read_past(self._bank, blocks)
+        return None if track is None else moved_on(track, self._block_s / 2)
+
     def _noise(self, usable: np.ndarray | None) -> np.ndarray:
         return self._variance if usable is None else np.where(usable, self._variance, np.inf)
 
     def _start(self, usable: np.ndarray | None) -> None:
         volts = np.mean(self._blocks[PARTIAL_BLOCKS:], axis=0)
-        self._bank = at_touch_down(
+        bank = at_touch_down(
             volts, self._noise(usable), self._surface, self._half, self._gain_sd, self._config
         )
+        self._bank = remembering(bank, self._config.remembered)
         self._steps = 0
 
     def _step(self, volts: np.ndarray, usable: np.ndarray | None) -> None:
@@ -161,6 +173,7 @@ class TouchDownTracker:
         config = self._config
         predict(self._bank, self._block_s, TINY, 0.0, config.noise)
         update(self._bank, volts, self._noise(usable), self._surface, self._block_s, config.local)
+        remember(self._bank)
         bank = self._bank
         outside_mm = np.maximum(bank.beyond_mm(self._half) - BEYOND_MM, 0.0)
         bank.log_weight -= 0.5 * (outside_mm / BEYOND_MM) ** 2

@@ -16,6 +16,7 @@ from softslide.features.contact.hypotheses import (
     GAIN,
     HEADING,
     MANOEUVRE_MM,
+    MOTION,
     PARTIAL_SHARE,
     PEAK_SHARE,
     RESIDUAL,
@@ -27,6 +28,8 @@ from softslide.features.contact.hypotheses import (
     Y,
     joined,
     predict,
+    remember,
+    remembering,
     started,
     update,
 )
@@ -80,7 +83,8 @@ class TrackingConfig:
     young_s: after the touch, in which an output that comes to rest may have been pressed on there, with log odds `rest`
     to the other hypotheses. parents: hypotheses that get children, within parent_odds of the best. log_odds: of a
     hypothesis to the best, beyond which it is dropped. depth_sd_mm: contact depth about the calibration's. lost: misfit
-    of a track that is lost."""
+    of a track that is lost. remembered: steps of the past that
+    the track can be read at."""
 
     noise: MotionNoise = field(default_factory=MotionNoise)
     manoeuvres: Manoeuvres = field(default_factory=Manoeuvres)
@@ -94,6 +98,7 @@ class TrackingConfig:
     log_odds: float = 15.0
     depth_sd_mm: float = 0.02
     lost: float = 5.0
+    remembered: int = 0
 
 
 class Track(NamedTuple):
@@ -209,7 +214,7 @@ class ContactTracker:
             return self._track
         self._blocks += 1
         if self._blocks % STEP_BLOCKS:
-            self._track = None if self._track is None else _moved_on(self._track, self._block_s)
+            self._track = None if self._track is None else moved_on(self._track, self._block_s)
             # Between two measurements, so that no block takes much longer than the others.
             if self._steps and self._steps % BRANCH_STEPS == 0:
                 self._branch()
@@ -221,7 +226,7 @@ class ContactTracker:
         recent = self._recent[-self._filled :]
         noise_v = self._noise_v if usable is None else np.where(usable, self._noise_v, np.inf)
         seen = onset(recent, self._block_s, noise_v)
-        self._bank = at_touch(
+        bank = at_touch(
             seen,
             self._surface,
             self._half,
@@ -231,6 +236,7 @@ class ContactTracker:
             self._config.touch_most,
             anywhere,
         )
+        self._bank = None if bank is None else remembering(bank, self._config.remembered)
         self._watch(self._every if usable is None else usable, seen.level, seen.slope)
         self._blocks = self._steps = self._quiet = self._lost = 0
         self._evidence = 0.0
@@ -249,6 +255,7 @@ class ContactTracker:
             return
         use = self._every if usable is None else usable
         if not use.any():
+            self._bank = remembering(self._bank, config.remembered)
             return
         whole = bool(use.all())
         variance = np.where(use, self._noise_v**2 / STEP_BLOCKS, np.inf)
@@ -263,6 +270,7 @@ class ContactTracker:
             config.noise,
         )
         gained = update(self._bank, volts, variance, self._surface, elapsed_s)
+        remember(self._bank)
         self._past.append(_Step(volts, variance, gained))
         gained -= self._smooth.push(volts[use])
         sound = self._bank.sound
@@ -288,6 +296,20 @@ class ContactTracker:
         if self._lost * elapsed_s > LOST_S:
             self._start(anywhere=True, usable=usable)
 
+    def past(self, blocks: int) -> Track | None:
+        """The contact so many blocks ago, by what was measured since; None where it was not tracked then."""
+        if self._bank is None or self._track is None:
+            return None
+        since = self._blocks % STEP_BLOCKS
+        steps = math.ceil((blocks - since) / STEP_BLOCKS)
+        track, now = read_past(self._bank, steps), self._track
+        if track is None:
+            return None
+        track = moved_on(track, (steps * STEP_BLOCKS + since - blocks) * self._block_s)
+        return track._replace(
+            evidence=now.evidence, channels=now.channels, one_press=now.one_press, presses=now.presses
+        )
+
     def offer(self, fit: StraightFit) -> None:
         """Takes a fit into the bank, with the weight that the last measurements give it.
 
@@ -303,13 +325,14 @@ class ContactTracker:
             peak_v = float(np.abs(volts).max())
             predict(line, elapsed_s, self._floor_v + PEAK_SHARE * peak_v, 0.0, self._config.noise)
             odds += update(line, volts, variance, self._surface, elapsed_s) - log_density
+            remember(line)
         if not line.sound.all() or not math.isfinite(odds):
             return
         line.age_mm[:] = min(fit.way_mm, MANOEUVRE_MM)
         line.log_weight += np.logaddexp.reduce(self._bank.log_weight) + odds
         self._bank = joined([self._bank, line])
         self._bank.log_weight -= self._bank.log_weight.max()
-        self._track = _moved_on(self._read_track(), since_s)
+        self._track = moved_on(self._read_track(), since_s)
 
     def _on_line(self, fit: StraightFit, ago_s: float) -> Hypotheses:
         """The hypothesis that a straight fit was so long ago."""
@@ -329,8 +352,7 @@ class ContactTracker:
         sd[:, HEADING], sd[:, SPEED] = fit.heading_sd, fit.speed_sd * fit.speed_mm_s
         sd[:, ACCELERATION], sd[:, CURVATURE], sd[:, GAIN] = 0.0, 0.001, self._gain_sd
         sd[:, DEPTH], sd[:, RISE], sd[:, FRICTION] = fit.depth_sd_mm, 0.0, 0.02
-        line = started(state, sd, np.zeros(1), partial=False)
-        return line
+        return remembering(started(state, sd, np.zeros(1), partial=False), self._config.remembered)
 
     def _read_track(self) -> Track:
         assert self._bank is not None
@@ -383,7 +405,8 @@ class ContactTracker:
         resting = at_rest(seen, self._surface, self._half, self._floor_v, self._gain_sd, config.depth_sd_mm)
         if resting is not None:
             resting.log_weight += config.rest - np.logaddexp.reduce(resting.log_weight)
-            self._bank = joined([self._bank, resting.likeliest(config.touch_most)])
+            likeliest = remembering(resting.likeliest(config.touch_most), config.remembered)
+            self._bank = joined([self._bank, likeliest])
 
     def _leave_skin(self) -> None:
         """A place far off the chamber, or a gain beyond reason, is unlikely."""
@@ -396,11 +419,27 @@ class ContactTracker:
 
 def read(bank: Hypotheses) -> Track:
     """The mixture of the hypotheses near the best one."""
+    return _mixture(bank, bank.state[:, MOTION], bank.covariance[:, MOTION, MOTION])
+
+
+def read_past(bank: Hypotheses, steps: int) -> Track | None:
+    """The same so many steps ago, from what was measured since; None where the likeliest does not go back so far."""
+    if not 0 <= steps < bank.past.shape[1]:
+        return None
+    known = np.isfinite(bank.past[:, steps]).all(axis=1)
+    if not known[bank.log_weight.argmax()]:
+        return None
+    bank = bank.take(known)
+    return _mixture(bank, bank.past[:, steps], bank.past_covariance[:, steps])
+
+
+def _mixture(bank: Hypotheses, motion: np.ndarray, covariance: np.ndarray) -> Track:
+    """motion: (N, 4), each hypothesis's x, y, heading and speed; covariance: (N, 4, 4)."""
     weight, state = bank.weight, bank.state
     best = int(weight.argmax())
-    cos, sin = np.cos(state[:, HEADING]), np.sin(state[:, HEADING])
-    speed = state[:, SPEED]
-    mean = np.stack([state[:, X], state[:, Y], speed * cos, speed * sin], axis=1)
+    cos, sin = np.cos(motion[:, HEADING]), np.sin(motion[:, HEADING])
+    speed = motion[:, SPEED]
+    mean = np.stack([motion[:, X], motion[:, Y], speed * cos, speed * sin], axis=1)
     near = np.hypot(*(mean[:, :2] - mean[best, :2]).T) < NEAR_MM
     certain = float(weight[near].sum())
     share = np.where(near, weight, 0.0) / certain
@@ -408,17 +447,16 @@ def read(bank: Hypotheses) -> Track:
     slope[:, 0, 0] = slope[:, 1, 1] = 1.0
     slope[:, 2, 2], slope[:, 2, 3] = -speed * sin, cos
     slope[:, 3, 2], slope[:, 3, 3] = speed * cos, sin
-    # x, y, heading, speed are the state's first four numbers.
-    each = slope @ bank.covariance[:, :4, :4] @ slope.transpose(0, 2, 1)
+    each = slope @ covariance @ slope.transpose(0, 2, 1)
     middle = share @ mean
     apart = mean - middle
-    covariance = (share[:, None, None] * (each + apart[:, :, None] * apart[:, None])).sum(0)
+    mixed = (share[:, None, None] * (each + apart[:, :, None] * apart[:, None])).sum(0)
     depth = state[:, DEPTH]
     depth_mm = float(share @ depth)
     variance = float(share @ (bank.covariance[:, DEPTH, DEPTH] + (depth - depth_mm) ** 2))
     return Track(
         middle,
-        covariance,
+        mixed,
         certain,
         float(share @ bank.misfit),
         float(weight @ bank.partial),
@@ -431,7 +469,7 @@ def read(bank: Hypotheses) -> Track:
     )
 
 
-def _moved_on(track: Track, elapsed_s: float) -> Track:
+def moved_on(track: Track, elapsed_s: float) -> Track:
     """The same contact a moment later, going on as it goes."""
     slope = np.eye(4)
     slope[0, 2] = slope[1, 3] = elapsed_s

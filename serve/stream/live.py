@@ -35,6 +35,7 @@ def serve(
     unsigned: bool = False,
     log: str | Path | None = None,
     rate_hz: float | None = None,
+    lag_s: float = 0.0,
 ) -> int:
     """Streams until the source ends, or SIGINT or SIGTERM comes. Returns the number of estimates written.
 
@@ -45,13 +46,14 @@ def serve(
     height_mm: the skin's, for a bundle over heights; None: as the static output shows it.
     unsigned: also a bundle whose card carries no hash of itself. log: an MCAP file to write (serve/stream/log.py).
     rate_hz: of a live source's samples; None: as in the bundle's calibration. A recording's own clock says it.
+    lag_s: each moment's estimate comes so much later, from the samples since as well (`Localizer`).
     smooth: filter each slide's position, direction and speed (features/track_filter.py).
 
     Raises:
         InputError: the bundle, the source, a sink or the page's address is wrong or cannot be opened.
     """
     live = is_live(source)
-    localizer = Localizer.load(model, height_mm, unsigned, rate_hz if live else None)
+    localizer = Localizer.load(model, height_mm, unsigned, rate_hz if live else None, lag_s)
     if not live:
         volts, own_hz = read_for(Path(source), localizer.card)
         localizer = localizer.at_rate(own_hz)
@@ -83,9 +85,12 @@ def serve(
                 if shown is not None and shown.zero_wanted():
                     localizer.zero()
                 if chunk:
-                    written += _hand_on(localizer, chunk, steady, age, opened, shown)
+                    made = _estimates(localizer, chunk, age)
+                    written += _hand_on(made, steady, age, opened, shown)
                 elif age is not None:
                     _without_signal(localizer, age, opened, shown)
+            left = [(estimate, localizer.subtracted) for estimate in localizer.rest()]
+            written += _hand_on(left, steady, age, opened, shown)
         except InputError as error:
             if age is not None:
                 _without_signal(localizer, age, opened, shown)
@@ -98,21 +103,29 @@ def _name(source: str) -> str:
     return source if source == "-" or "://" in source else Path(source).name
 
 
+Made = list[tuple[Estimate, np.ndarray]]
+
+
+def _estimates(localizer: Localizer, chunk: Chunk, age: SampleAge | None) -> Made:
+    """One chunk's estimates, each with the subtracted output (C,) V at its end."""
+    now_s = time.monotonic()
+    made: Made = []
+    for piece in _pieces(chunk, localizer.card.samples_per_block):
+        made += [(estimate, localizer.subtracted) for estimate in localizer.push(*piece)]
+    if age is not None and made:
+        age.came(made[-1][0].time_s, now_s)
+    return made
+
+
 def _hand_on(
-    localizer: Localizer,
-    chunk: Chunk,
+    made: Made,
     steady: Callable[[Estimate], Estimate] | None,
     age: SampleAge | None,
     sinks: Sequence[Sink],
     page: Page | None,
 ) -> int:
-    """Hands one chunk's estimates to the sinks and the page; returns their number."""
+    """Hands estimates to the sinks and the page; returns their number."""
     now_s = time.monotonic()
-    made: list[tuple[Estimate, np.ndarray]] = []
-    for piece in _pieces(chunk, localizer.card.samples_per_block):
-        made += [(estimate, localizer.subtracted) for estimate in localizer.push(*piece)]
-    if age is not None and made:
-        age.came(made[-1][0].time_s, now_s)
     for estimate, subtracted in made:
         shown = estimate if steady is None else steady(estimate)
         if age is not None:

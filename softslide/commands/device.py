@@ -145,6 +145,8 @@ def serve(parser: Parser) -> Run:
     parser.add_argument("--log", type=Path, metavar="FILE.mcap", help=f"{log}(needs the live extra)")
     rate = "of a live source's samples (default: as in the bundle's calibration); a recording's clock says it"
     arguments.number(parser, "--rate", "HZ", rate)
+    lag = "give each moment's estimate so much later, at most 2, from what comes after it as well: sharper, and valid "
+    arguments.number(parser, "--lag", "S", f"{lag}more often (cnn alone)", default=0.0)
     parser.add_argument("--fast", action="store_true", help="play a recording as fast as it goes")
     parser.add_argument(
         "--page",

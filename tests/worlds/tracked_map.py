@@ -22,11 +22,13 @@ def noisy_map(**changes) -> ResponseMap:
     return replace(response, noise_v=1e-3 * one, drift_v=5e-4 * one, floor_v=5e-4, gain_sd=0.02)
 
 
-def tracker(response: ResponseMap, inflation_v_per_mm: tuple[float, ...] = ()) -> ContactTracker:
+def tracker(
+    response: ResponseMap, inflation_v_per_mm: tuple[float, ...] = (), config: TrackingConfig | None = None
+) -> ContactTracker:
     card = contact_calibration(response, inflation_v_per_mm)
     half_mm, noise_v = (card.chamber_mm[0] / 2, card.chamber_mm[1] / 2), np.array(card.noise_v)
     skin = (card.surface(), half_mm, BLOCK_S, noise_v, card.floor_v, card.gain_sd)
-    return ContactTracker(*skin, 0.005, 0.0035, TrackingConfig(), inflation_v_per_mm)
+    return ContactTracker(*skin, 0.005, 0.0035, config or TrackingConfig(), inflation_v_per_mm)
 
 
 def volts_along(response: ResponseMap, path_mm: np.ndarray, seed: int = 0) -> np.ndarray:
