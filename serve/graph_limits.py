@@ -6,6 +6,7 @@ memory by its shapes alone, and control flow, which need not end; the bundle's e
 """
 
 import math
+import re
 import struct
 from collections.abc import Iterator
 from pathlib import Path
@@ -23,6 +24,10 @@ OWN, OWN_OPERATOR = "com.microsoft", "Inverse"
 # Which input of an operator is a shape or a number of repeats.
 _SHAPE_INPUT = {"ConstantOfShape": 0, "Expand": 1, "Reshape": 1, "Tile": 1, "Pad": 1, "Resize": 3}
 _INT64 = 7
+
+# An attribute's lists of floats, whole numbers and short words, a field each: trees have hundreds of thousands.
+_WORD = b"|".join(b"%c.{%d}" % (size, size) for size in range(32))
+_LISTS = re.compile(rb"(?:\x3d.{4}|\x40[\x80-\xff]{0,9}[\x00-\x7f]|\x4a(?:" + _WORD + rb"))*+", re.DOTALL)
 
 Fields = Iterator[tuple[int, int | bytes]]
 
@@ -95,7 +100,7 @@ def _check_node(content: bytes, constants: dict[bytes, list[int]]) -> list[tuple
     if domain not in NEWEST or (domain == OWN and operator != OWN_OPERATOR):
         raise ValueError(f"operator {operator} of '{domain}'")
     for attribute in attributes:
-        for key, value in _fields(attribute):
+        for key, value in _fields(attribute, _LISTS):
             if key in (6, 11):
                 raise ValueError(f"control flow, operator {operator}")
             elif key in (5, 10):
@@ -128,10 +133,10 @@ def _note_tensor(content: bytes, constants: dict[bytes, list[int]], name: bytes 
         constants[name] = values or list(struct.unpack(f"<{len(raw) // 8}q", raw))
 
 
-def _fields(content: bytes) -> Fields:
-    """The fields of a message in their order: its number, and a whole number or the bytes of it."""
+def _fields(content: bytes, skipped: re.Pattern[bytes] = re.compile(b"")) -> Fields:
+    """The fields of a message in their order: its number, and a whole number or the bytes of it; skipped: others."""
     at = 0
-    while at < len(content):
+    while (at := _end(skipped, content, at)) < len(content):
         tag, at = _varint(content, at)
         number, form = tag >> 3, tag & 7
         if form == 0:
@@ -143,6 +148,11 @@ def _fields(content: bytes) -> Fields:
                 raise ValueError("damaged")
             yield number, content[at : at + size]
             at += size
+
+
+def _end(pattern: re.Pattern[bytes], content: bytes, at: int) -> int:
+    match = pattern.match(content, at)
+    return at if match is None else match.end()
 
 
 def _varint(content: bytes, at: int) -> tuple[int, int]:
