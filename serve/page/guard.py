@@ -7,6 +7,7 @@ from urllib.parse import parse_qs
 
 LOOPBACK = ("127.0.0.1", "localhost", "[::1]")
 COOKIE = "softslide_token"
+COMMANDS = ("/zero",)  # what changes the stream
 # A page of this server, and nothing from elsewhere: a browser runs no other script, and no other page frames it.
 HEADERS = [
     (
@@ -24,33 +25,33 @@ HEADERS = [
 class Guard:
     """An ASGI application before another one.
 
-    token: None where only this machine can connect. A page elsewhere can then still have its own name resolve to this
-    machine (DNS rebinding), so the host asked for has to be one of LOOPBACK. With a token, every request has to carry
-    it: as `?token=` once, after that in a cookie.
+    Every request has to carry the token: as `?token=` once, after that in a cookie. alone: only this machine can
+    connect. Then what is opened here brings the cookie, and COMMANDS alone need it; but a page elsewhere can have its
+    own name resolve to this machine (DNS rebinding), so the host has to be one of LOOPBACK.
     """
 
-    def __init__(self, application: Any, token: str | None) -> None:
-        self._application, self._token = application, token
+    def __init__(self, application: Any, token: str, alone: bool) -> None:
+        self._application, self._token, self._alone = application, token, alone
 
     async def __call__(self, scope: Any, receive: Any, send: Any) -> None:
         headers: dict[bytes, bytes] = dict(scope["headers"])
         host, origin = headers.get(b"host", b"").decode("latin-1"), headers.get(b"origin")
         # A page of another origin must not read the stream through its visitor's browser.
         foreign = origin is not None and origin.decode("latin-1").partition("://")[2] != host
-        named, asked = self._token is None and _name(host) in LOOPBACK, False
-        if self._token is not None:
-            asked = _same(
-                parse_qs(scope["query_string"].decode("latin-1")).get("token", [""])[0], self._token
-            )
-            named = asked or _same(_cookie(headers.get(b"cookie", b"").decode("latin-1")), self._token)
-        if foreign or not named:
+        asked = _same(parse_qs(scope["query_string"].decode("latin-1")).get("token", [""])[0], self._token)
+        # Cookies are of a host, whatever its port: another stream's page must not overwrite this one's.
+        cookie = f"{COOKIE}_{scope['server'][1]}"
+        named = asked or _same(_cookie(headers.get(b"cookie", b"").decode("latin-1"), cookie), self._token)
+        here = self._alone and _name(host) in LOOPBACK
+        if foreign or not (named or (here and scope["path"] not in COMMANDS)):
             await _refuse(scope["type"], send)
             return
 
         async def answer(message: Any) -> None:
-            if asked and message["type"] == "http.response.start":
-                cookie = f"{COOKIE}={self._token}; HttpOnly; SameSite=Strict; Path=/"
-                message["headers"] = [*message["headers"], (b"set-cookie", cookie.encode())]
+            brings = asked or (here and scope["path"] == "/")
+            if brings and message["type"] == "http.response.start":
+                kept = f"{cookie}={self._token}; HttpOnly; SameSite=Strict; Path=/"
+                message["headers"] = [*message["headers"], (b"set-cookie", kept.encode())]
             await send(message)
 
         await self._application(scope, receive, answer)
@@ -73,9 +74,9 @@ def _same(given: str, wanted: str) -> bool:
     return hmac.compare_digest(given.encode("utf-8", "replace"), wanted.encode())
 
 
-def _cookie(text: str) -> str:
+def _cookie(text: str, name: str) -> str:
     try:
-        found = SimpleCookie(text).get(COOKIE)
+        found = SimpleCookie(text).get(name)
     except CookieError:
         return ""
     return "" if found is None else found.value

@@ -62,10 +62,9 @@ class Page:
                 raise ModuleNotFoundError(f"No module named '{name}'", name=name)
         listener = _listener(place)
         host, port = listener.getsockname()[:2]
-        # Whom this machine's own address does not keep out needs a token.
-        token = None if ip_address(host.partition("%")[0]).is_loopback else secrets.token_urlsafe(16)
+        alone, token = ip_address(host.partition("%")[0]).is_loopback, secrets.token_urlsafe(16)
         self.address = f"http://{f'[{host}]' if ':' in host else host}:{port}/"
-        if token is not None:
+        if not alone:
             self.address += f"?token={token}"
         context = multiprocessing.get_context("spawn")
         self._pipe, theirs = context.Pipe()
@@ -75,7 +74,7 @@ class Page:
                 theirs,
                 listener,
                 json.dumps(about(card, source)),
-                token,
+                (token, alone),
                 partial(answer, bundle, height_mm),
             ),
             daemon=True,
@@ -155,7 +154,7 @@ def run_page(
     pipe: Connection,
     listener: socket.socket,
     description: str,
-    token: str | None,
+    token: tuple[str, bool],
     predict: Callable[[bytes], dict[str, Any]],
 ) -> None:
     """The page's process: shows the frames that come through the pipe, until an empty one, or the stream is gone."""

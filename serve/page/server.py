@@ -58,17 +58,18 @@ class Server:
         self,
         listener: Any,
         description: str,
-        token: str | None,
+        token: tuple[str, bool],
         zero: Callable[[], None],
         predict: Callable[[bytes], dict[str, Any]],
     ) -> None:
-        """listener: a socket that listens. description: of `about`, as JSON. zero: asks for a new static output.
+        """listener: a socket that listens. token: with whether only this machine can connect, as in `Guard`.
+        description: of `about`, as JSON. zero: asks for a new static output.
         predict: the estimate of a recording in CSV."""
         self._about, self._zero, self._predict = description, zero, predict
         self._kept: deque[bytes] = deque(maxlen=KEPT)
         self._ended = False
         self._viewers = 0
-        self._server = _server(Guard(self._application(), token))
+        self._server = _server(Guard(self._application(), *token))
         self._thread = threading.Thread(
             target=self._server.run, kwargs={"sockets": [listener]}, name="page", daemon=True
         )
