@@ -11,10 +11,10 @@ from sklearn.preprocessing import StandardScaler
 from sklearn.utils.estimator_checks import parametrize_with_checks
 from slide_windows import labelled_slides
 
+import softslide.sklearn
 from softslide.features.vector.feature_vector import feature_names
-from softslide.models.classical import sklearn_api
 from softslide.models.classical.interpolation import DIRECTIONS_DEG
-from softslide.models.classical.sklearn_api import AxisInterpolation, WindowFeatures, flat_windows, split_rows
+from softslide.sklearn import AxisInterpolation, SlideRegressor, WindowFeatures, flat_windows, split_rows
 
 # The checks' tables have 1 to 30 columns: `pad` reads them as windows of which most channels are not wired.
 ESTIMATORS = [
@@ -22,13 +22,11 @@ ESTIMATORS = [
     AxisInterpolation("speed", narrow="pad"),
     AxisInterpolation("speed", form="quadratic", narrow="pad"),
     AxisInterpolation("distance", narrow="pad"),
+    *(SlideRegressor(quantity, Ridge(1.0), narrow="pad") for quantity in ("direction", "speed", "offset")),
 ]
-EXPECTED: dict[str, dict[str, str]] = {"WindowFeatures": {}, "AxisInterpolation": {}}
 
 
-@parametrize_with_checks(
-    ESTIMATORS, expected_failed_checks=lambda estimator: EXPECTED[type(estimator).__name__]
-)
+@parametrize_with_checks(ESTIMATORS)
 def test_sklearn_checks(estimator, check):
     check(estimator)
 
@@ -66,6 +64,22 @@ def test_speed_and_distance_are_learned():
         assert model.score(ROWS, target) > 0.95
 
 
+def test_a_slide_of_another_speed_is_as_well_known() -> None:
+    """Each window twice as long is a slide at half the speed, which the fit has not seen."""
+    model = SlideRegressor("speed", Ridge(1e-3)).fit(ROWS, SLIDES.speed_mm_s)
+    slower = flat_windows(SLIDES.volts, 2 * SLIDES.elapsed_s)
+    np.testing.assert_allclose(model.predict(slower), model.predict(ROWS) / 2)
+    np.testing.assert_allclose(model.predict(ROWS), SLIDES.speed_mm_s, rtol=0.05)
+
+
+def test_direction_and_offset_are_learned() -> None:
+    direction = SlideRegressor("direction").fit(ROWS, SLIDES.direction_deg).predict(ROWS)
+    turn = (direction - SLIDES.direction_deg + 180) % 360 - 180
+    assert np.abs(turn).max() < 15
+    offset = SlideRegressor("offset")
+    assert offset.fit(ROWS, SLIDES.offset_mm).score(ROWS, SLIDES.offset_mm) > 0.95
+
+
 def test_undefined_is_the_mean_or_nan():
     diagonal = labelled_slides(np.array([45.0]), np.array([0.5]))
     rows = flat_windows(diagonal.volts, diagonal.elapsed_s)
@@ -83,5 +97,5 @@ def test_unknown_choices_are_refused(wrong):
 
 
 def test_the_example_of_the_docstring_runs():
-    tried = doctest.testmod(sklearn_api)
+    tried = doctest.testmod(softslide.sklearn)
     assert (tried.failed, tried.attempted > 5) == (0, True)
