@@ -6,6 +6,7 @@ import zipfile
 from dataclasses import replace
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pandas as pd
 import pytest
@@ -17,6 +18,7 @@ from softslide.pipeline.checks.findings import examine
 from softslide.pipeline.importers import run
 from softslide.pipeline.importers.import_map import read_map, template
 from softslide.pipeline.importers.importer import import_recordings
+from softslide.pipeline.importers.readers import matlab
 from softslide.pipeline.importers.readers.registry import READERS
 from softslide.pipeline.recordings.folder import SAMPLE, read_folder
 from softslide.pipeline.sensor import Accelerometer, write_sensor
@@ -40,6 +42,35 @@ def refused(map_path: Path, capsys: pytest.CaptureFixture[str]) -> str:
     said = refused_command(capsys, "import", root / "lab", "--map", map_path, "--out", root / "out")
     assert sorted(root.iterdir()) == before
     return said
+
+
+def test_what_unpacks_to_too_much_is_refused_before_it_is_read(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    map_path = write_lab(tmp_path, FORMATS["mat"])
+    monkeypatch.setattr(matlab, "MOST_UNPACKED_BYTES", 5_000)
+    monkeypatch.setattr(matlab.scipy.io, "loadmat", lambda *_, **__: pytest.fail("it was read"))
+    assert "unpacks to more than 0.005 MB; save the variables" in refused(map_path, capsys)
+
+
+@pytest.mark.parametrize("kind", ["external", "virtual"])
+def test_data_in_other_files_are_not_read(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], kind: str
+) -> None:
+    map_path = write_lab(tmp_path, FORMATS["hdf5"])
+    (tmp_path / "secret").write_bytes(np.arange(3000.0).tobytes())
+    for path in (tmp_path / "lab").glob("*.h5"):
+        with h5py.File(path, "r+") as file:
+            shape = file["daq/v"].shape
+            del file["daq/v"]
+            if kind == "external":
+                place = [(str(tmp_path / "secret"), 0, h5py.h5f.UNLIMITED)]
+                file.create_dataset("daq/v", shape, float, external=place)
+            else:
+                layout = h5py.VirtualLayout(shape, float)
+                layout[:] = h5py.VirtualSource(tmp_path / "other.h5", "v", shape)
+                file.create_virtual_dataset("daq/v", layout)
+    assert "lies in other files" in refused(map_path, capsys)
 
 
 @pytest.mark.parametrize("name", FORMATS)

@@ -63,6 +63,8 @@ class _Lane:
 
 def _lane(path: Path, dataset: h5py.Dataset, column: str, matlab: bool) -> _Lane:
     """Finds which axis of the dataset is time."""
+    if dataset.external or dataset.is_virtual:
+        raise InputError(f"{path}: '{column}' lies in other files; copy it into one of its own (h5repack)")
     number = column.rpartition(":")[2] if ":" in column else ""
     if dataset.ndim > 2:
         raise InputError(f"{path}: '{column}' has {dataset.ndim} dimensions; name one of one or two")

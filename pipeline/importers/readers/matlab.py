@@ -1,5 +1,7 @@
 """MATLAB .mat of both kinds: version 5 to 7 through SciPy, version 7.3 (HDF5) through h5py."""
 
+import struct
+import zlib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -10,6 +12,11 @@ import scipy.io
 from softslide.features.errors import InputError
 from softslide.pipeline.importers.readers.chunk import Chunk, blocks, require
 from softslide.pipeline.importers.readers.hdf5 import common_length, read_hdf5
+
+# A variable of the older kind holds 2 GB at most; a file made to fill the memory unpacks to more.
+MOST_UNPACKED_BYTES = 2 << 30
+COMPRESSED = 15  # the type of an element (MAT-File Format, table 1-1)
+PIECE_BYTES = 1 << 20
 
 
 def read_matlab(path: Path, columns: Sequence[str]) -> Iterator[Chunk]:
@@ -23,6 +30,7 @@ def read_matlab(path: Path, columns: Sequence[str]) -> Iterator[Chunk]:
     if b"MATLAB 7.3" in head or head.startswith(b"\x89HDF"):
         yield from read_hdf5(path, columns, matlab=True)
         return
+    _check_size(path)
     variables = {column.partition(":")[0].partition(".")[0] for column in columns}
     require(path, sorted(variables), [name for name, _, _ in scipy.io.whosmat(path)], "variable")
     content = scipy.io.loadmat(path, variable_names=variables, struct_as_record=False, squeeze_me=True)
@@ -34,6 +42,34 @@ def read_matlab(path: Path, columns: Sequence[str]) -> Iterator[Chunk]:
             for c, lane in lanes.items()
         }
         yield Chunk(parts, stop / length)
+
+
+def _check_size(path: Path) -> None:
+    """Unpacks what is compressed, a piece at a time, and keeps none."""
+    unpacked = 0
+    with path.open("rb") as file:
+        head = file.read(128)
+        if 0 in head[:4]:  # version 4, which compresses nothing
+            return
+        order = "<" if head[126:] == b"IM" else ">"
+        while len(tag := file.read(8)) == 8 and unpacked <= MOST_UNPACKED_BYTES:
+            kind, size = struct.unpack(f"{order}II", tag)
+            if kind != COMPRESSED:
+                file.seek(size, 1)
+                continue
+            stream, end = zlib.decompressobj(), file.tell() + size
+            while (at := file.tell()) < end and unpacked <= MOST_UNPACKED_BYTES:
+                piece = file.read(min(PIECE_BYTES, end - at))
+                if not piece:
+                    return
+                while piece and unpacked <= MOST_UNPACKED_BYTES:
+                    unpacked += len(stream.decompress(piece, PIECE_BYTES))
+                    piece = stream.unconsumed_tail
+    if unpacked > MOST_UNPACKED_BYTES:
+        raise InputError(
+            f"{path}: unpacks to more than {MOST_UNPACKED_BYTES / 1e6:.3g} MB; save the variables that the map names "
+            "with -v7.3"
+        )
 
 
 def _column(path: Path, content: dict[str, Any], column: str) -> np.ndarray:
