@@ -36,6 +36,7 @@ OFFERED = {
     "Folder": "pipeline.recordings.folder",
     "Localizer": "serve.localizer",
     "Recording": "pipeline.recordings.folder",
+    "feature_table": "stream_features",
     "read_folder": "pipeline.recordings.folder",
     "read_sensor": "pipeline.sensor",
     "write_folder": "pipeline.recordings.folder",
