@@ -79,6 +79,20 @@ def test_a_wrong_map_misleads_least_squares_as_predicted(
     assert found == pytest.approx(predicted, rel=0.1, abs=0.1 * np.abs(predicted).max())
 
 
+def test_a_channel_depends_on_the_parameters_and_on_its_own_modes(unknowns: Unknowns) -> None:
+    rows, volts, _ = unknowns.rows(np.array([1.0, 2.0]), np.array([3.0, 3.0]), 0.3, 2.0)
+    whole = rows.times(np.eye(unknowns.size))
+    assert whole.shape == (volts.size, unknowns.size)
+    first, second = whole.reshape(volts.shape[1], len(volts), -1)[:, 0]
+    parameters = rows.by_parameter.shape[2]
+    modes = (unknowns.size - parameters) // volts.shape[1]
+    assert not first[parameters + modes :].any()
+    assert not second[parameters : parameters + modes].any()
+    assert (first[parameters : parameters + modes] == second[parameters + modes :]).all()
+    matrix = np.random.default_rng(2).normal(size=(unknowns.size, 3))
+    assert rows.times(matrix) == pytest.approx(whole @ matrix)
+
+
 def test_every_slide_lessens_every_error(
     unknowns: Unknowns, sensor: Sensor, candidates: pd.DataFrame
 ) -> None:
