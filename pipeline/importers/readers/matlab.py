@@ -30,7 +30,7 @@ def read_matlab(path: Path, columns: Sequence[str]) -> Iterator[Chunk]:
     if b"MATLAB 7.3" in head or head.startswith(b"\x89HDF"):
         yield from read_hdf5(path, columns, matlab=True)
         return
-    _check_size(path)
+    _check_size(path, head)
     variables = {column.partition(":")[0].partition(".")[0] for column in columns}
     require(path, sorted(variables), [name for name, _, _ in scipy.io.whosmat(path)], "variable")
     content = scipy.io.loadmat(path, variable_names=variables, struct_as_record=False, squeeze_me=True)
@@ -44,24 +44,21 @@ def read_matlab(path: Path, columns: Sequence[str]) -> Iterator[Chunk]:
         yield Chunk(parts, stop / length)
 
 
-def _check_size(path: Path) -> None:
-    """Unpacks what is compressed, a piece at a time, and keeps none."""
-    unpacked = 0
+def _check_size(path: Path, head: bytes) -> None:
+    """Unpacks what is compressed, a piece at a time, and keeps none. head: the file's first 128 bytes."""
+    if 0 in head[:4]:  # version 4, which compresses nothing
+        return
+    unpacked, order = 0, "<" if head[126:] == b"IM" else ">"
     with path.open("rb") as file:
-        head = file.read(128)
-        if 0 in head[:4]:  # version 4, which compresses nothing
-            return
-        order = "<" if head[126:] == b"IM" else ">"
+        file.seek(len(head))
         while len(tag := file.read(8)) == 8 and unpacked <= MOST_UNPACKED_BYTES:
             kind, size = struct.unpack(f"{order}II", tag)
             if kind != COMPRESSED:
                 file.seek(size, 1)
                 continue
-            stream, end = zlib.decompressobj(), file.tell() + size
-            while (at := file.tell()) < end and unpacked <= MOST_UNPACKED_BYTES:
-                piece = file.read(min(PIECE_BYTES, end - at))
-                if not piece:
-                    return
+            stream = zlib.decompressobj()
+            for begin in range(0, size, PIECE_BYTES):
+                piece = file.read(min(PIECE_BYTES, size - begin))
                 while piece and unpacked <= MOST_UNPACKED_BYTES:
                     unpacked += len(stream.decompress(piece, PIECE_BYTES))
                     piece = stream.unconsumed_tail
