@@ -23,7 +23,7 @@ from softslide.models.cnn.gauss_newton import Refinement
 from softslide.models.cnn.height_input import with_height
 from softslide.models.cnn.network import NetworkConfig, Proposal, SlideNetwork
 from softslide.models.export.bundle import read_graph
-from softslide.models.export.c99.program import program
+from softslide.models.export.formats import of_one_window
 from softslide.models.export.gains import fit_gains, labelled_contacts
 from softslide.models.graph.from_torch import export_graph
 from softslide.models.registry import model_named
@@ -152,7 +152,8 @@ def test_a_graph_is_that_of_the_height_it_is_given(graph: bytes) -> None:
 
 def test_a_graph_as_c_is_for_the_main_height(tmp_path: Path, graph: bytes) -> None:
     (tmp_path / "model.onnx").write_bytes(graph)
-    assert set(program(read_graph(tmp_path)).inputs) == {"volts", "elapsed_s", "weight"}
+    inputs = of_one_window(read_graph(tmp_path)).graph.input
+    assert {value.name for value in inputs} == {"volts", "elapsed_s", "weight"}
 
 
 @pytest.fixture(scope="module")

@@ -23,9 +23,9 @@ from softslide.models.export.bundle import (
     session_of,
     with_graph,
 )
-from softslide.models.export.c99.node import NoForm
-from softslide.models.export.c99.precision import in_single
-from softslide.models.export.c99.source import sources
+from softslide.models.export.c_code import sources
+from softslide.models.export.forests import without_forests
+from softslide.models.export.precision import in_single
 from softslide.pipeline.recordings.folder import SAMPLE, read_folder
 from softslide.pipeline.recordings.windows import labelled_windows
 from softslide.pipeline.sensor import Sensor
@@ -60,10 +60,10 @@ def _as_c(card: Card, path: Path, out: Path) -> dict[str, Any]:
     single = in_single(graph)
     differs = precision_difference(card, graph, single)
     try:
-        files, figures = sources(single if differs <= PARITY else graph, card)
-    except NoForm as error:
+        files, figures = sources(of_one_window(single if differs <= PARITY else graph), card)
+    except ValueError as error:
         raise InputError(
-            f"{path}: {error} has no form in C; use the ORT format on a small processor"
+            f"{path}: cannot be written in C ({error}); use the ORT format on a small processor"
         ) from None
     with staged(out) as folder:
         for name, text in files.items():
@@ -99,10 +99,26 @@ def _rows(graph: bytes, inputs: dict[str, np.ndarray]) -> np.ndarray:
     )
 
 
+def of_one_window(graph: onnx.ModelProto) -> onnx.ModelProto:
+    """The graph for one window at a time in standard operators, what is constant computed.
+
+    Raises:
+        ValueError: a forest has no such form.
+    """
+    one = without_forests(graph)
+    given = {item.name for item in one.graph.initializer}
+    inputs = [value for value in one.graph.input if value.name not in given]
+    for value in (*inputs, *one.graph.output):
+        value.type.tensor_type.shape.dim[0].dim_value = 1
+    del one.graph.input[:]
+    one.graph.input.extend(inputs)
+    return onnx.load_model_from_string(_optimized(one.SerializeToString(), "ONNX"))
+
+
 def _as_ort(card: Card, path: Path, out: Path) -> dict[str, Any]:
     """model.ort, and required_operators.config for ONNX Runtime's --include_ops_by_config."""
-    small = _optimized(path, "ORT")
-    operators = _operators(onnx.load_model_from_string(_optimized(path, "ONNX")))
+    small = _optimized(path.read_bytes(), "ORT")
+    operators = _operators(onnx.load_model_from_string(_optimized(path.read_bytes(), "ONNX")))
     with staged(out) as folder:
         (folder / "model.ort").write_bytes(small)
         (folder / "required_operators.config").write_text("\n".join(operators) + "\n", encoding="utf-8")
@@ -110,7 +126,7 @@ def _as_ort(card: Card, path: Path, out: Path) -> dict[str, Any]:
     return {"shape": "ort", "model_kb": len(small) / 1e3, "operators": operators}
 
 
-def _optimized(path: Path, form: str) -> bytes:
+def _optimized(graph: bytes, form: str) -> bytes:
     """The graph with basic optimizations only: what goes beyond is chosen for the processor at hand."""
     options = ort.SessionOptions()
     options.graph_optimization_level = ort.GraphOptimizationLevel.ORT_ENABLE_BASIC
@@ -120,7 +136,7 @@ def _optimized(path: Path, form: str) -> bytes:
     with tempfile.TemporaryDirectory() as scratch:
         target = Path(scratch) / "model"
         options.optimized_model_filepath = str(target)
-        ort.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
+        ort.InferenceSession(graph, options, providers=["CPUExecutionProvider"])
         return target.read_bytes()
 
 

@@ -1,1 +1,0 @@
-"""C99 generated from a graph."""
