@@ -262,7 +262,9 @@ def design_of(folder: Folder, atlas: Path | None) -> Atlas | None:
 
 def _log_fit(run: Run, bundle: Path, folder: Folder) -> None:
     """Errors of the exported bundle on the recordings that it was fitted to; `evaluate` scores it on others."""
-    table = pd.concat(predictions(bundle, folder, Archive()), ignore_index=True)
+    # A second process takes as long to start as some fifty recordings to read.
+    archive = Archive(jobs=min(2, 1 + len(folder) // 50))
+    table = pd.concat(predictions(bundle, folder, archive), ignore_index=True)
     scored = score(table, folder.manifest, folder.sensor)
     end = scored[scored["stroke_fraction"] == 1.0]
     for name, error in summary(end).items():

@@ -26,7 +26,7 @@ class FittedModel:
     original: graph inputs by name -> (B, K), what the exported graph must reproduce.
     conditioning: of the signal that it reads.
     summary: figures of the fit, for the record.
-    windows: what export is checked on where there are no recordings; None: the recordings' own.
+    windows: what export is checked on; None: the recordings' own.
     contact: what contacts are tracked with; None: the model knows straight slides alone. force: None: it knows none.
     heights: of the skin; None: it knows one alone.
     untimed: how many slides had their onset fitted. left_out: why a recording was not learnt from, by name.

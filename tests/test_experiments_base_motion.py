@@ -53,9 +53,8 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Folder:
 def trained(lab: Folder) -> tuple[Path, str]:
     """A bundle, and what `train` said."""
     out, said = lab.root.parent / "bundle", io.StringIO()
-    words = ["train", "--recordings", lab.root, "--model", "interpolation", "--out", out]
     with redirect_stderr(said):
-        assert softslide.main([str(word) for word in words]) == 0
+        softslide.train(lab.root, out, "interpolation", track=False)
     return out, said.getvalue()
 
 

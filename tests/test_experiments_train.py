@@ -173,8 +173,7 @@ def test_labels_of_other_splits_change_nothing(bundle: Path, lab: Path, tmp_path
     manifest.loc[rows, "direction_deg"] = np.linspace(0, 300, rows.sum())
     manifest.loc[rows, "speed_mm_s"] = 7.0
     manifest.to_csv(tmp_path / "lab" / "manifest.csv", index=False)
-    command = ["train", "--recordings", tmp_path / "lab", "--model", "interpolation", "--out", tmp_path / "b"]
-    assert softslide.main([str(word) for word in command]) == 0
+    softslide.train(tmp_path / "lab", tmp_path / "b", "interpolation", track=False)
     assert (tmp_path / "b/model.onnx").read_bytes() == (bundle / "model.onnx").read_bytes()
 
 

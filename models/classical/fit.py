@@ -91,6 +91,7 @@ def feature_model(config: Callable[[], Any], fit: Fit) -> Model:
             validity=Validity(offset_mm=offset_reach_mm(learned.recorded), misfit=limit),
             conditioning=learned.conditioning,
             summary=learned.summary | summary,
+            windows=learned.recorded,
             untimed=learned.untimed,
             left_out=learned.left_out,
         )

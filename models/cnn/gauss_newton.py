@@ -272,7 +272,7 @@ def inverted(normal: Tensor) -> Tensor:
     scaled to 1 before. Each sweep here takes 2 too much from its diagonal element, which no other sweep reads.
     """
     size = normal.shape[-1]
-    unit = torch.eye(size, dtype=normal.dtype)
+    unit = torch.tensor(np.eye(size), dtype=normal.dtype)
     diagonal = normal * unit
     scale = (diagonal.sum(-1, keepdim=True) * diagonal.sum(-2, keepdim=True)).rsqrt()
     swept = normal * scale

@@ -2,7 +2,6 @@
 
 import math
 import shutil
-import tempfile
 from collections import defaultdict
 from dataclasses import replace
 from pathlib import Path
@@ -10,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import onnx
-import onnxruntime as ort
 
 from softslide.features.card import Card, write_card
 from softslide.features.errors import InputError
@@ -26,6 +24,7 @@ from softslide.models.export.bundle import (
 from softslide.models.export.c_code import sources
 from softslide.models.export.forests import without_forests
 from softslide.models.export.precision import in_single
+from softslide.models.graph.optimized import optimized
 from softslide.pipeline.recordings.folder import SAMPLE, read_folder
 from softslide.pipeline.recordings.windows import labelled_windows
 from softslide.pipeline.sensor import Sensor
@@ -112,32 +111,18 @@ def of_one_window(graph: onnx.ModelProto) -> onnx.ModelProto:
         value.type.tensor_type.shape.dim[0].dim_value = 1
     del one.graph.input[:]
     one.graph.input.extend(inputs)
-    return onnx.load_model_from_string(_optimized(one.SerializeToString(), "ONNX"))
+    return onnx.load_model_from_string(optimized(one.SerializeToString()))
 
 
 def _as_ort(card: Card, path: Path, out: Path) -> dict[str, Any]:
     """model.ort, and required_operators.config for ONNX Runtime's --include_ops_by_config."""
-    small = _optimized(path.read_bytes(), "ORT")
-    operators = _operators(onnx.load_model_from_string(_optimized(path.read_bytes(), "ONNX")))
+    small = optimized(path.read_bytes(), "ORT")
+    operators = _operators(onnx.load_model_from_string(optimized(path.read_bytes())))
     with staged(out) as folder:
         (folder / "model.ort").write_bytes(small)
         (folder / "required_operators.config").write_text("\n".join(operators) + "\n", encoding="utf-8")
         write_card(with_graph(card, small), folder / "model.json")
     return {"shape": "ort", "model_kb": len(small) / 1e3, "operators": operators}
-
-
-def _optimized(graph: bytes, form: str) -> bytes:
-    """The graph with basic optimizations only: what goes beyond is chosen for the processor at hand."""
-    options = ort.SessionOptions()
-    options.graph_optimization_level = ort.GraphOptimizationLevel.ORT_ENABLE_BASIC
-    options.add_session_config_entry("session.save_model_format", form)
-    options.log_severity_level = 4
-    # ONNX Runtime writes to files alone, and does not say why it cannot: not where the output goes.
-    with tempfile.TemporaryDirectory() as scratch:
-        target = Path(scratch) / "model"
-        options.optimized_model_filepath = str(target)
-        ort.InferenceSession(graph, options, providers=["CPUExecutionProvider"])
-        return target.read_bytes()
 
 
 def _operators(graph: onnx.ModelProto) -> list[str]:
