@@ -19,6 +19,7 @@ OFFERED = {
     "design": "experiments.acquisition.design",
     "evaluate": "experiments.evaluate",
     "export": "models.export.formats",
+    "export_recordings": "experiments.export_recordings",
     "import_recordings": "pipeline.importers.importer",
     "plan": "experiments.acquisition.plan",
     "predict": "serve.predict",

@@ -77,7 +77,9 @@ def test_texts_are_taken_for_paths() -> None:
 
 @pytest.mark.parametrize("command", sorted(SUBPARSERS))
 def test_every_command_is_a_function_that_takes_its_options(command: str) -> None:
-    function = serve if command == "serve" else getattr(softslide, FUNCTIONS.get(command, command))
+    function = (
+        serve if command == "serve" else getattr(softslide, FUNCTIONS.get(command, command.replace("-", "_")))
+    )
     named = {action.dest: action for action in SUBPARSERS[command]._actions}
     given = named.keys() - {"help"} - OWN.get(command, set())
     parameters = inspect.signature(function).parameters

@@ -227,6 +227,7 @@ CALLS: dict[str, tuple[object, ...]] = {
     "import": (SAMPLE / "slides", "--map", SAMPLE / "sensor.toml", *OUT),
     "simulate": (*SENSOR, *OUT),
     "synthesize": ("--slides", 1, *OUT),
+    "export-recordings": (*RECORDINGS, *OUT),
     "demo": OUT,
     "train": (*RECORDINGS, *OUT),
     "evaluate": ("--model", SAMPLE, *RECORDINGS, *OUT),
@@ -240,7 +241,15 @@ CALLS: dict[str, tuple[object, ...]] = {
     "predict": ("--model", "BUNDLE", "slide.parquet"),
     "serve": ("--model", "BUNDLE", "--source", "-", "--page", "0"),
 }
-EXTRAS = {"check": "io", "import": "io", "synthesize": "io", "predict": "io", "record": "io", "serve": "live"}
+EXTRAS = {
+    "check": "io",
+    "import": "io",
+    "synthesize": "io",
+    "export-recordings": "io",
+    "predict": "io",
+    "record": "io",
+    "serve": "live",
+}
 
 
 @pytest.mark.parametrize("command", COMMANDS)

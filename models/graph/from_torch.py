@@ -48,11 +48,13 @@ def strip(graph: onnx.ModelProto, learned: set[str]) -> None:
     short: dict[str, str] = {"": ""}
     constants: dict[bytes, str] = {}
     for item in list(graph.graph.initializer):
-        if item.name not in kept:
-            name, item.name = item.name, ""
-            short[name] = item.name = constants.setdefault(item.SerializeToString(), f"k{len(constants):x}")
-            if list(short.values()).count(item.name) > 1:
-                graph.graph.initializer.remove(item)
+        if item.name in kept:
+            continue
+        name, item.name = item.name, ""
+        value = item.SerializeToString()
+        if value in constants:
+            graph.graph.initializer.remove(item)
+        short[name] = item.name = constants.setdefault(value, f"k{len(constants):x}")
     del graph.graph.value_info[:]
     domains = [opset for opset in graph.opset_import if not opset.domain]
     del graph.opset_import[:]

@@ -1,4 +1,4 @@
-"""Subcommands that make and check data: import, check, simulate, synthesize."""
+"""Subcommands that make and check data: import, check, simulate, synthesize, export-recordings."""
 
 import argparse
 import json
@@ -179,4 +179,35 @@ def synthesize(parser: Parser) -> Run:
     return run
 
 
-COMMANDS = (check, import_, simulate, synthesize)
+def export_recordings(parser: Parser) -> Run:
+    """write recordings, with their estimates, as a LeRobot data set
+
+    In LeRobot's format v3.0, which robot policies are trained on: a recording is
+    an episode, 20 ms a frame at 50 Hz. observation.volts is the mean output (V);
+    with --model also observation.estimate: place x, y (mm), velocity (mm/s),
+    depth and offset (mm), and observation.valid; where it is false the estimate
+    is 0. The manifest's names are in meta/episodes. Prints where it is.
+
+        softslide export-recordings --recordings my-recordings --to lerobot --out my-dataset
+        softslide export-recordings --recordings my-recordings --model my-model \\
+            --out my-dataset
+    """
+    arguments.recordings(parser, "what to export")
+    parser.add_argument(
+        "--to", choices=("lerobot",), default="lerobot", help="the format (default: %(default)s)"
+    )
+    bundle = "a bundle from 'train': its estimates are exported too (default: volts alone)"
+    arguments.existing(parser, "--model", "BUNDLE", bundle)
+    parser.add_argument("--split", nargs="+", metavar="NAME", help="the splits to export (default: all)")
+    arguments.out(parser, "the data set to write")
+
+    def run(given: argparse.Namespace) -> None:
+        from softslide.experiments.export_recordings import export_recordings
+
+        info = export_recordings(**arguments.options(given))
+        print(f"{given.out}: {info['total_episodes']} episodes, {info['total_frames']} frames")
+
+    return run
+
+
+COMMANDS = (check, import_, simulate, synthesize, export_recordings)
