@@ -94,7 +94,8 @@ def _features(folder: Folder, rate_hz: float, estimated: bool) -> dict[str, dict
     if abs(rate_hz - round(rate_hz)) > 1e-6:
         raise InputError(f"blocks of {1 / rate_hz:g} s: LeRobot counts whole frames a second")
     channels = list(folder.sensor.channels)
-    found = {VOLTS: {"dtype": "float32", "shape": [len(channels)], "names": channels}}
+    found: dict[str, dict[str, Any]] = {}
+    found[VOLTS] = {"dtype": "float32", "shape": [len(channels)], "names": channels}
     if estimated:
         found[ESTIMATE] = {"dtype": "float32", "shape": [len(ESTIMATED)], "names": list(ESTIMATED)}
         found[VALID] = {"dtype": "bool", "shape": [1], "names": None}

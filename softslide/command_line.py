@@ -19,6 +19,7 @@ COMMAND_EXTRA = {
     "check": "io",
     "import": "io",
     "synthesize": "io",
+    "export-recordings": "io",
     "predict": "io",
     "serve": "io",
     "record": "io",
