@@ -1,5 +1,6 @@
 """The calibrated map that is kept: a second training takes it, to the same bytes, and notices what has changed."""
 
+import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -41,10 +42,37 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Folder:
     return write_folder(place, folder.sensor, folder.manifest.loc[names], recordings)
 
 
+@pytest.fixture(scope="module")
+def kept(lab: Folder, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, CalibratedMap]:
+    """A cache with the lab's map, and the map."""
+    place = tmp_path_factory.mktemp("kept") / "cache"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("SOFTSLIDE_CACHE", str(place))
+        made, taken = found(lab)
+    assert not taken
+    return place, made
+
+
 @pytest.fixture
-def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def cache(kept: tuple[Path, CalibratedMap], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A copy of that cache; the folder of its maps."""
+    shutil.copytree(kept[0], tmp_path / "cache")
     monkeypatch.setenv("SOFTSLIDE_CACHE", str(tmp_path / "cache"))
     return tmp_path / "cache" / "maps"
+
+
+class Made(Exception):
+    """A map is calibrated."""
+
+
+@pytest.fixture
+def watched(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A calibration ends as it begins, with Made."""
+
+    def calibrated(*given: object) -> None:
+        raise Made
+
+    monkeypatch.setattr(module, "calibrated_map", calibrated)
 
 
 def found(
@@ -91,12 +119,15 @@ def test_a_map_over_heights_is_kept_too(
     assert len(first[0].folder) == len(table) - 4 * apart
 
 
-def test_a_second_call_takes_what_the_first_kept(lab: Folder, cache: Path) -> None:
-    first, second = found(lab), found(lab)
-    assert (first[1], second[1]) == (False, True)
-    assert_same(first[0], second[0])
+def test_a_second_call_takes_what_the_first_kept(
+    lab: Folder, kept: tuple[Path, CalibratedMap], cache: Path, watched: None
+) -> None:
+    again, taken = found(lab)
+    assert taken
+    assert_same(kept[1], again)
     assert len(list(cache.iterdir())) == 1
-    assert found(lab, fresh=True)[1] is False
+    with pytest.raises(Made):
+        found(lab, fresh=True)
 
 
 def changed_recording(folder: Folder, place: Path) -> Folder:
@@ -120,31 +151,33 @@ def other_sensor(folder: Folder, place: Path) -> Folder:
 
 @pytest.mark.parametrize("change", [changed_recording, changed_label, other_sensor])
 def test_a_change_is_noticed(
-    lab: Folder, cache: Path, tmp_path: Path, change: Callable[[Folder, Path], Folder]
+    lab: Folder, cache: Path, watched: None, tmp_path: Path, change: Callable[[Folder, Path], Folder]
 ) -> None:
-    found(lab)
-    assert found(change(lab, tmp_path / "changed"))[1] is False
+    with pytest.raises(Made):
+        found(change(lab, tmp_path / "changed"))
 
 
 def test_other_settings_and_other_code_are_noticed(
-    lab: Folder, cache: Path, monkeypatch: pytest.MonkeyPatch
+    lab: Folder, cache: Path, watched: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    found(lab)
-    assert found(lab, CalibrationConfig(iterations=1, gain_sd=0.02))[1] is False
+    with pytest.raises(Made):
+        found(lab, CalibrationConfig(iterations=1, gain_sd=0.02))
     monkeypatch.setattr(module, "MAKER", "softslide.models.registry")
-    assert found(lab)[1] is False
+    with pytest.raises(Made):
+        found(lab)
 
 
 @pytest.mark.parametrize("damage", [b"", b"no map", None])
-def test_a_damaged_file_is_made_anew(lab: Folder, cache: Path, damage: bytes | None) -> None:
-    first, _ = found(lab)
+def test_a_damaged_file_is_made_anew(
+    lab: Folder, kept: tuple[Path, CalibratedMap], cache: Path, damage: bytes | None
+) -> None:
     (file,) = cache.iterdir()
     whole = bytearray(file.read_bytes())
     whole[len(whole) // 2] ^= 1
     file.write_bytes(bytes(whole) if damage is None else damage)
     again, taken = found(lab)
     assert not taken
-    assert_same(first, again)
+    assert_same(kept[1], again)
     assert found(lab)[1]
 
 
@@ -153,22 +186,23 @@ def test_a_cache_that_cannot_be_written_costs_nothing(
 ) -> None:
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("SOFTSLIDE_CACHE", str(tmp_path / "file"))
-    assert (found(lab)[1], found(lab)[1]) == (False, False)
+    assert not found(lab)[1]
 
 
 def test_the_oldest_go(lab: Folder, cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "MOST", 2)
-    for gain_sd in (0.02, 0.03, 0.04):
+    (oldest,) = cache.iterdir()
+    for gain_sd in (0.02, 0.04):
         found(lab, CalibrationConfig(iterations=1, gain_sd=gain_sd))
     assert len(list(cache.iterdir())) == 2
-    assert found(lab, CalibrationConfig(iterations=1, gain_sd=0.02))[1] is False
+    assert not oldest.exists()
 
 
 def test_an_error_keeps_nothing(lab: Folder, cache: Path) -> None:
-    few = replace(lab, manifest=lab.manifest.iloc[:3])
+    few, before = replace(lab, manifest=lab.manifest.iloc[:3]), set(cache.iterdir())
     with pytest.raises(InputError):
         found(few)
-    assert not cache.exists()
+    assert set(cache.iterdir()) == before
 
 
 @pytest.mark.long
