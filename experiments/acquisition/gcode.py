@@ -4,9 +4,11 @@ Never tried on hardware. The program begins where the ball just touches the skin
 middle, and calls this place the origin. Between slides the ball is above the skin; it goes down and up clear of it.
 """
 
+import math
+from typing import Any
+
 import pandas as pd
 
-from softslide.experiments.evaluation.figures import slide_lines
 from softslide.features.errors import InputError
 
 CLEAR_MM = 10.0  # above the skin's highest point, between slides
@@ -30,25 +32,33 @@ def gcode(slides: pd.DataFrame, firmware: str = "marlin") -> str:
     rest = PAUSES[firmware].format(REST_S)
     lines = [
         "; Put the ball over the chamber's middle, just touching the skin, then start. Never tried on hardware.",
-        *("G21 ; mm", "G90 ; absolute", "G92 X0 Y0 Z0 ; here", _to(DOWN_MM_S, z=CLEAR_MM)),
+        *("G21 ; mm", "G90 ; absolute", "G92 X0 Y0 Z0 ; here", move(DOWN_MM_S, z=CLEAR_MM)),
     ]
-    for row, (start, end) in zip(slides.to_dict("records"), slide_lines(slides), strict=True):
+    for row in slides.to_dict("records"):
+        start, end = ends(row)
         name, depth, speed = row["recording"], row["depth_mm"], row["speed_mm_s"]
         if not 0 <= depth <= DEEPEST_MM:
             raise InputError(f"{name}: depth {depth:g} mm; at most {DEEPEST_MM:g} is driven", "gcode")
         lines += [
             f"; {name}: {row['direction_deg']:g} deg, {speed:g} mm/s, offset {row['offset_mm']:g} mm",
-            _to(TRAVEL_MM_S, *start),
-            _to(DOWN_MM_S, z=-depth),
+            move(TRAVEL_MM_S, *start),
+            move(DOWN_MM_S, z=-depth),
             rest,
-            _to(speed, *end),
+            move(speed, *end),
             rest,
-            _to(DOWN_MM_S, z=CLEAR_MM),
+            move(DOWN_MM_S, z=CLEAR_MM),
         ]
-    return "\n".join([*lines, _to(TRAVEL_MM_S, 0.0, 0.0), "M2 ; end", ""])
+    return "\n".join([*lines, move(TRAVEL_MM_S, 0.0, 0.0), "M2 ; end", ""])
 
 
-def _to(speed_mm_s: float, x: float | None = None, y: float | None = None, z: float | None = None) -> str:
+def ends(slide: Any) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Where a slide, a row of a plan by name, begins and ends: x and y in mm."""
+    x, y, angle = slide["start_x_mm"], slide["start_y_mm"], math.radians(slide["direction_deg"])
+    return (x, y), (x + slide["travel_mm"] * math.cos(angle), y + slide["travel_mm"] * math.sin(angle))
+
+
+def move(speed_mm_s: float, x: float | None = None, y: float | None = None, z: float | None = None) -> str:
+    """A straight move at a speed to an absolute place in mm; what is not given stays."""
     place = "".join(
         f" {axis}{v + 0.0:.3f}" for axis, v in zip("XYZ", (x, y, z), strict=True) if v is not None
     )

@@ -8,14 +8,16 @@ import math
 import select
 import sys
 import time
-from collections.abc import Callable
-from contextlib import closing
-from dataclasses import dataclass, fields
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack, closing
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import pandas as pd
 
 from softslide.experiments.acquisition.capture import POLL_S, Level, Listener, Lost, Phases, capture, remarks
+from softslide.experiments.acquisition.gcode import CLEAR_MM, TRAVEL_MM_S, ends
+from softslide.experiments.acquisition.stage import Stage, check_slides
 from softslide.features.errors import CheckFailed, InputError
 from softslide.pipeline.recordings.base_motion import BASE_SPLIT
 from softslide.pipeline.recordings.folder import Folder, Recording
@@ -32,6 +34,9 @@ ATTEMPTS = 3  # at a slide that fails with nobody to ask
 RAMP_S = 1.0  # a stage's ramps come on top of way over speed; `softslide check` allows as much
 BAR = 30  # characters
 REDRAW_S = 0.1
+ON_THE_MIDDLE = "Put the ball over the chamber's middle, just touching the skin. Enter begins, s stops:"
+# A skin is never tilted so far, by 49 degrees: a stage is stopped there.
+LARGEST_TILT_G = 0.75
 LOWEST_V, HIGHEST_V = 1e-3, 0.3  # the bar's ends: about a block's noise, and the article's largest outputs
 
 
@@ -91,6 +96,22 @@ def level_bar(volts: float) -> str:
     return f"|{'#' * full}{' ' * (BAR - full)}| {1e3 * volts:6.1f} mV"
 
 
+class _Stopped(Exception):
+    """The operator stops."""
+
+
+@dataclass(frozen=True)
+class Bench:
+    """What a slide is recorded with."""
+
+    listener: Listener
+    sensor: Sensor
+    operator: Operator
+    times: Times
+    source: str
+    stage: Stage | None = None
+
+
 def record(
     source: str,
     plan: str | Path,
@@ -102,14 +123,20 @@ def record(
     timeout_s: float = 2.0,
     wait_s: float = 600.0,
     yes: bool = False,
+    stage: str | None = None,
+    origin_mm: Sequence[float] | None = None,
+    dry_run: bool = False,
 ) -> tuple[Folder, int]:
     """Records the slides of a plan that the folder `out` does not hold yet. Returns the folder, and how many are left.
 
     source: serial://, udp:// or ros2://, as in serve/stream/sources.py. sensor: a sensor.toml; None: the folder's own.
     format: csv or f32, of the bytes that come in. rest_s, start_s, timeout_s, wait_s: as in `Times`. yes: asks nothing.
+    stage: what moves the ball, and origin_mm, as in `Stage`; None: a person does. dry_run: drives the slides above the
+    skin, and records nothing.
 
     Raises:
-        InputError: the source, the plan, the sensor or the folder is wrong, or the source did not come back.
+        InputError: the source, the plan, the sensor, the folder or the stage is wrong, the source did not come back, or
+            the output left its range while the stage moved.
         CheckFailed: a slide failed ATTEMPTS times with nobody to ask.
     """
     if not source.startswith(LIVE):
@@ -118,16 +145,33 @@ def record(
     folder = open_growing(out, None if sensor is None else read_sensor(sensor))
     slides = read_plan(Path(plan), folder.sensor)
     operator = Operator(yes)
+    if stage is not None:
+        check_slides(slides, folder.sensor)
+        if origin_mm is None and yes:
+            raise InputError("is needed where nobody is there to put the ball on the skin's middle", "origin")
+    elif dry_run or origin_mm is not None:
+        raise InputError("is for a stage; name it with --stage", "dry_run" if dry_run else "origin")
     if done := int(slides.index.isin(folder.manifest.index).sum()):
         operator.say(f"{out}: {done} of {len(slides)} slides are recorded; going on")
     columns = len(folder.sensor.columns)
-    with closing(Listener(lambda: open_live(source, columns, format))) as listener:
+    with ExitStack() as stack:
+        listener = stack.enter_context(closing(Listener(lambda: open_live(source, columns, format))))
+        bench = Bench(listener, folder.sensor, operator, times, source)
+        if stage is not None:
+            if origin_mm is None and _answer(bench, ON_THE_MIDDLE) == "s":
+                return folder, len(slides) - done
+            bench = replace(bench, stage=stack.enter_context(Stage(stage, origin_mm)))
+        if dry_run and bench.stage:
+            for name, labels in slides.iterrows():
+                operator.say(f"{name}: {CLEAR_MM:g} mm above the skin")
+                _drive_in_the_air(bench.stage, *ends(labels))
+            return folder, len(slides) - done
         for place, (name, labels) in enumerate(slides.iterrows(), 1):
             if name in folder.manifest.index:
                 continue
             operator.say(f"[{place}/{len(slides)}] {name}: {_described(labels)}")
             try:
-                slide = _slide(str(name), labels, listener, folder.sensor, operator, times, source)
+                slide = _slide(str(name), labels, bench)
             except _Stopped:
                 break
             if slide is not None:
@@ -136,8 +180,10 @@ def record(
     return folder, int((~slides.index.isin(folder.manifest.index)).sum())
 
 
-class _Stopped(Exception):
-    """The operator stops."""
+def _drive_in_the_air(stage: Stage, start: Sequence[float], end: Sequence[float]) -> None:
+    stage.place(start, -CLEAR_MM)
+    stage.slide(end, TRAVEL_MM_S)
+    stage.finish()
 
 
 def _described(labels: pd.Series) -> str:
@@ -157,30 +203,25 @@ def _motion_s(labels: pd.Series) -> float:
     return BASE_S if labels["split"] == BASE_SPLIT and math.isnan(moves_s) else moves_s
 
 
-def _slide(
-    name: str,
-    labels: pd.Series,
-    listener: Listener,
-    sensor: Sensor,
-    operator: Operator,
-    times: Times,
-    source: str,
-) -> Recording | None:
+def _slide(name: str, labels: pd.Series, bench: Bench) -> Recording | None:
     """One slide that the operator keeps; None if it is skipped.
 
     Raises:
         _Stopped: the operator stops.
         InputError, CheckFailed: as `record`.
     """
+    operator, times, sensor = bench.operator, bench.times, bench.sensor
     phases = Phases(times.rest, times.start, _motion_s(labels))
     of_base, failed = labels["split"] == BASE_SPLIT, 0
-    question = f"{'Let the robot begin' if of_base else 'Set the stage'}. Enter records, s skips, q stops:"
+    begin = (
+        "Let the robot begin" if of_base else "Set the stage" if bench.stage is None else "The stage is set"
+    )
     while True:
-        _wait(listener, operator, times, source)
-        if _answer(operator, question, listener, sensor) == "s":
+        _wait(bench)
+        if _answer(bench, f"{begin}. Enter records, s skips, q stops:") == "s":
             return None
         try:
-            slide = capture(listener, sensor, name, phases, times.timeout, _shower(operator, phases))
+            slide = _captured(name, labels, phases, bench)
         except Lost as reason:
             failed += 1
             operator.say(f"{name} is not kept: {reason}")
@@ -189,32 +230,66 @@ def _slide(
             continue
         for remark in remarks(slide, sensor, phases, touched=not of_base):
             operator.say(f"  {remark}")
-        answer = _answer(
-            operator, "Keep it? Enter keeps, a records again, s skips, q stops:", listener, sensor
-        )
+        answer = _answer(bench, "Keep it? Enter keeps, a records again, s skips, q stops:")
         if answer != "a":
             return None if answer == "s" else slide
 
 
-def _answer(operator: Operator, question: str, listener: Listener, sensor: Sensor) -> str:
-    level = Level(sensor.sample_rate_hz)
-    answer = operator.ask(question, lambda: level_bar(level.of(listener.take())))
+def _captured(name: str, labels: pd.Series, phases: Phases, bench: Bench) -> Recording:
+    """The slide, driven by the stage if there is one.
+
+    Raises:
+        Lost: as `capture`; the ball is lifted before.
+        InputError: the stage does not do what it is told, or the output left its range.
+    """
+    show, stage = _shower(bench.operator, phases, bench.stage is not None), bench.stage
+    if stage is None:
+        return capture(bench.listener, bench.sensor, name, phases, bench.times.timeout, show)
+    start, end = ends(labels)
+    most_v = LARGEST_TILT_G * max(each.sensitivity_v_per_g for each in bench.sensor.accelerometers)
+    waiting = [True]
+
+    def show_and_drive(recorded_s: float, level_v: float) -> None:
+        show(recorded_s, level_v)
+        if level_v > most_v:
+            raise InputError(
+                f"{name}: the output is {level_v:.2f} V off its rest, more than {most_v:.2f} V: the stage was stopped; "
+                "see what it touches"
+            )
+        if waiting and recorded_s >= phases.rest_s:
+            waiting.clear()
+            stage.slide(end, labels["speed_mm_s"])
+
+    stage.place(start, labels["depth_mm"])
+    try:
+        slide = capture(bench.listener, bench.sensor, name, phases, bench.times.timeout, show_and_drive)
+    except Lost:
+        stage.lift()
+        raise
+    stage.lift()
+    return slide
+
+
+def _answer(bench: Bench, question: str) -> str:
+    level = Level(bench.sensor.sample_rate_hz)
+    answer = bench.operator.ask(question, lambda: level_bar(level.of(bench.listener.take())))
     if answer == "q":
         raise _Stopped
     return answer
 
 
-def _wait(listener: Listener, operator: Operator, times: Times, source: str) -> None:
+def _wait(bench: Bench) -> None:
     """Returns once samples come.
 
     Raises:
         InputError: none came within times.wait.
     """
+    listener, source, times = bench.listener, bench.source, bench.times
     begun_s, said = time.monotonic(), ""
     while listener.trouble or listener.silent_s > times.timeout:
         reason = listener.trouble or "nothing comes"
         if reason != said:
-            operator.say(f"waiting for {source}: {reason}")
+            bench.operator.say(f"waiting for {source}: {reason}")
             said = reason
         if time.monotonic() - begun_s > times.wait:
             raise InputError(
@@ -223,11 +298,11 @@ def _wait(listener: Listener, operator: Operator, times: Times, source: str) -> 
         time.sleep(POLL_S)
 
 
-def _shower(operator: Operator, phases: Phases) -> Callable[[float, float], None]:
-    """Says to the operator what to do as a recording goes on, with the level."""
+def _shower(operator: Operator, phases: Phases, driven: bool) -> Callable[[float, float], None]:
+    """Says to the operator what to do as a recording goes on, with the level. driven: a stage does it."""
     ends = (
         (phases.rest_s, "rest: hands off"),
-        (phases.rest_s + phases.start_s, "go: start the stage now"),
+        (phases.rest_s + phases.start_s, "the stage goes" if driven else "go: start the stage now"),
         (phases.whole_s - phases.rest_s, "motion"),
         (math.inf, "rest: hands off until the end"),
     )

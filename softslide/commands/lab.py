@@ -90,11 +90,14 @@ def record(parser: Parser) -> Run:
     pulled cable or lost samples have broken is recorded again once the source
     is back. A recording is rest, the time to start the stage in, the motion
     (travel over speed and 1 s) and rest; the moments of motion stay empty.
-    Answers may be piped in, a line each.
+    Answers may be piped in, a line each. With --stage a 3-D printer or a small
+    CNC machine moves the ball, as docs/hardware.md says.
 
         softslide record --source serial:///dev/ttyACM0?115200 --sensor sensor.toml \\
             --plan plan.csv --out my-recordings
         softslide record --source udp://:9000 --plan plan.csv --out my-recordings
+        softslide record --source udp://:9000 --plan plan.csv --out my-recordings --yes \\
+            --stage "serial:///dev/ttyUSB0?firmware=marlin" --origin 110 95 31.5
         softslide check my-recordings
     """
     parser.add_argument(
@@ -121,6 +124,14 @@ def record(parser: Parser) -> Run:
     ):
         arguments.number(parser, name, "S", f"{text}, s", default)
     parser.add_argument("--yes", action="store_true", help="ask nothing: record and keep every slide")
+    moves = (
+        "what moves the ball: serial:///dev/PORT?firmware=marlin&baud=115200, or grbl (needs the live extra)"
+    )
+    parser.add_argument("--stage", metavar="URL", help=f"{moves} (default: a person)")
+    origin = "where, after homing, the ball just touches the skin over the chamber's middle (default: where it is now)"
+    arguments.number(parser, "--origin", "MM", origin, nargs=3)
+    in_the_air = "with --stage: drive the slides above the skin, and record nothing"
+    parser.add_argument("--dry-run", action="store_true", help=in_the_air)
 
     def run(given: argparse.Namespace) -> None:
         from softslide.experiments.acquisition.record import record

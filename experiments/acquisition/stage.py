@@ -1,0 +1,255 @@
+"""A 3-D printer (Marlin) or a small CNC machine (GRBL) as the stage: it carries the ball over the skin.
+
+Never tried on hardware. A line is sent when the one before was acknowledged, to Marlin with number and checksum: a
+damaged one is sent again. Places are in mm from the chamber's middle; the stage's own are these plus `origin_mm`.
+"""
+
+import re
+import time
+from collections.abc import Sequence
+from functools import reduce
+from operator import xor
+from types import TracebackType
+from typing import Any
+from urllib.parse import parse_qs, urlsplit
+
+import numpy as np
+import pandas as pd
+
+from softslide.experiments.acquisition.gcode import CLEAR_MM, DEEPEST_MM, DOWN_MM_S, TRAVEL_MM_S, ends, move
+from softslide.features.errors import InputError
+from softslide.pipeline.sensor import Sensor
+
+FIRMWARE = ("marlin", "grbl")
+BEYOND_MM = 20.0  # past the chamber's edge: nothing is driven farther out
+REPLY_S = 10.0  # within which a stage acknowledges a line, unless it says that it is busy
+MOTION_S = 600.0  # the longest motion, homing included
+WAKE_S = 3.0  # opening the port restarts most boards
+OFF_MM = 0.05  # between where the stage is and where it was sent: more is a limit of its own
+AGAIN = 5  # times that a damaged line is sent again
+
+
+class Stage:
+    """A stage on a serial port. url: serial:///dev/PORT?firmware=marlin|grbl&baud=115200.
+
+    origin_mm: where the ball just touches the skin over the chamber's middle, after homing; None: it is there now.
+    As a context it is stopped at once where the block ends with an error, and closed.
+
+    Raises:
+        InputError: no such port or firmware, no answer, or the stage reports an error; also by every method.
+    """
+
+    def __init__(self, url: str, origin_mm: Sequence[float] | None = None) -> None:
+        import serial
+
+        parts = urlsplit(url)
+        given = {key: values[-1] for key, values in parse_qs(parts.query).items()}
+        self.firmware = given.pop("firmware", "marlin")
+        baud = given.pop("baud", "115200")
+        if parts.scheme != "serial" or self.firmware not in FIRMWARE or given or not baud.isdecimal():
+            form = "serial:///dev/ttyUSB0?firmware=marlin&baud=115200 (or firmware=grbl)"
+            raise InputError(f"{url}: write {form}", "stage")
+        self.name, self._number, self._errors = parts.path, 0, (serial.SerialException, OSError)
+        try:
+            self._port = serial.Serial(parts.path, int(baud), timeout=0.1)
+        except self._errors as error:
+            raise InputError(f"{self.name}: {error}; name the stage's port", "stage") from None
+        try:
+            self._begin(origin_mm)
+        except BaseException:
+            self.stop()
+            self._port.close()
+            raise
+
+    def __enter__(self) -> "Stage":
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        try:
+            if kind is not None:
+                self.stop()
+        finally:
+            self._port.close()
+
+    def place(self, start: Sequence[float], depth_mm: float) -> None:
+        """Carries the ball to a slide's start (x, y), above the skin, and lowers it to the depth; waits for it.
+
+        depth_mm: below the skin's highest point; negative: above it.
+        """
+        self._to(TRAVEL_MM_S, z=CLEAR_MM)
+        self._to(TRAVEL_MM_S, *start)
+        self._to(DOWN_MM_S, z=-depth_mm)
+        self.finish()
+
+    def slide(self, end: Sequence[float], speed_mm_s: float) -> None:
+        """Begins to move the ball to (x, y); returns once the stage has taken the line."""
+        self._to(speed_mm_s, *end)
+
+    def lift(self) -> None:
+        """Waits for the end of the slide, and lifts the ball clear of the skin."""
+        self.finish()
+        self._to(DOWN_MM_S, z=CLEAR_MM)
+        self.finish()
+
+    def finish(self) -> None:
+        """Waits until nothing moves, and sees that the stage is where it was sent: it may have limits of its own."""
+        until = time.monotonic() + MOTION_S
+        if self.firmware == "marlin":
+            self.send("M400", MOTION_S)
+        while self.firmware == "grbl" and not self._status().startswith("<Idle"):
+            if time.monotonic() > until:
+                raise InputError(
+                    f"{self.name}: the stage still moves after {MOTION_S:g} s; switch it off and look"
+                )
+            time.sleep(0.05)
+        at, sent = self.position(), self._sent
+        if at is not None and (np.abs(at - sent) > OFF_MM).any():
+            raise InputError(
+                f"{self.name}: at {_listed(at)} mm and not at {_listed(sent)}; see the stage's own limits"
+            )
+
+    def position(self) -> np.ndarray | None:
+        """(3,) mm, as the stage says it; None where it does not."""
+        text = " ".join(self.send("M114")) if self.firmware == "marlin" else self._status()
+        words = (
+            r"X:([-\d.]+) Y:([-\d.]+) Z:([-\d.]+)"
+            if self.firmware == "marlin"
+            else r"WPos:([-\d.]+),([-\d.]+),([-\d.]+)"
+        )
+        found = re.search(words, text)
+        return None if found is None else np.array([float(word) for word in found.groups()])
+
+    def stop(self) -> None:
+        """Emergency stop: the stage holds where it is and takes nothing until it is reset."""
+        try:
+            self._port.write(b"M112\n" if self.firmware == "marlin" else b"!\x18")
+            self._port.flush()
+        except self._errors:
+            pass
+
+    def send(self, line: str, patience_s: float = REPLY_S) -> list[str]:
+        """Sends a line, again where it arrived damaged, and waits for its acknowledgement; what came before that."""
+        self._number += 1
+        data = numbered(line, self._number) if self.firmware == "marlin" else f"{line}\n"
+        replies, damaged, again = list[str](), False, 0
+        self._write(data)
+        until = time.monotonic() + patience_s
+        while time.monotonic() < until:
+            reply = self._read()
+            if reply.startswith("ok"):
+                if not damaged:
+                    return [*replies, reply]
+                again += 1
+                if again > AGAIN:
+                    raise InputError(f"{self.name}: '{line}' arrived damaged {again} times; see the cable")
+                damaged = False
+                self._write(data)
+            elif asked := re.match(r"(?:resend|rs)\D*(\d+)", reply.lower()):
+                # Of the line after this one: it was taken, and its acknowledgement was lost.
+                damaged = int(asked[1]) <= self._number
+            elif re.match("(error|alarm|!!)", reply.lower()) and not _asks_again(reply):
+                raise InputError(
+                    f"{self.name}: the stage answers '{line}' with '{reply}'; see to it and begin again"
+                )
+            elif "busy" in reply.lower():
+                until = time.monotonic() + patience_s
+            elif reply:
+                replies.append(reply)
+        raise InputError(
+            f"{self.name}: no answer to '{line}' in {patience_s:g} s; see firmware, baud rate and cable"
+        )
+
+    def _begin(self, origin_mm: Sequence[float] | None) -> None:
+        time.sleep(WAKE_S)
+        self._port.reset_input_buffer()
+        if self.firmware == "marlin":
+            self._number = -1
+            self.send("M110 N0")
+        for line in ("G21", "G90"):
+            self.send(line)
+        if origin_mm is None:
+            self.send("G92 X0 Y0 Z0")
+        else:
+            self.send("G28" if self.firmware == "marlin" else "$H", MOTION_S)
+        self._origin = np.zeros(3) if origin_mm is None else np.array(origin_mm, float)
+        # Where it was last sent; after homing, what is not sent yet is where it is.
+        at = self.position()
+        self._sent = np.zeros(3) if at is None else at
+
+    def _to(
+        self, speed_mm_s: float, x: float | None = None, y: float | None = None, z: float | None = None
+    ) -> None:
+        for axis, value in enumerate((x, y, z)):
+            if value is not None:
+                self._sent[axis] = value + self._origin[axis]
+        own = (None if v is None else at for v, at in zip((x, y, z), self._sent, strict=True))
+        self.send(move(speed_mm_s, *own), MOTION_S)
+
+    def _status(self) -> str:
+        """GRBL's report, <State|...>."""
+        self._write("?")
+        until = time.monotonic() + REPLY_S
+        while time.monotonic() < until:
+            if (reply := self._read()).startswith("<"):
+                if reply.startswith(("<Alarm", "<Door")):
+                    raise InputError(f"{self.name}: the stage says '{reply}'; see to it and begin again")
+                return reply
+        raise InputError(f"{self.name}: no answer to '?' in {REPLY_S:g} s; see firmware, baud rate and cable")
+
+    def _write(self, data: str) -> None:
+        try:
+            self._port.write(data.encode("ascii"))
+        except self._errors as error:
+            raise self._gone(error) from None
+
+    def _read(self) -> str:
+        """The next line; empty if none came in a tenth of a second."""
+        try:
+            return self._port.readline().decode("ascii", "replace").strip()
+        except self._errors as error:
+            raise self._gone(error) from None
+
+    def _gone(self, error: Any) -> InputError:
+        return InputError(
+            f"{self.name}: {error}; what is recorded is kept, see the cable and run the same command again"
+        )
+
+
+def numbered(line: str, number: int) -> str:
+    """A line as Marlin checks it: with its number, and the exclusive or of its bytes."""
+    text = f"N{number} {line}"
+    return f"{text}*{reduce(xor, text.encode('ascii'))}\n"
+
+
+def check_slides(slides: pd.DataFrame, sensor: Sensor) -> None:
+    """Sees that no slide leaves what a stage is driven over: BEYOND_MM past the chamber's edge, DEEPEST_MM deep.
+
+    Raises:
+        InputError: one does, is of a moving robot, or has no depth.
+    """
+    reach = np.array(sensor.chamber_mm) / 2 + BEYOND_MM
+    for name, row in slides.iterrows():
+        if not 0 <= row["depth_mm"] <= DEEPEST_MM:
+            raise InputError(
+                f"{name}: depth {row['depth_mm']:g} mm; a stage is driven down to {DEEPEST_MM:g}", "stage"
+            )
+        if not (np.abs(ends(row)) <= reach).all():
+            raise InputError(
+                f"{name}: leaves the {2 * reach[0]:g} x {2 * reach[1]:g} mm that a stage is driven over",
+                "stage",
+            )
+        if not 0 < row["speed_mm_s"] <= TRAVEL_MM_S:
+            raise InputError(
+                f"{name}: {row['speed_mm_s']:g} mm/s; a stage is driven at most at {TRAVEL_MM_S:g}", "stage"
+            )
+
+
+def _asks_again(reply: str) -> bool:
+    """Whether an error is one after which Marlin asks for the line again."""
+    return any(word in reply.lower() for word in ("checksum", "line number", "last line"))
+
+
+def _listed(place: np.ndarray) -> str:
+    return ", ".join(f"{value:g}" for value in place)

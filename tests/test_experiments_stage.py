@@ -1,0 +1,220 @@
+"""`softslide record --stage`: a printer moves the ball as planned, and stops when something is wrong."""
+
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+from printer import Printer
+from sender import PLAN, free_port
+from streams import a_sensor
+
+import softslide
+from softslide.experiments.acquisition import stage as module
+from softslide.experiments.acquisition.gcode import CLEAR_MM
+from softslide.experiments.acquisition.record import read_plan
+from softslide.experiments.acquisition.stage import Stage, check_slides, numbered
+from softslide.features.errors import InputError
+from softslide.pipeline.recordings.folder import read_folder
+from softslide.pipeline.sensor import write_sensor
+
+ORIGIN = (110.0, 95.0, 31.5)
+REST_S = 0.6
+TIMES = {"rest_s": REST_S, "start_s": 0.2, "timeout_s": 0.5}
+SLIDES = "one,calibration,0,39,-5,-29,-5,58,0.5\ntwo,test,90,39,0,0,-29,58,0.4\n"
+
+
+@pytest.fixture(autouse=True)
+def awake(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "WAKE_S", 0.05)
+
+
+@pytest.fixture
+def lab(tmp_path: Path) -> Path:
+    write_sensor(tmp_path / "sensor.toml", a_sensor())
+    (tmp_path / "plan.csv").write_text(PLAN + SLIDES)
+    return tmp_path
+
+
+@contextmanager
+def skin(printer: Printer, touched_v: float = 0.1) -> Iterator[str]:
+    """Sends what a sensor would, 1 kHz, that is pressed while the ball is below its height; V_y as the ball goes on."""
+    port, ended = free_port(), threading.Event()
+    noise = np.random.default_rng(0)
+
+    def send() -> None:
+        begun_s, n = time.monotonic(), 0
+        with socket.socket(type=socket.SOCK_DGRAM) as mouth:
+            while not ended.is_set():
+                x, y, z = printer.place - np.array(ORIGIN)
+                on = touched_v * (z < 0 and printer.moving and max(abs(x), abs(y)) < 28.9)
+                volts = np.array([1.65 + on, 1.65 - on, 2.45]) + noise.normal(0, 1e-3, (20, 3))
+                rows = (
+                    f"{(n + k) / 1000:.3f}," + ",".join(f"{v:.4f}" for v in row)
+                    for k, row in enumerate(volts)
+                )
+                n += 20
+                time.sleep(max(0.0, begun_s + n / 1000 - time.monotonic()))
+                mouth.sendto(("\n".join(rows) + "\n").encode(), ("127.0.0.1", port))
+
+    thread = threading.Thread(target=send)
+    thread.start()
+    try:
+        yield f"udp://:{port}"
+    finally:
+        ended.set()
+        thread.join()
+
+
+def recorded(lab: Path, source: str, printer: Printer, **more: object) -> int:
+    """How many slides are left."""
+    options = (
+        {"sensor": lab / "sensor.toml", "yes": True, "stage": printer.url, "origin_mm": ORIGIN} | TIMES | more
+    )
+    return softslide.record(source, lab / "plan.csv", lab / "out", **options)[1]
+
+
+@pytest.mark.parametrize("firmware", ["marlin", "grbl"])
+def test_a_plan_is_recorded_with_nobody_there(lab: Path, firmware: str) -> None:
+    """Damaged lines are sent again; the motion of each recording begins as its rest ends."""
+    with Printer(firmware, damaged=(4, 9)) as printer, skin(printer) as source:
+        assert recorded(lab, source, printer) == 0
+    assert not printer.stopped
+    folder = read_folder(lab / "out")
+    assert list(folder.manifest.index) == ["one", "two"]
+    slides = [move for move in printer.moves if move[0][2] == move[1][2] < ORIGIN[2]]
+    for (begin, end, speed), row in zip(slides, folder.manifest.itertuples(), strict=True):
+        assert begin - ORIGIN == pytest.approx([row.start_x_mm, row.start_y_mm, -row.depth_mm])
+        way = (end - begin)[:2]
+        assert np.hypot(*way) == pytest.approx(row.travel_mm, abs=2e-3)
+        assert np.degrees(np.arctan2(way[1], way[0])) == pytest.approx(row.direction_deg)
+        assert speed == pytest.approx(row.speed_mm_s)
+        recording = folder.load(row.Index)
+        pressed_s = recording.time_s[recording.volts[:, 0] > 1.7]
+        assert pressed_s[0] == pytest.approx(REST_S, abs=0.3)
+        assert np.ptp(pressed_s) == pytest.approx(row.travel_mm / row.speed_mm_s / printer.haste, abs=0.1)
+    # Above the skin between slides, and at the end.
+    assert all(
+        begin[2] >= ORIGIN[2] + CLEAR_MM
+        for begin, end, _ in printer.moves[1:]
+        if (begin != end)[:2].any() and begin[2] > ORIGIN[2]
+    )
+    assert printer.place[2] == ORIGIN[2] + CLEAR_MM
+
+
+def test_a_dry_run_touches_nothing_and_records_nothing(lab: Path) -> None:
+    with Printer(haste=20.0) as printer, skin(printer) as source:
+        assert recorded(lab, source, printer, dry_run=True) == 2
+    assert min(end[2] for _, end, _ in printer.moves) >= ORIGIN[2] + CLEAR_MM
+    assert len(printer.moves) >= 2
+    assert not list((lab / "out").glob("slides/*"))
+
+
+@pytest.mark.parametrize(
+    ("printer", "touched_v", "says"),
+    [
+        (Printer(fails="G28"), 0.1, "'G28' with 'Error:Homing failed'"),
+        (Printer("grbl", fails="$H"), 0.1, "'ALARM:9'"),
+        (Printer(highest_mm=100.0), 0.1, "see the stage's own limits"),
+        (Printer(pulled=6), 0.1, "no answer to"),
+        (Printer(), 0.9, "off its rest, more than 0.60 V: the stage was stopped"),
+    ],
+    ids=["homing", "alarm", "limits", "pulled", "force"],
+)
+def test_what_goes_wrong_stops_the_stage(
+    lab: Path, monkeypatch: pytest.MonkeyPatch, printer: Printer, touched_v: float, says: str
+) -> None:
+    monkeypatch.setattr(module, "REPLY_S", 0.5)
+    monkeypatch.setattr(module, "MOTION_S", 8.0)
+    with printer, skin(printer, touched_v) as source:
+        with pytest.raises(InputError, match=says):
+            recorded(lab, source, printer)
+        time.sleep(0.2)
+        assert printer.stopped
+    assert not list((lab / "out").glob("slides/*"))
+
+
+def test_what_must_not_be_driven_is_refused(lab: Path) -> None:
+    sensor = a_sensor()
+    slides = read_plan(lab / "plan.csv", sensor)
+    check_slides(slides, sensor)
+    for changes, says in (
+        ({"depth_mm": 2.1}, "depth 2.1 mm"),
+        ({"depth_mm": np.nan}, "depth nan mm"),
+        ({"travel_mm": 90.0}, "leaves the 90 x 90 mm"),
+        ({"speed_mm_s": 41.0}, "41 mm/s"),
+    ):
+        with pytest.raises(InputError, match=says):
+            check_slides(slides.assign(**changes), sensor)
+    for more, says in (
+        ({"stage": "udp://:9"}, "write serial:///dev"),
+        ({"stage": "serial:///dev/null?firmware=reprap"}, "write serial:///dev"),
+        ({"stage": "serial:///dev/no-such"}, "no-such"),
+        ({"origin_mm": None, "stage": "serial:///dev/no-such"}, "is needed where nobody is there"),
+        ({"stage": None}, "is for a stage"),
+        ({"stage": None, "origin_mm": None, "dry_run": True}, "is for a stage"),
+    ):
+        options = {"sensor": lab / "sensor.toml", "yes": True, "origin_mm": ORIGIN} | more
+        with pytest.raises(InputError, match=says):
+            softslide.record(f"udp://:{free_port()}", lab / "plan.csv", lab / "out", **options)
+
+
+def test_a_line_carries_its_number_and_checksum() -> None:
+    """Example of Marlin's documentation of its serial protocol (marlinfw.org, "N0 M110")."""
+    assert numbered("T0", 3) == "N3 T0*57\n"
+    assert numbered("G92 E0", 4) == "N4 G92 E0*67\n"
+
+
+OCTOPRINT = """
+import os, re, sys, threading, tty
+from octoprint.plugin import plugin_manager
+from octoprint.plugins.virtual_printer import VirtualPrinterPlugin
+from octoprint.plugins.virtual_printer.virtual import VirtualPrinter
+plugin_manager(init=True)
+class Settings:
+    defaults = VirtualPrinterPlugin().get_settings_defaults()
+    defaults["simulated_errors"] = ["5:checksum_mismatch", "9:resend"]
+    def get(self, path, merged=False): return self.defaults.get(path[0])
+    def get_int(self, path): return int(self.get(path) or 0)
+    def get_float(self, path): return float(self.get(path) or 0)
+    def get_boolean(self, path): return bool(self.get(path))
+    def global_get_basefolder(self, name): return sys.argv[1]
+class Profiles:
+    def get_current_or_default(self):
+        from octoprint.printer.profile import PrinterProfileManager
+        return PrinterProfileManager.default
+own, theirs = os.openpty(); tty.setraw(theirs)
+print(os.ttyname(theirs), flush=True)
+printer = VirtualPrinter(Settings(), Profiles(), sys.argv[1])
+def answers():
+    while True:
+        if line := printer.readline(): os.write(own, line.rstrip() + b"\\n")
+threading.Thread(target=answers, daemon=True).start()
+while data := os.read(own, 1024): printer.write(data)
+"""
+
+
+@pytest.mark.long
+def test_octoprints_virtual_printer_is_a_stage(lab: Path) -> None:
+    """A stand-in that others wrote and hosts are tested with, in an environment of its own."""
+    subprocess.run([sys.executable, "-m", "venv", lab / "env"], check=True, timeout=300)
+    python = lab / "env/bin/python"
+    subprocess.run([python, "-m", "pip", "install", "--quiet", "OctoPrint==1.11.8"], check=True, timeout=1800)
+    with subprocess.Popen([python, "-c", OCTOPRINT, lab], stdout=subprocess.PIPE, text=True) as printer:
+        try:
+            assert printer.stdout is not None
+            place = printer.stdout.readline().strip()
+            with Stage(f"serial://{place}", ORIGIN) as stage:
+                stage.place((-29.0, -5.0), 0.5)
+                assert stage.position() == pytest.approx(np.array([81.0, 90.0, 31.0]))
+                stage.slide((29.0, -5.0), 10.0)
+                stage.lift()
+                assert stage.position() == pytest.approx(np.array([139.0, 90.0, ORIGIN[2] + CLEAR_MM]))
+        finally:
+            printer.kill()
