@@ -38,11 +38,11 @@ def demo(out: str | Path) -> str:
         done = train(SAMPLE, out / model / "bundle", model, change=_shortened, store=store)
         evaluation = evaluate(done.bundle, SAMPLE, None, out / model / "evaluation", store=store)
         evaluations[model] = evaluation
-    table = _table(evaluations)
-    page = render(HERE / "pages" / "demo.html.j2", table="\n".join(table), models=DEMO_MODELS, out=out)
+    rows = _rows(evaluations)
+    page = render(HERE / "pages" / "demo.html.j2", rows=rows, models=DEMO_MODELS, out=out)
     with whole(out / "summary.html") as scratch:
         scratch.write_text(page, encoding="utf-8")
-    return "\n".join([*table, "", *_ways(out, store)])
+    return "\n".join([*map(_line, rows), "", *_ways(out, store)])
 
 
 def _shortened(settings: Any) -> Any:
@@ -52,33 +52,36 @@ def _shortened(settings: Any) -> Any:
     return replace(settings, training=replace(settings.training, **DEMO_BUDGET))
 
 
-def _table(evaluations: dict[str, Evaluation]) -> list[str]:
-    """The article's figures next to the largest error of each model, and each model's mean errors by split."""
+def _rows(evaluations: dict[str, Evaluation]) -> list[tuple[str, list[str]]]:
+    """The article's figures next to the largest error of each model, and each model's mean errors by split: a title and
+    its cells, a note that has none."""
     columns = ["article", *evaluations]
-    lines = ["Emulated bench recordings, never measured on hardware.", "", _row("largest error", columns)]
+    rows: list[tuple[str, list[str]]] = [
+        ("Emulated bench recordings, never measured on hardware.", []),
+        ("", []),
+    ]
+    rows.append(("largest error", columns))
     for verdicts in zip(*(e.verdicts for e in evaluations.values()), strict=True):
         bound = verdicts[0].bound
         unit = QUANTITIES[bound.quantity]
         cells = ["-" if v.met is None else f"{number(v.max)}{'' if v.met else ' !'}" for v in verdicts]
-        lines.append(_row(f"{bound.name}, {unit}", [f"< {bound.limit:g}", *cells]))
-    lines += [
-        "! beyond the article's bound, or without a valid estimate; - not tested: see the report",
-        "",
-    ]
-    lines.append(_row("mean valid error at the end", columns))
+        rows.append((f"{bound.name}, {unit}", [f"< {bound.limit:g}", *cells]))
+    note = "! beyond the article's bound, or without a valid estimate; - not tested: see the report"
+    rows += [(note, []), ("", []), ("mean valid error at the end", columns)]
     splits = next(iter(evaluations.values())).metrics["splits"]
     for split in splits:
         for quantity, title in MEANS.items():
             ends = [e.metrics["splits"][split]["1.0"][quantity] for e in evaluations.values()]
             cells = [number(end.get("mean")) for end in ends]
-            lines.append(_row(f"{split}: {title}, {QUANTITIES[quantity]}", ["", *cells]))
+            rows.append((f"{split}: {title}, {QUANTITIES[quantity]}", ["", *cells]))
         shares = [e.metrics["splits"][split]["1.0"]["valid_share"] for e in evaluations.values()]
-        lines.append(_row(f"{split}: valid, %", ["", *(f"{100 * share:.0f}" for share in shares)]))
-    return lines
+        rows.append((f"{split}: valid, %", ["", *(f"{100 * share:.0f}" for share in shares)]))
+    return rows
 
 
-def _row(title: str, cells: list[str]) -> str:
-    return f"{title:<30}" + "".join(f"{cell:>15}" for cell in cells)
+def _line(row: tuple[str, list[str]]) -> str:
+    title, cells = row
+    return f"{title:<30}" + "".join(f"{cell:>15}" for cell in cells) if cells else title
 
 
 def _ways(out: Path, store: str) -> list[str]:
