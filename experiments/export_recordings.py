@@ -56,7 +56,9 @@ def export_recordings(
     if split is not None:
         folder = replace(folder, manifest=folder.manifest[folder.manifest["split"].isin(split)])
     if not len(folder):
-        raise InputError(f"{recordings}: no recording to export; name a split that it has", "split")
+        raise InputError(
+            f"{recordings}: no recording of {' or '.join(split or ())}; name a split that it has"
+        )
     localizer = None if model is None else Localizer.load(model)
     if localizer is not None:
         check_fits(localizer, folder)

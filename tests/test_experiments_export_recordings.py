@@ -134,7 +134,7 @@ def test_a_split_alone(lab: Folder, tmp_path: Path) -> None:
 def test_what_cannot_be_exported_leaves_nothing(lab: Folder, two_boards: Path, tmp_path: Path) -> None:
     for options, says in (
         ({"to": "rlds"}, "rlds: name lerobot"),
-        ({"split": ["trial"]}, "no recording to export"),
+        ({"split": ["trial"]}, "no recording of trial; name a split"),
         ({"model": two_boards}, "channels are"),
     ):
         with pytest.raises(InputError, match=says):
