@@ -150,7 +150,7 @@ def record(
         if origin_mm is None and yes:
             raise InputError("is needed where nobody is there to put the ball on the skin's middle", "origin")
     elif dry_run or origin_mm is not None:
-        raise InputError("is for a stage; name it with --stage", "dry_run" if dry_run else "origin")
+        raise InputError("is for a stage; name one", "dry_run" if dry_run else "origin")
     if done := int(slides.index.isin(folder.manifest.index).sum()):
         operator.say(f"{out}: {done} of {len(slides)} slides are recorded; going on")
     columns = len(folder.sensor.columns)
