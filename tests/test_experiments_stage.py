@@ -1,5 +1,6 @@
 """`softslide record --stage`: a printer moves the ball as planned, and stops when something is wrong."""
 
+import io
 import socket
 import subprocess
 import sys
@@ -138,6 +139,17 @@ def test_what_goes_wrong_stops_the_stage(
         time.sleep(0.2)
         assert printer.stopped
     assert not list((lab / "out").glob("slides/*"))
+
+
+@pytest.mark.parametrize("answers", ["q\n", ""])
+def test_an_operator_may_stop_before_anything_moves(
+    lab: Path, monkeypatch: pytest.MonkeyPatch, answers: str
+) -> None:
+    monkeypatch.setattr(sys, "stdin", io.StringIO(answers))
+    with Printer() as printer, skin(printer) as source:
+        assert recorded(lab, source, printer, yes=False, origin_mm=None) == 2
+    assert not printer.lines
+    assert not printer.stopped
 
 
 def test_what_must_not_be_driven_is_refused(lab: Path) -> None:

@@ -37,8 +37,7 @@ def gcode(slides: pd.DataFrame, firmware: str = "marlin") -> str:
     for row in slides.to_dict("records"):
         start, end = ends(row)
         name, depth, speed = row["recording"], row["depth_mm"], row["speed_mm_s"]
-        if not 0 <= depth <= DEEPEST_MM:
-            raise InputError(f"{name}: depth {depth:g} mm; at most {DEEPEST_MM:g} is driven", "gcode")
+        check_depth(name, depth, "gcode")
         lines += [
             f"; {name}: {row['direction_deg']:g} deg, {speed:g} mm/s, offset {row['offset_mm']:g} mm",
             move(TRAVEL_MM_S, *start),
@@ -49,6 +48,16 @@ def gcode(slides: pd.DataFrame, firmware: str = "marlin") -> str:
             move(DOWN_MM_S, z=CLEAR_MM),
         ]
     return "\n".join([*lines, move(TRAVEL_MM_S, 0.0, 0.0), "M2 ; end", ""])
+
+
+def check_depth(name: object, depth_mm: float, option: str) -> None:
+    """Sees that a slide, by its name, has a depth that may be driven. option: the parameter that asks for it.
+
+    Raises:
+        InputError: it has not.
+    """
+    if not 0 <= depth_mm <= DEEPEST_MM:
+        raise InputError(f"{name}: depth {depth_mm:g} mm; at most {DEEPEST_MM:g} is driven", option)
 
 
 def ends(slide: Any) -> tuple[tuple[float, float], tuple[float, float]]:

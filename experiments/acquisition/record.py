@@ -34,7 +34,7 @@ ATTEMPTS = 3  # at a slide that fails with nobody to ask
 RAMP_S = 1.0  # a stage's ramps come on top of way over speed; `softslide check` allows as much
 BAR = 30  # characters
 REDRAW_S = 0.1
-ON_THE_MIDDLE = "Put the ball over the chamber's middle, just touching the skin. Enter begins, s stops:"
+ON_THE_MIDDLE = "Put the ball over the chamber's middle, just touching the skin. Enter begins, q stops:"
 # A skin is never tilted so far, by 49 degrees: a stage is stopped there.
 LARGEST_TILT_G = 0.75
 LOWEST_V, HIGHEST_V = 1e-3, 0.3  # the bar's ends: about a block's noise, and the article's largest outputs
@@ -158,7 +158,7 @@ def record(
         listener = stack.enter_context(closing(Listener(lambda: open_live(source, columns, format))))
         bench = Bench(listener, folder.sensor, operator, times, source)
         if stage is not None:
-            if origin_mm is None and _answer(bench, ON_THE_MIDDLE) == "s":
+            if origin_mm is None and operator.ask(ON_THE_MIDDLE, str) == "q":
                 return folder, len(slides) - done
             bench = replace(bench, stage=stack.enter_context(Stage(stage, origin_mm)))
         if dry_run and bench.stage:
@@ -240,7 +240,7 @@ def _captured(name: str, labels: pd.Series, phases: Phases, bench: Bench) -> Rec
 
     Raises:
         Lost: as `capture`; the ball is lifted before.
-        InputError: the stage does not do what it is told, or the output left its range.
+        InputError: as the methods of `Stage`, or the output left its range.
     """
     show, stage = _shower(bench.operator, phases, bench.stage is not None), bench.stage
     if stage is None:

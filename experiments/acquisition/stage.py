@@ -16,7 +16,14 @@ from urllib.parse import parse_qs, urlsplit
 import numpy as np
 import pandas as pd
 
-from softslide.experiments.acquisition.gcode import CLEAR_MM, DEEPEST_MM, DOWN_MM_S, TRAVEL_MM_S, ends, move
+from softslide.experiments.acquisition.gcode import (
+    CLEAR_MM,
+    DOWN_MM_S,
+    TRAVEL_MM_S,
+    check_depth,
+    ends,
+    move,
+)
 from softslide.features.errors import InputError
 from softslide.pipeline.sensor import Sensor
 
@@ -224,17 +231,14 @@ def numbered(line: str, number: int) -> str:
 
 
 def check_slides(slides: pd.DataFrame, sensor: Sensor) -> None:
-    """Sees that no slide leaves what a stage is driven over: BEYOND_MM past the chamber's edge, DEEPEST_MM deep.
+    """Sees that no slide is deeper than may be driven (`check_depth`), or leaves BEYOND_MM past the chamber's edge.
 
     Raises:
         InputError: one does, is of a moving robot, or has no depth.
     """
     reach = np.array(sensor.chamber_mm) / 2 + BEYOND_MM
     for name, row in slides.iterrows():
-        if not 0 <= row["depth_mm"] <= DEEPEST_MM:
-            raise InputError(
-                f"{name}: depth {row['depth_mm']:g} mm; a stage is driven down to {DEEPEST_MM:g}", "stage"
-            )
+        check_depth(name, row["depth_mm"], "stage")
         if not (np.abs(ends(row)) <= reach).all():
             raise InputError(
                 f"{name}: leaves the {2 * reach[0]:g} x {2 * reach[1]:g} mm that a stage is driven over",
