@@ -6,13 +6,17 @@ export MLFLOW_DISABLE_TELEMETRY = true
 # Tests start many processes: what they import is compiled once, whatever the environment says.
 export PYTHONDONTWRITEBYTECODE =
 
-.PHONY: help demo real test test-long types format
+.PHONY: help demo lab real test test-long types format
 
 help: ## what there is to make
 	@sed -n 's/^\([a-z-]*\):.*## /\1	/p' $(MAKEFILE_LIST)
 
 demo: .venv/installed ## the whole path on the sample that ships, in minutes
 	$(BIN)/softslide demo --out demo
+
+# Its environment is its own: what OctoPrint needs is not what softslide needs.
+lab: .venv/installed .octoprint/installed ## the whole hour with a printer as the stage, simulated, in minutes
+	$(BIN)/python -m softslide.experiments.studies.lab --printer .octoprint/bin/python --out lab
 
 # `evaluate` scores no bound of the article's on curves, which is no failure here.
 real: .venv/installed ## the table of docs/real.md, in hours
@@ -47,4 +51,9 @@ format: .venv/installed ## format the code
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "softslide needs Python 3.11 or newer")'
 	$(PYTHON) -m venv .venv
 	$(BIN)/python -m pip install --quiet --no-compile -c constraints.txt -e ".[all]"
+	touch $@
+
+.octoprint/installed:
+	$(PYTHON) -m venv .octoprint
+	.octoprint/bin/python -m pip install --quiet --no-compile OctoPrint==1.11.8
 	touch $@

@@ -35,7 +35,7 @@ def demo(out: str | Path) -> str:
     evaluations = {}
     for model in DEMO_MODELS:
         print(f"softslide demo: training and evaluating {model}", file=sys.stderr)
-        done = train(SAMPLE, out / model / "bundle", model, change=_shortened, store=store)
+        done = train(SAMPLE, out / model / "bundle", model, change=shortened, store=store)
         evaluation = evaluate(done.bundle, SAMPLE, None, out / model / "evaluation", store=store)
         evaluations[model] = evaluation
     rows = _rows(evaluations)
@@ -45,7 +45,7 @@ def demo(out: str | Path) -> str:
     return "\n".join([*map(_line, rows), "", *_ways(out, store)])
 
 
-def _shortened(settings: Any) -> Any:
+def shortened(settings: Any) -> Any:
     """The demo's budget: fewer and smaller steps where a model trains in steps."""
     if not hasattr(getattr(settings, "training", None), "steps"):
         return settings

@@ -37,6 +37,7 @@ OFFERED = {
     "Folder": "pipeline.recordings.folder",
     "Localizer": "serve.localizer",
     "Recording": "pipeline.recordings.folder",
+    "SimulatedSkin": "pipeline.synthesis.simulated_skin",
     "feature_table": "stream_features",
     "read_folder": "pipeline.recordings.folder",
     "read_sensor": "pipeline.sensor",

@@ -2,11 +2,20 @@
 
 import re
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from softslide.experiments.acquisition.gcode import CLEAR_MM, DEEPEST_MM, REST_S, gcode
+from softslide.experiments.acquisition.gcode import (
+    CLEAR_MM,
+    DEEPEST_MM,
+    HIGHEST_MM,
+    REST_S,
+    WAIT,
+    check_height,
+    gcode,
+)
 from softslide.experiments.acquisition.plan import COLUMNS, DIRECTIONS_DEG, _lines
 from softslide.features.errors import InputError
 from softslide.pipeline.recordings.folder import SAMPLE, read_folder
@@ -45,6 +54,9 @@ def test_each_slide_is_driven_as_planned_and_nothing_else_touches(firmware: str)
         elif min(start[2], end[2]) < CLEAR_MM:
             slides.append((start, end, speed))
     assert rests == [REST_S] * 2 * len(PLAN)
+    # The ball has left the flat skin before the operator is asked for the pressure.
+    before, _, _ = gcode(PLAN, firmware).partition(f"\n{WAIT}\n")
+    assert before.endswith(f"Z{CLEAR_MM:.3f} F120")
     assert lowest == -0.5
     for (start, end, speed), row in zip(slides, PLAN.itertuples(), strict=True):
         way = (end - start)[:2]
@@ -62,3 +74,9 @@ def test_what_no_plan_may_drive_is_refused(depth: float) -> None:
         gcode(PLAN.assign(depth_mm=[0.5, 0.5, 0.5, depth, *[0.5] * (len(PLAN) - 4)]))
     with pytest.raises(InputError, match="name one of marlin, grbl"):
         gcode(PLAN, "reprap")
+
+
+def test_a_skin_that_stands_higher_than_the_ball_travels_is_refused() -> None:
+    skin = replace(SENSOR.skin, height_mm=(HIGHEST_MM + 1.0,))
+    with pytest.raises(InputError, match="stands 16 mm high; at most 15"):
+        check_height(replace(SENSOR, skin=skin), "gcode")

@@ -2,7 +2,6 @@
 
 import io
 import socket
-import subprocess
 import sys
 import threading
 import time
@@ -20,7 +19,7 @@ import softslide
 from softslide.experiments.acquisition import stage as module
 from softslide.experiments.acquisition.gcode import CLEAR_MM
 from softslide.experiments.acquisition.record import read_plan
-from softslide.experiments.acquisition.stage import Stage, check_slides, numbered
+from softslide.experiments.acquisition.stage import check_slides, numbered
 from softslide.features.errors import InputError
 from softslide.pipeline.recordings.folder import read_folder
 from softslide.pipeline.sensor import write_sensor
@@ -181,52 +180,3 @@ def test_a_line_carries_its_number_and_checksum() -> None:
     """Example of Marlin's documentation of its serial protocol (marlinfw.org, "N0 M110")."""
     assert numbered("T0", 3) == "N3 T0*57\n"
     assert numbered("G92 E0", 4) == "N4 G92 E0*67\n"
-
-
-OCTOPRINT = """
-import os, re, sys, threading, tty
-from octoprint.plugin import plugin_manager
-from octoprint.plugins.virtual_printer import VirtualPrinterPlugin
-from octoprint.plugins.virtual_printer.virtual import VirtualPrinter
-plugin_manager(init=True)
-class Settings:
-    defaults = VirtualPrinterPlugin().get_settings_defaults()
-    defaults["simulated_errors"] = ["5:checksum_mismatch", "9:resend"]
-    def get(self, path, merged=False): return self.defaults.get(path[0])
-    def get_int(self, path): return int(self.get(path) or 0)
-    def get_float(self, path): return float(self.get(path) or 0)
-    def get_boolean(self, path): return bool(self.get(path))
-    def global_get_basefolder(self, name): return sys.argv[1]
-class Profiles:
-    def get_current_or_default(self):
-        from octoprint.printer.profile import PrinterProfileManager
-        return PrinterProfileManager.default
-own, theirs = os.openpty(); tty.setraw(theirs)
-print(os.ttyname(theirs), flush=True)
-printer = VirtualPrinter(Settings(), Profiles(), sys.argv[1])
-def answers():
-    while True:
-        if line := printer.readline(): os.write(own, line.rstrip() + b"\\n")
-threading.Thread(target=answers, daemon=True).start()
-while data := os.read(own, 1024): printer.write(data)
-"""
-
-
-@pytest.mark.long
-def test_octoprints_virtual_printer_is_a_stage(lab: Path) -> None:
-    """A stand-in that others wrote and hosts are tested with, in an environment of its own."""
-    subprocess.run([sys.executable, "-m", "venv", lab / "env"], check=True, timeout=300)
-    python = lab / "env/bin/python"
-    subprocess.run([python, "-m", "pip", "install", "--quiet", "OctoPrint==1.11.8"], check=True, timeout=1800)
-    with subprocess.Popen([python, "-c", OCTOPRINT, lab], stdout=subprocess.PIPE, text=True) as printer:
-        try:
-            assert printer.stdout is not None
-            place = printer.stdout.readline().strip()
-            with Stage(f"serial://{place}", ORIGIN) as stage:
-                stage.place((-29.0, -5.0), 0.5)
-                assert stage.position() == pytest.approx(np.array([81.0, 90.0, 31.0]))
-                stage.slide((29.0, -5.0), 10.0)
-                stage.lift()
-                assert stage.position() == pytest.approx(np.array([139.0, 90.0, ORIGIN[2] + CLEAR_MM]))
-        finally:
-            printer.kill()

@@ -14,15 +14,16 @@ from streams import a_sensor
 
 import softslide
 from softslide.experiments.studies import (
+    changed_slides,
     decision_time,
     false_alarms,
     feature_speed,
     few_recordings,
     motion_noise,
     partial_contact,
-    sensor_drift,
     skin_sensitivity,
     skin_speed,
+    slide_changes,
     sweep,
     tracker_constants,
 )
@@ -40,8 +41,16 @@ from softslide.pipeline.synthesis.paths.draw import draw_path
 from softslide.pipeline.synthesis.specimen import draw_specimen
 from softslide.pipeline.synthesis.synthesize import noise_of, record, sensor_of
 
-SCRIPTS = (decision_time, false_alarms, feature_speed, few_recordings, motion_noise, partial_contact)
-SCRIPTS += (sensor_drift, skin_sensitivity, skin_speed, sweep, tracker_constants)
+SCRIPTS = (
+    changed_slides,
+    decision_time,
+    false_alarms,
+    feature_speed,
+    few_recordings,
+    motion_noise,
+    partial_contact,
+)
+SCRIPTS += (skin_sensitivity, skin_speed, sweep, tracker_constants)
 ALONG = np.arange(-25.0, 25.0 + skin_sensitivity.STEP_MM / 2, skin_sensitivity.STEP_MM)
 
 
@@ -81,8 +90,8 @@ def test_help_has_an_example_that_names_the_script(script, capsys: pytest.Captur
         (few_recordings, ["--recordings", "nowhere"], "nowhere"),
         (few_recordings, ["--recordings", SAMPLE, "--split", "holiday"], "holiday"),
         (few_recordings, ["--recordings", SAMPLE, "--plan", SAMPLE / "manifest.csv"], "not a calibration slide"),
-        (sensor_drift, ["--model", "nowhere", "--recordings", SAMPLE], "nowhere"),
-        (sensor_drift, ["--model", SAMPLE, "--recordings", SAMPLE], "model.json"),
+        (changed_slides, ["--model", "nowhere", "--recordings", SAMPLE], "nowhere"),
+        (changed_slides, ["--model", SAMPLE, "--recordings", SAMPLE], "model.json"),
         (false_alarms, ["--model", SAMPLE, "--recordings", SAMPLE], "model.json"),
         (motion_noise, ["--model", SAMPLE, "--recordings", SAMPLE], "model.json"),
         (decision_time, ["--model", SAMPLE], "model.json"),
@@ -104,22 +113,27 @@ def test_a_number_that_is_too_small_is_refused(capsys: pytest.CaptureFixture[str
     assert "-1: give 0 or more" in capsys.readouterr().err
 
 
-def test_drifts_that_keep_the_signal_keep_the_errors(bundle: Path, tmp_path: Path) -> None:
+def test_changes_that_keep_the_signal_keep_the_estimates(bundle: Path, tmp_path: Path) -> None:
     """The small bundle's direction and speed are constants, so that errors are those of the sample's labels."""
-    words = ["--model", bundle, "--recordings", SAMPLE, "--every", 9, "--json", tmp_path / "drift.json"]
-    assert sensor_drift.main([str(word) for word in words]) == 0
-    figures = json.loads((tmp_path / "drift.json").read_text())
-    assert list(figures) == list(sensor_drift.DRIFTS)
-    for name, found in figures.items():
-        assert found["valid"] > 0, name
-        assert found["direction_deg"] == figures["clean"]["direction_deg"], name
+    words = ["--model", bundle, "--recordings", SAMPLE, "--every", 9, "--jobs", 1]
+    words += ["--json", tmp_path / "found.json"]
+    assert changed_slides.main([str(word) for word in words]) == 0
+    figures = json.loads((tmp_path / "found.json").read_text())
+    assert list(figures) == [*slide_changes.CHANGES, changed_slides.LATE]
+    assert figures["none"]["valid"] > 0
+    for name in ("zero + 50 mV", "mounted at 3 deg"):
+        assert figures[name]["direction_deg"] == pytest.approx(figures["none"]["direction_deg"]), name
+    assert figures["mounted at 180 deg"]["valid"] == 0
 
 
-def test_a_tilt_turns_gravity_by_its_angle() -> None:
-    volts = np.array([[0.0, 0.0, 0.8]])
-    turned = sensor_drift.tilted(volts)[0]
-    assert np.linalg.norm(turned) == pytest.approx(0.8)
-    assert np.degrees(np.arccos(turned[2] / 0.8)) == pytest.approx(sensor_drift.TILT_DEG)
+def test_a_change_of_attitude_keeps_gravity_and_turns_it_by_its_angle() -> None:
+    sensor = read_folder(SAMPLE).sensor
+    board = sensor.accelerometers[0]
+    level = board.zero_g_v + board.sensitivity_v_per_g * np.array([[0.0, 0.0, 1.0]])
+    turned = slide_changes.CHANGES["mounted at 20 deg"](level, level[0], np.zeros(1), sensor)
+    gravity = (turned[0] - board.zero_g_v) / board.sensitivity_v_per_g
+    assert np.linalg.norm(gravity) == pytest.approx(1.0)
+    assert np.degrees(np.arccos(gravity[2])) == pytest.approx(20.0)
 
 
 def test_false_alarms_are_counted_by_signal_and_alike_on_two_processes(

@@ -1,7 +1,8 @@
 """A plan as G-code, for a 3-D printer (Marlin) or a small CNC machine (GRBL) that moves the ball.
 
-Never tried on hardware. The program begins where the ball just touches the skin's highest point, over the chamber's
-middle, and calls this place the origin. Between slides the ball is above the skin; it goes down and up clear of it.
+Never tried on hardware. The program begins over the chamber's middle where the ball just touches the skin while the
+pressure is off, and calls this place the origin: depths are below the flat skin's face. It lifts the ball and waits for
+the pressure. Between slides the ball is above the inflated skin; it goes down and up clear of it.
 """
 
 import math
@@ -10,13 +11,16 @@ from typing import Any
 import pandas as pd
 
 from softslide.features.errors import InputError
+from softslide.pipeline.sensor import Sensor
 
-CLEAR_MM = 10.0  # above the skin's highest point, between slides
+CLEAR_MM = 20.0  # above the flat skin's face, between slides
+HIGHEST_MM = 15.0  # no skin that stands higher, inflated, is driven over
 TRAVEL_MM_S, DOWN_MM_S = 40.0, 2.0
 REST_S = 3.0  # before and after each motion: the static output is read there
 DEEPEST_MM = 2.0  # no plan goes deeper: half of the article's skin
 # A pause in each dialect: seconds are S in Marlin (its P counts milliseconds), P in GRBL.
 PAUSES = {"marlin": "G4 S{:g}", "grbl": "G4 P{:g}"}
+WAIT = "M0"  # until the operator goes on, in both
 
 
 def gcode(slides: pd.DataFrame, firmware: str = "marlin") -> str:
@@ -31,8 +35,9 @@ def gcode(slides: pd.DataFrame, firmware: str = "marlin") -> str:
         raise InputError(f"{firmware}: name one of {', '.join(PAUSES)}", "firmware")
     rest = PAUSES[firmware].format(REST_S)
     lines = [
-        "; Put the ball over the chamber's middle, just touching the skin, then start. Never tried on hardware.",
-        *("G21 ; mm", "G90 ; absolute", "G92 X0 Y0 Z0 ; here", move(DOWN_MM_S, z=CLEAR_MM)),
+        "; Pressure off: put the ball over the chamber's middle, just touching the skin, then start.",
+        "; It lifts the ball and waits: turn the pressure on and let it settle, then go on. Never tried on hardware.",
+        *("G21 ; mm", "G90 ; absolute", "G92 X0 Y0 Z0 ; here", move(DOWN_MM_S, z=CLEAR_MM), WAIT),
     ]
     for row in slides.to_dict("records"):
         start, end = ends(row)
@@ -58,6 +63,16 @@ def check_depth(name: object, depth_mm: float, option: str) -> None:
     """
     if not 0 <= depth_mm <= DEEPEST_MM:
         raise InputError(f"{name}: depth {depth_mm:g} mm; at most {DEEPEST_MM:g} is driven", option)
+
+
+def check_height(sensor: Sensor, option: str) -> None:
+    """Sees that a sensor's inflated skin is lower than the ball's way between slides.
+
+    Raises:
+        InputError: it is not.
+    """
+    if sensor.skin and (height := max(sensor.skin.height_mm, default=0.0)) > HIGHEST_MM:
+        raise InputError(f"the skin stands {height:g} mm high; at most {HIGHEST_MM:g} is driven over", option)
 
 
 def ends(slide: Any) -> tuple[tuple[float, float], tuple[float, float]]:

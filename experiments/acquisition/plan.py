@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from softslide.experiments.acquisition.gcode import check_height
 from softslide.experiments.acquisition.gcode import gcode as program_of
 from softslide.experiments.acquisition.pictures import draw_plan
 from softslide.experiments.acquisition.record import NEEDED
@@ -117,6 +118,7 @@ def plan(
     if picture:
         planned.plot(picture)
     if gcode:
+        check_height(design, "gcode")
         program = program_of(planned.slides, firmware)
         with writing(Path(gcode), "name another file"):
             Path(gcode).write_text(program, encoding="ascii")

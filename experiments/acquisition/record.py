@@ -34,7 +34,10 @@ ATTEMPTS = 3  # at a slide that fails with nobody to ask
 RAMP_S = 1.0  # a stage's ramps come on top of way over speed; `softslide check` allows as much
 BAR = 30  # characters
 REDRAW_S = 0.1
-ON_THE_MIDDLE = "Put the ball over the chamber's middle, just touching the skin. Enter begins, q stops:"
+ON_THE_MIDDLE = (
+    "Pressure off: put the ball over the chamber's middle, just touching the skin. Enter lifts it, q stops:"
+)
+INFLATED = "Turn the pressure on and let it settle. Enter begins, q stops:"
 # A skin is never tilted so far, by 49 degrees: a stage is stopped there.
 LARGEST_TILT_G = 0.75
 LOWEST_V, HIGHEST_V = 1e-3, 0.3  # the bar's ends: about a block's noise, and the article's largest outputs
@@ -160,10 +163,14 @@ def record(
         if stage is not None:
             if origin_mm is None and operator.ask(ON_THE_MIDDLE, str) == "q":
                 return folder, len(slides) - done
-            bench = replace(bench, stage=stack.enter_context(Stage(stage, origin_mm)))
+            driven = stack.enter_context(Stage(stage, origin_mm))
+            driven.lift()
+            if origin_mm is None and operator.ask(INFLATED, str) == "q":
+                return folder, len(slides) - done
+            bench = replace(bench, stage=driven)
         if dry_run and bench.stage:
             for name, labels in slides.iterrows():
-                operator.say(f"{name}: {CLEAR_MM:g} mm above the skin")
+                operator.say(f"{name}: {CLEAR_MM:g} mm above the flat skin's face")
                 _drive_in_the_air(bench.stage, *ends(labels))
             return folder, len(slides) - done
         for place, (name, labels) in enumerate(slides.iterrows(), 1):

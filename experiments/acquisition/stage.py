@@ -21,6 +21,7 @@ from softslide.experiments.acquisition.gcode import (
     DOWN_MM_S,
     TRAVEL_MM_S,
     check_depth,
+    check_height,
     ends,
     move,
 )
@@ -39,7 +40,8 @@ AGAIN = 5  # times that a damaged line is sent again
 class Stage:
     """A stage on a serial port. url: serial:///dev/PORT?firmware=marlin|grbl&baud=115200.
 
-    origin_mm: where the ball just touches the skin over the chamber's middle, after homing; None: it is there now.
+    origin_mm: after homing, where the ball just touches the skin over the chamber's middle while the pressure is off: z
+    counts from the flat skin's face; None: it is there now.
     As a context it is stopped at once where the block ends with an error, and closed.
 
     Raises:
@@ -83,7 +85,7 @@ class Stage:
     def place(self, start: Sequence[float], depth_mm: float) -> None:
         """Carries the ball to a slide's start (x, y), above the skin, and lowers it to the depth; waits for it.
 
-        depth_mm: below the skin's highest point; negative: above it.
+        depth_mm: below the flat skin's face; negative: above it.
         """
         self._to(TRAVEL_MM_S, z=CLEAR_MM)
         self._to(TRAVEL_MM_S, *start)
@@ -231,11 +233,12 @@ def numbered(line: str, number: int) -> str:
 
 
 def check_slides(slides: pd.DataFrame, sensor: Sensor) -> None:
-    """Sees that no slide is deeper than may be driven (`check_depth`), or leaves BEYOND_MM past the chamber's edge.
+    """Sees that no skin is too high, no slide too deep (`gcode`), and none goes BEYOND_MM past the chamber's edge.
 
     Raises:
-        InputError: one does, is of a moving robot, or has no depth.
+        InputError: one does, is of a moving robot, or has no depth; or the skin is.
     """
+    check_height(sensor, "stage")
     reach = np.array(sensor.chamber_mm) / 2 + BEYOND_MM
     for name, row in slides.iterrows():
         check_depth(name, row["depth_mm"], "stage")

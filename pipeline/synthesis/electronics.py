@@ -106,10 +106,16 @@ def draw_electronics(sensor: Sensor, spread: ElectronicsSpread, random: np.rando
     )
 
 
-def volts(gravity_g: np.ndarray, electronics: Electronics, random: np.random.Generator) -> np.ndarray:
+def volts(
+    gravity_g: np.ndarray,
+    electronics: Electronics,
+    random: np.random.Generator,
+    turns: float | None = None,
+) -> np.ndarray:
     """Samples (n, boards * 3) V, in `Sensor.channels` order, of the boards' gravity (boards, 3, n) g.
 
-    The values are single precision's, as a file keeps them.
+    The values are single precision's, as a file keeps them. turns: the mains' phase at the first sample, in whole
+    turns; None: drawn.
     """
     e = electronics
     boards, _, count = gravity_g.shape
@@ -130,7 +136,7 @@ def volts(gravity_g: np.ndarray, electronics: Electronics, random: np.random.Gen
     output = np.matmul(e.volts_per_g.astype(np.float32), sensed).reshape(boards * 3, count)
     output += e.zero_v.astype(np.float32).reshape(-1, 1)
     if e.mains_v.any():
-        output += _mains(e, count, random.uniform())
+        output += _mains(e, count, random.uniform() if turns is None else turns)
     return digitized(output, e.adc_step_v).T
 
 

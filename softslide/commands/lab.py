@@ -67,7 +67,7 @@ def plan(parser: Parser) -> Run:
     arguments.number(parser, "--depth", "MM", "contact depth, mm", 0.5)
     arguments.out(parser, "the CSV to write", metavar="plan.csv")
     arguments.picture(parser, "plan.svg", "draw the plan too")
-    program = "G-code too, for a printer or a small CNC machine that moves the ball (docs/hardware.md)"
+    program = "G-code too, for a printer or a small CNC machine that moves the ball (docs/printer.md)"
     parser.add_argument("--gcode", type=Path, metavar="plan.gcode", help=program)
     firmware = "whose dialect it is in (default: %(default)s)"
     parser.add_argument("--firmware", choices=("marlin", "grbl"), default="marlin", help=firmware)
@@ -91,7 +91,7 @@ def record(parser: Parser) -> Run:
     is back. A recording is rest, the time to start the stage in, the motion
     (travel over speed and 1 s) and rest; the moments of motion stay empty.
     Answers may be piped in, a line each. With --stage a 3-D printer or a small
-    CNC machine moves the ball, as docs/hardware.md says.
+    CNC machine moves the ball, as docs/printer.md says.
 
         softslide record --source serial:///dev/ttyACM0?115200 --sensor sensor.toml \\
             --plan plan.csv --out my-recordings
