@@ -39,6 +39,7 @@ UNITS = {
     "offset_sd_mm": "mm",
     "depth_sd_mm": "mm",
     "misfit": "1",
+    "strain": "1",
 }
 
 
@@ -63,6 +64,7 @@ class Validity:
     """Limits within which an estimate is valid; outside, the estimate's `valid` is false.
 
     speed_mm_s: range, mm/s. offset_mm: largest |offset|, mm. misfit: largest reduced chi-square.
+    strain: largest gain, in standard deviations of what calibration slides scatter.
     direction_sd_deg, log_speed_sd: largest standard deviations, deg and 1.
     peak_v: least |subtracted output| that the window has to reach, V. The default is 1.6 times the trigger.
     """
@@ -71,6 +73,7 @@ class Validity:
     offset_mm: float = 25.0
     peak_v: float = 0.008
     misfit: float = math.inf
+    strain: float = math.inf
     direction_sd_deg: float = math.inf
     log_speed_sd: float = math.inf
 

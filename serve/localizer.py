@@ -59,14 +59,14 @@ FIT_BLOCKS, OFFER_BLOCKS = 5, 10
 KEPT_FITS = 4
 _OUTPUT = ["estimate"]
 # What forbids any estimate from the signal, not only that of a straight slide.
-_OF_THE_SIGNAL = (Reason.DEAD_CHANNEL, Reason.DRIFT, Reason.TOO_EARLY)
+_OF_THE_SIGNAL = (Reason.DEAD_CHANNEL, Reason.DRIFT, Reason.TOO_EARLY, Reason.STRENGTH)
 # What forbids it whatever the skin's height and attitude.
 _WITHOUT_REST = (Reason.DEAD_CHANNEL, Reason.UNKNOWN_ZERO)
 
 
 # And whatever comes after or before it.
 _OF_ANY_LAG = (
-    *(Reason.DEAD_CHANNEL, Reason.DRIFT, Reason.UNKNOWN_ZERO),
+    *(Reason.DEAD_CHANNEL, Reason.DRIFT, Reason.STRENGTH, Reason.UNKNOWN_ZERO),
     *(Reason.ATTITUDE, Reason.SKIN_HEIGHT),
 )
 MOST_LAG_S = 2.0

@@ -21,7 +21,7 @@ from bump_slides import (
     slide_volts,
 )
 
-from softslide.features.estimate import Estimate
+from softslide.features.estimate import Estimate, Reason
 from softslide.features.stream.tracker import SlideState
 from softslide.models.cnn.fit import CnnConfig, fit_cnn
 from softslide.models.cnn.training import TrainingConfig
@@ -93,6 +93,20 @@ def test_an_estimate_survives_a_dead_accelerometer(localizer: Localizer) -> None
     assert np.isfinite(found[True][:, 0]).mean() > 0.75
     assert (np.nanmean(found[False], axis=0) < [0.5, 1.0, 0.15]).all()
     assert (np.nanmean(found[True], axis=0) < [1.5, 3.0, 0.4]).all()
+
+
+@pytest.mark.parametrize("scale", [0.6, 1.6])
+def test_slides_that_show_more_or_less_than_the_calibrations_are_not_believed(
+    localizer: Localizer, scale: float
+) -> None:
+    """Another object, depth or pressure; with one accelerometer such a slide is taken for one along another line."""
+    reasons = []
+    for seed, (direction, offset, speed) in enumerate(lines((20, 110, 250, 340), (-5.5, 3.5), (12,))):
+        volts = slide_volts(SENSOR, direction, offset, speed, 2000 + seed)
+        rest = volts[: round(0.5 * RATE_HZ)].mean(axis=0)
+        reasons.append(estimates_of(localizer, rest + scale * (volts - rest))[-1].reason)
+    assert reasons.count(Reason.NONE) <= len(reasons) // 4
+    assert Reason.STRENGTH in reasons
 
 
 def test_an_accelerometer_that_dies_in_a_slide_is_left_out(localizer: Localizer) -> None:

@@ -111,6 +111,13 @@ def test_further_slides_exceed_the_limit_as_rarely_as_promised(slides: int) -> N
     assert 0.4 * CHANCE < np.mean(beyond) < 1.2 * CHANCE
 
 
+def test_fits_that_ended_in_a_wrong_minimum_set_no_limit() -> None:
+    """Of few slides a single one would: a limit of 300 holds nothing off."""
+    misfit, slide = np.linspace(0.5, 2.0, 24), np.arange(24)
+    lost = np.concatenate([misfit, [300.0, 40.0]])
+    assert misfit_limit(lost, np.arange(26)) == misfit_limit(misfit, slide) == 2.0
+
+
 def test_few_slides_give_no_limit() -> None:
     few = np.arange(LEAST_SLIDES - 1)
     assert misfit_limit(np.ones(len(few)), few) == 0.0

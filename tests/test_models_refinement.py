@@ -33,7 +33,7 @@ def chosen(batch: WindowBatch, which) -> WindowBatch:
 
 
 def refine(response, batch, start, steps=8, sd=0.5, vertical=None, cross_axis_sd=0.01):
-    """heading (B, 2), state (B, 6), its variance (B, 6), misfit (B, 1) of one accelerometer's windows."""
+    """heading (B, 2), state (B, 6), its variance (B, 6), misfit and strain (B, 1) of one accelerometer's windows."""
     refinement = Refinement(response, BLOCK_S, RefinementConfig(steps=steps, trust=1.0, askew=cross_axis_sd))
     third = torch.zeros_like(batch.volts[:, :1]) if vertical is None else vertical
     with torch.no_grad():
@@ -128,7 +128,7 @@ def test_ripple_of_v_z_in_v_x_and_v_y_costs_little(windows):
     truth = windows.targets[:, :5]
 
     def turn_deg(batch, vertical) -> float:
-        heading, _, _, _ = refine(bump_map(), batch, truth, vertical=vertical, cross_axis_sd=0.04)
+        heading, *_ = refine(bump_map(), batch, truth, vertical=vertical, cross_axis_sd=0.04)
         return np.degrees(np.arccos(np.clip((heading * truth[:, :2]).sum(1).numpy(), -1, 1))).mean()
 
     clean = turn_deg(windows, 0 * ripple)
@@ -142,7 +142,7 @@ def test_refinement_finds_the_line_from_a_start_next_to_it(windows):
     cos, sin = np.cos(angle), np.sin(angle)
     turned = torch.stack([truth[:, 0] * cos - truth[:, 1] * sin, truth[:, 0] * sin + truth[:, 1] * cos], 1)
     start = torch.cat([turned, truth[:, 2:] + torch.tensor([0.1, 1.5, -2.0])], 1)
-    heading, state, variance, misfit = refine(bump_map(), windows, start)
+    heading, state, variance, misfit, _ = refine(bump_map(), windows, start)
     error = np.degrees(np.arccos(np.clip((heading * truth[:, :2]).sum(1).numpy(), -1, 1)))
     assert np.median(error) < 0.7
     assert np.median(np.abs((state[:, 1] - truth[:, 2]).numpy())) < 0.01
@@ -179,8 +179,8 @@ def test_refinement_sees_time_only_as_a_scale():
     start = batch.targets[:, :5] + torch.tensor([0.0, 0.0, 0.05, 0.5, 0.5])
     slower = replace(batch, elapsed_s=4 * batch.elapsed_s)
     later = start - torch.tensor([0.0, 0.0, float(np.log(4)), 0.0, 0.0])
-    heading, state, _, _ = refine(quiet, batch, start)
-    heading4, state4, _, _ = refine(quiet, slower, later)
+    heading, state, *_ = refine(quiet, batch, start)
+    heading4, state4, *_ = refine(quiet, slower, later)
     np.testing.assert_allclose(heading4.numpy(), heading.numpy(), atol=2e-3)
     np.testing.assert_allclose(state4[:, 1].numpy() + np.log(4), state[:, 1].numpy(), atol=2e-3)
 
@@ -189,8 +189,21 @@ def test_a_signal_of_something_else_leaves_a_large_misfit(windows):
     generator = torch.Generator().manual_seed(5)
     steps = 0.1 * torch.randn(50, 2, 8, generator=generator).repeat_interleave(8, 2)
     other = replace(chosen(windows, slice(50)), volts=steps)
-    _, _, _, misfit = refine(bump_map(), other, windows.targets[:50, :5])
+    _, _, _, misfit, _ = refine(bump_map(), other, windows.targets[:50, :5])
     assert np.quantile(misfit.numpy(), 0.05) > 50
+
+
+def test_strain_is_a_standard_normal_number_for_slides_that_scatter_as_the_calibration_did():
+    """And it grows with a gain beyond: the prior's own standard deviation is its unit."""
+    response = bump_map(gain_sd=0.02)
+    batch = WindowSource(response, BLOCK_S, WHOLE).draw(400, torch.Generator().manual_seed(8))
+    start = batch.targets[:, :5]
+    strain = refine(response, batch, start)[4].numpy()
+    assert 0.6 < np.sqrt(np.mean(np.minimum(strain, 5.0) ** 2)) < 1.4
+    assert np.mean(strain > 5.0) < 0.01
+    for scale in (0.5, 1.4):
+        beyond = refine(response, replace(batch, volts=scale * batch.volts), start)[4].numpy()
+        assert np.mean(beyond > 5.0) > 0.5
 
 
 @pytest.fixture(scope="module")
@@ -215,7 +228,7 @@ def turn_error_deg(response, batch, config) -> float:
         [batch.volts.reshape(-1, boards, 2, WINDOW_BINS), torch.zeros(len(truth), boards, 1, WINDOW_BINS)], 2
     )
     with torch.no_grad():
-        heading, _, _, _ = Refinement(response, BLOCK_S, config)(
+        heading, *_ = Refinement(response, BLOCK_S, config)(
             volts, batch.elapsed_s, torch.ones(len(truth), boards), truth, torch.full((len(truth), 4), -0.7)
         )
     aligned = (heading.flatten(1) * truth[:, :2]).sum(1).numpy()

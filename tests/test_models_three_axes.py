@@ -223,7 +223,7 @@ def test_an_estimate_is_believed_only_where_a_further_step_would_not_move_it() -
         config = RefinementConfig(steps=steps, lean_v=5e-3)
         refinement = Refinement(response, BLOCK_S, config, settled)
         with torch.no_grad():
-            _, state, variance, _ = refinement(
+            _, state, variance, *_ = refinement(
                 batch.volts[:, None], batch.elapsed_s, batch.weight, start, torch.zeros(len(start), 4)
             )
         return state.flatten(1)[:, :3].numpy(), variance.flatten(1)[:, :3].numpy() ** 0.5

@@ -48,7 +48,9 @@ def signed_errors(table: pd.DataFrame) -> pd.DataFrame:
     """
     direction = (table["direction_deg"] - table["true_direction_deg"]).to_numpy(dtype=float)
     ratio = (table["speed_mm_s"] / table["true_speed_mm_s"]).to_numpy(dtype=float)
-    errors = {"direction_deg": wrapped_deg(direction), "log_speed": np.log(ratio)}
+    # What has stopped has a ratio of 0.
+    with np.errstate(divide="ignore"):
+        errors = {"direction_deg": wrapped_deg(direction), "log_speed": np.log(ratio)}
     return pd.DataFrame(errors, table.index).assign(offset_mm=table["offset_mm"] - table["true_offset_mm"])
 
 

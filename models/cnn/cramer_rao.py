@@ -45,8 +45,8 @@ def cramer_rao(
         return tuple(column.flatten(1) for column in columns)
 
     # First the place alone, the rest of the line held at its label; then the information there, with no prior on it.
-    _, state, _, _ = refined(8, (1e-4, 1e-4, 1e-3, 10.0))
+    _, state, *_ = refined(8, (1e-4, 1e-4, 1e-3, 10.0))
     line = torch.cat([line[:, :4], state[:, 3:4].float()], 1)
-    _, _, variance, _ = refined(1, (1e3, 1e3, 1e3, 1e3))
+    _, _, variance, *_ = refined(1, (1e3, 1e3, 1e3, 1e3))
     sd = variance.sqrt().numpy()
     return np.stack([np.degrees(sd[:, 0]), sd[:, 1], sd[:, 2], sd[:, 5]], axis=1)

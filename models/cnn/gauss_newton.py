@@ -28,7 +28,7 @@ PLACE_MM, BIN_GAIN, LEVEL_SHARE = 0.2, 0.05, 0.5
 LOCAL = ((2, PLACE_MM), (3, PLACE_MM), (4, BIN_GAIN))
 # Variance of the depth's error over the one that noise explains: 1 and 4 on two benches' held-out lines.
 DEPTH_VARIANCE = 2.0
-DEPTH = 5  # place of the depth in the state
+GAIN, DEPTH = 4, 5  # places in the state
 # Longest last step, in standard deviations, of an estimate that has converged. Of a real skin's windows those within it
 # move by 0.007 at most in the next step, and by 1.4e-6 of their size when the proposal is rounded otherwise; some of
 # the others move by several deviations (experiments/LOG.md).
@@ -145,10 +145,11 @@ class Refinement(nn.Module):
 
     def forward(
         self, volts: Tensor, elapsed_s: Tensor, weight: Tensor, proposal: Tensor, log_sd: Tensor
-    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
         """volts (B, A, 3, 64) V, elapsed_s (B,) s, weight (B, A), proposal (B, 5) and log_sd (B, 4) as `Proposal` gives
         them -> columns (B, 1, 1, ., 1): heading (cos, sin), state (the turn from the proposal, log speed, offset mm,
-        along mm, log gain, depth mm off the map's), its variance, misfit."""
+        along mm, log gain, depth mm off the map's), its variance, misfit of a slide of any gain, strain: the gain over
+        the standard deviation that slides of the calibration's kind give it."""
         volts, elapsed_s, weight, proposal, log_sd = (
             given.double() for given in (volts, elapsed_s, weight, proposal, log_sd)
         )
@@ -185,8 +186,14 @@ class Refinement(nn.Module):
             covariance = inverted(normal[..., :STATE])
             move = covariance @ normal[..., STATE:]
             state = state + torch.maximum(torch.minimum(move, self.longest_step), -self.longest_step)
-        misfit = gram[..., STATE:, STATE:] / (self.axes * BINS * weight.sum(1, keepdim=True)).clamp(min=1.0)
         variance = (covariance * self.each[:, :STATE]).sum(4, keepdim=True)
+        # Of slides of the calibration's kind the estimated gain's variance is what the data took from the prior's.
+        gain, left, prior = (of[..., GAIN : GAIN + 1, :] for of in (state, variance, 1.0 / precision))
+        strain = gain.abs() / (prior - left).clamp(min=1e-12).sqrt()
+        # By so much chi-square falls, to second order, where the gain may be any.
+        relief = strain * strain * left / prior
+        count = (self.axes * BINS * weight.sum(1, keepdim=True)).clamp(min=1.0)
+        misfit = (gram[..., STATE:, STATE:] - relief).clamp(min=0.0) / count
         if self.settled:
             # How far the last step went in standard deviations, squared (Newton's decrement).
             length = (move * normal[..., STATE:]).sum(3, keepdim=True)
@@ -194,7 +201,7 @@ class Refinement(nn.Module):
         if self.same_depth:
             state, variance = self._same_depth(state, covariance, variance)
         heading = start @ (state[..., :1, :] + self.phases).sin()
-        return heading, state, variance, misfit
+        return heading, state, variance, misfit, strain
 
     def _mixing(self, weight: Tensor) -> Tensor:
         """(B, C, C): what channels are mixed by; with a dead accelerometer by nothing."""

@@ -29,6 +29,7 @@ OUTPUTS = (
     "log_speed_sd",
     "offset_sd_mm",
     "misfit",
+    "strain",
 )
 DEPTH_OUTPUTS = ("depth_mm", "depth_sd_mm")  # further columns where it is known how depth shows
 SILU_GAIN = 1.68  # keeps a normal input's mean square through silu, E silu(x)^2 = 0.355
@@ -129,9 +130,9 @@ class SlideNetwork(nn.Module):
         volts = volts.reshape(-1, boards, 3, WINDOW_BINS) * weight[:, :, None, None]
         touch = volts[:, :, :axes].reshape(-1, axes * boards, WINDOW_BINS)
         proposal, log_sd = self.proposal(touch, elapsed_s, weight)
-        heading, state, variance, misfit = self.refinement(volts, elapsed_s, weight, proposal, log_sd)
+        heading, state, variance, *judged = self.refinement(volts, elapsed_s, weight, proposal, log_sd)
         sd = variance[..., :3, :].clamp(min=0).sqrt() * self.sd_unit
-        columns = [heading, state[..., 1:4, :], sd, misfit]
+        columns = [heading, state[..., 1:4, :], sd, *judged]
         if self.refinement.knows_depth:
             depth_sd = variance[..., DEPTH:, :].clamp(min=0).sqrt()
             columns += [state[..., DEPTH:, :] + self.refinement.depth_mm, depth_sd]

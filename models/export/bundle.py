@@ -73,7 +73,7 @@ def write_bundle(
             f"the trained {fitted.name} answers none of the windows it was given; nothing was written"
         )
     differences = relative_differences(exported[stands], original[stands])
-    limit = np.array([MISFIT_PARITY if name == "misfit" else PARITY for name in fitted.outputs])
+    limit = np.array([MISFIT_PARITY if name in ("misfit", "strain") else PARITY for name in fitted.outputs])
     difference = float(differences.max())
     if not (differences <= limit).all():
         raise ParityError(
@@ -126,7 +126,10 @@ def with_graph(card: Card, graph: bytes) -> Card:
 
 def believed(rows: np.ndarray, fitted: FittedModel | Card) -> np.ndarray:
     """Which rows (n, K) are valid by the model's own deviations and misfit -> (n,) bool."""
-    limits = {name: getattr(fitted.validity, name) for name in ("misfit", "direction_sd_deg", "log_speed_sd")}
+    limits = {
+        name: getattr(fitted.validity, name)
+        for name in ("misfit", "strain", "direction_sd_deg", "log_speed_sd")
+    }
     columns = [
         rows[:, fitted.outputs.index(name)] <= limit
         for name, limit in limits.items()
