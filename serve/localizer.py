@@ -12,7 +12,6 @@ import onnxruntime as ort
 
 from softslide.features.angles import touch_channels
 from softslide.features.card import Card
-from softslide.features.contact.touch_down import TouchDownTracker
 from softslide.features.contact.tracker import Track
 from softslide.features.departure import held_at_rim
 from softslide.features.errors import InputError
@@ -21,30 +20,16 @@ from softslide.features.force import ForceReader
 from softslide.features.height import HEIGHT_INPUT, given_height
 from softslide.features.rest_height import rest_height
 from softslide.features.stream.attitude import Attitude
-from softslide.features.stream.conditioning import ONSETS, Blocks, LagUndone
+from softslide.features.stream.conditioning import Blocks
 from softslide.features.stream.drift import UNKNOWN, DriftWatch, measures_gravity
 from softslide.features.stream.faults import BRIDGED_BLOCKS, Judged, SignalWatch
 from softslide.features.stream.gravity import GravityWatch
 from softslide.features.stream.tracker import SlideState, SlideTracker
-from softslide.features.track_estimate import (
-    TOUCH_LIMITS,
-    TrackLimits,
-    apart,
-    crosses,
-    earlier,
-    explains,
-    judged,
-    same_line,
-    stopped_on,
-    stops_on,
-    straight_fit,
-    with_track,
-)
 from softslide.features.vector.energy import energy_width_s
 from softslide.features.vector.feature_vector import feature_vector
 from softslide.features.window import WINDOW_BINS, Window
 from softslide.serve.bundle import open_bundle
-from softslide.serve.contact_tracker import AnyTracker, contact_tracker
+from softslide.serve.contact_estimate import FIT_BLOCKS, ContactEstimator
 from softslide.serve.sample_slots import SampleClock
 
 # Largest share of a slide's blocks whose means may be old ones (features/stream/faults.py); above it none is valid.
@@ -53,13 +38,7 @@ BRIDGED_SHARE = 0.05
 DRIFT_BLOCKS = 50
 # The tracker's map is of the skin's height rounded to this, 0.3 % of the response, and mixed anew for another one.
 MAP_STEP_MM = 0.03
-# Blocks, 0.1 s, between two straight fits that are kept, and 0.2 s between two that the tracker is offered.
-FIT_BLOCKS, OFFER_BLOCKS = 5, 10
-# Fits, 0.3 s, that a stop takes to show in the track, at most (synthetic slides, experiments/LOG.md).
-KEPT_FITS = 4
 _OUTPUT = ["estimate"]
-# What forbids any estimate from the signal, not only that of a straight slide.
-_OF_THE_SIGNAL = (Reason.DEAD_CHANNEL, Reason.DRIFT, Reason.TOO_EARLY, Reason.STRENGTH)
 # What forbids it whatever the skin's height and attitude.
 _WITHOUT_REST = (Reason.DEAD_CHANNEL, Reason.UNKNOWN_ZERO)
 
@@ -70,13 +49,6 @@ _OF_ANY_LAG = (
     *(Reason.ATTITUDE, Reason.SKIN_HEIGHT),
 )
 MOST_LAG_S = 2.0
-
-
-class _Fit(NamedTuple):
-    """A straight slide, and after how many blocks it was fitted."""
-
-    blocks: int
-    estimate: Estimate
 
 
 class _Moment(NamedTuple):
@@ -125,15 +97,7 @@ class Localizer:
         self._tracker = SlideTracker(card.conditioning, channels)
         self._drift = DriftWatch(accelerometers, card.conditioning.touch_axes, card.conditioning.scale)
         self._gravity = GravityWatch(accelerometers, card.conditioning)
-        self._lag = LagUndone(card.conditioning, len(self._tracker.touch))
-        self._contact = self._contact_tracker(math.nan)
-        self._contact_step = 0  # of the height that it is for, MAP_STEP_MM off the card's
-        # The last straight slide that was fitted, and the last ones that the track agreed with: the newest of a contact
-        # that stops is of some of the stop.
-        self._fit: _Fit | None = None
-        self._lines: deque[_Fit] = deque(maxlen=KEPT_FITS)
-        self._touches_down = card.conditioning.onset == ONSETS[1]
-        self._limits = TOUCH_LIMITS if self._touches_down else TrackLimits()
+        self._contact = ContactEstimator(card, self._tracker, self._lag_blocks)
         self._rest_height = rest_height(card.contact, card.heights, accelerometers, card.conditioning.scale)
         static_v = () if card.contact is None else card.contact.static_v
         self._attitude = (
@@ -198,7 +162,7 @@ class Localizer:
         self._watch.reset()
         self._tracker.reset()
         self._drift.reset()
-        self._forget_contact()
+        self._contact.reset()
         self._height_mm = math.nan
         self._take_height(self._given_mm)
         # What the output at rest forbids.
@@ -258,10 +222,11 @@ class Localizer:
         if tracker.state is SlideState.ENDED:
             assert self._held is not None
             return _Moment(self._held[1]._replace(time_s=time_s), None)
-        if self._fit is not None and self._fit.blocks == self._count:
-            straight: Estimate | None = self._fit.estimate._replace(time_s=time_s)
-        else:
-            straight = None if window is None else self._straight(window, time_s)
+        straight = self._contact.newest_fit
+        if straight is not None:
+            straight = straight._replace(time_s=time_s)
+        elif window is not None:
+            straight = self._straight(window, time_s)
         return _Moment(self._chosen(straight, time_s), straight)
 
     def _in_hindsight(self, then: _Moment, now: _Moment) -> Estimate:
@@ -269,19 +234,13 @@ class Localizer:
 
         That is the straight slide of now or then, where the track of the moment agrees with it, else the track.
         """
-        block_s, limits = self.card.conditioning.block_s, self._limits
         blocks = len(self._moments)
-        past = None if self._contact is None or not blocks else self._contact.past(blocks)
+        past = self._contact.past(blocks)
         if past is None or then.live.reason in _OF_ANY_LAG:
             return then.live
         if now.live.reason in _OF_ANY_LAG:
             return then.live._replace(valid=False, reason=now.live.reason)
-        tracked = self._judged(past, then.live.time_s)
-        lines = [] if self._touches_down else [(now.straight, blocks * block_s), (then.straight, 0.0)]
-        for line, since_s in lines:
-            if line is not None and line.valid and apart(line, past, since_s, limits) <= limits.agreement:
-                tracked = with_track(earlier(line, since_s), tracked, limits.shared)
-                break
+        tracked = self._contact.in_hindsight(past, then.live.time_s, now.straight, then.straight, blocks)
         return self._complete(tracked, past)._replace(
             time_s=then.live.time_s,
             state=then.live.state,
@@ -343,76 +302,22 @@ class Localizer:
             valid=reason is Reason.NONE, reason=reason, accelerometers=tracker.usable.tolist().count(True)
         )
 
-    def _fit_line(self) -> None:
-        """Fits a straight slide, and takes it into the tracker where that has lost the contact."""
-        window = self._tracker.window()
-        if self._track is None or self._touches_down or window is None:
-            return
-        straight = self._straight(window, 0.0)
-        self._fit = _Fit(self._count, straight)
-        if not straight.valid:
-            return
-        if apart(straight, *self._clear_track(), self._limits) <= self._limits.agreement:
-            self._lines.append(self._fit)
-        elif (
-            self._count % OFFER_BLOCKS == 0
-            and explains(straight, self._limits)
-            and not self._judged(self._track, 0.0).valid
-        ):
-            assert self._contact is not None
-            assert not isinstance(self._contact, TouchDownTracker)
-            assert self.card.contact is not None
-            self._contact.offer(straight_fit(straight, window.elapsed_s, self.card.contact.depth_mm))
-
-    def _judged(self, track: Track, time_s: float) -> Estimate:
-        card, state = self.card, self._tracker.state
-        assert card.contact is not None
-        return judged(track, time_s, state, card.reference_mm, card.contact.depth_mm, self._limits)
-
-    def _clear_track(self) -> tuple[Track, float]:
-        """The track when the output was last above the trigger, and how long ago that was, s."""
-        assert self._track is not None
-        clear, at = self._clear or (self._track, self._count)
-        # The window ends as a contact is lifted that comes down anywhere, and so does its track.
-        return clear, 0.0 if self._touches_down else self._seconds_since(at)
-
-    def _seconds_since(self, blocks: int) -> float:
-        return (self._count - blocks) * self.card.conditioning.block_s
-
-    def _on_the_line(self, straight: Estimate, tracked: Estimate) -> Estimate:
-        """The track, or the line that it agreed with where the contact stops on it.
-
-        Where the slide has ended with a stop, a fit of all before the stop says the most, if it is of the same line.
-        """
-        line, limits = self._lines[0], self._limits
-        since_s, rested_s = self._seconds_since(self._lines[-1].blocks), self._tracker.rested_s
-        ended = rested_s > 0.0 and since_s <= rested_s + limits.stopping_s
-        if ended and straight.valid and same_line(straight, line.estimate):
-            # What was fitted ends where the contact rests.
-            at_end = tracked._replace(x_mm=straight.x_mm, y_mm=straight.y_mm)
-            return stopped_on(straight, at_end, limits, ended)
-        longest_mm = self._seconds_since(line.blocks) * line.estimate.speed_mm_s
-        if ended or stops_on(line.estimate, tracked, since_s, longest_mm, limits):
-            return stopped_on(line.estimate, tracked, limits, ended or since_s > limits.pause_s)
-        return tracked
-
     def _chosen(self, straight: Estimate | None, time_s: float) -> Estimate:
         """The straight slide or the track; what is common to both is added."""
-        tracker, track = self._tracker, self._track
-        touch = self._touches_down
-        # Where contacts are lifted anywhere, the whole slide says more than the track of it.
-        if track is None or (touch and straight is not None and tracker.state is not SlideState.SLIDE):
+        tracker = self._tracker
+        found = self._contact.estimate(straight, time_s, bool(self._healthy.any()))
+        if found is None:
             estimate = straight or Estimate(time_s, tracker.state, reason=self._no_contact())
         else:
-            estimate = self._of_both(straight, track, time_s)._replace(
+            estimate = found._replace(
                 misfit=math.nan if straight is None else straight.misfit,
                 accelerometers=tracker.usable.tolist().count(True) if straight is not None else 0,
             )
-        return self._complete(estimate, track)
+        return self._complete(estimate, self._contact.track)
 
     def _complete(self, estimate: Estimate, track: Track | None) -> Estimate:
         """The estimate with what is common to straight slides and tracks."""
-        if not self._touches_down:
+        if not self._contact.touches_down:
             chamber, ball = self.card.sensor["chamber_mm"], self.card.sensor.get("indenter_diameter_mm", 0.0)
             estimate = held_at_rim(estimate, chamber, ball)
         if self._forces is not None:
@@ -424,78 +329,10 @@ class Localizer:
             estimate = estimate._replace(valid=False, reason=self._at_rest)
         return estimate._replace(**self._last_drift._asdict(), skin_height_mm=self._height_mm)
 
-    def _of_both(self, straight: Estimate | None, track: Track, time_s: float) -> Estimate:
-        """The straight slide where the track agrees with it, the line where the contact stops on it, else the track.
-
-        Where both explain the output and go different ways it is ambiguous.
-        """
-        state, limits = self._tracker.state, self._limits
-        tracked = self._judged(track, time_s)
-        # A press needs no way, and no slide.
-        pressed = tracked.valid and tracked.contact is Contact.PRESS
-        if straight is None:
-            if state is SlideState.SLIDE or pressed:
-                return tracked
-            reason = Reason.TOO_EARLY if self._healthy.any() else Reason.DEAD_CHANNEL
-            return tracked._replace(valid=False, reason=reason)
-        if straight.valid and apart(straight, *self._clear_track(), limits) <= limits.agreement:
-            if self._tracker.rested_s == 0.0:
-                return with_track(straight, tracked, limits.shared)
-            if not self._lines:
-                self._lines.append(_Fit(self._count, straight))
-        if straight.reason in _OF_THE_SIGNAL:
-            if pressed and straight.reason is Reason.TOO_EARLY:
-                return tracked
-            return tracked._replace(valid=False, reason=straight.reason)
-        if self._touches_down:
-            return tracked
-        if self._lines:
-            if not tracked.valid and straight.valid and same_line(straight, self._lines[0].estimate):
-                # A track that has lost the contact says nothing against a line that it agreed with.
-                return with_track(straight, tracked, limits.shared)
-            tracked = self._on_the_line(straight, tracked)
-        if (
-            tracked.contact is Contact.SLIDE
-            and explains(straight, limits)
-            and crosses(straight, tracked, limits)
-        ):
-            return tracked._replace(valid=False, reason=Reason.AMBIGUOUS)
-        return tracked
-
     def _no_contact(self) -> Reason:
         if not self._healthy.any():
             return Reason.DEAD_CHANNEL
         return Reason.NO_CONTACT if self._tracker.known.any() else Reason.UNKNOWN_ZERO
-
-    def _forget_contact(self) -> None:
-        self._lag.reset()
-        self._track: Track | None = None
-        # The track when the output was last above the trigger, and after how many blocks that was: below it, at the
-        # skin's rim, a track wanders, and does not show whether a slide was straight.
-        self._clear: tuple[Track, int] | None = None
-        self._fit = None
-        self._lines.clear()
-        if self._contact is not None:
-            self._contact.reset()
-
-    def _follow_contact(self) -> None:
-        """Passes the last block to the contact's tracker."""
-        tracker = self._tracker
-        if self._contact is None:
-            return
-        if not tracker.known.any():
-            self._forget_contact()
-            return
-        volts = self._lag.push(tracker.subtracted[tracker.touch])
-        usable = np.repeat(tracker.usable & self._healthy, len(self.card.conditioning.touch_axes))
-        self._track = self._contact.push(volts, tracker.state is SlideState.SLIDE, usable)
-        if self._track is None:
-            self._clear = None
-        elif (
-            np.abs(tracker.subtracted_level[tracker.touch][usable]).max(initial=0.0)
-            > self.card.conditioning.trigger_v
-        ):
-            self._clear = self._track, self._count
 
     def _read_rest(self) -> None:
         """Attitude and height of the skin, from what is at rest: they stay what they were while nothing is."""
@@ -524,16 +361,8 @@ class Localizer:
         used_mm = heights.height_mm if math.isnan(height_mm) else height_mm
         if HEIGHT_INPUT in self._inputs:
             self._inputs[HEIGHT_INPUT][0] = used_mm - heights.height_mm
-        # The map is mixed anew for the tracker, which takes a millisecond: not in mid-contact, and not for nothing.
-        # Which height it is of must not depend on what was read before the stream began anew.
-        step = round((used_mm - heights.height_mm) / MAP_STEP_MM)
-        if self._track is None and step != self._contact_step:
-            contact_mm = heights.height_mm + step * MAP_STEP_MM
-            self._contact = self._contact_tracker(contact_mm)
-            self._contact_step = step
-
-    def _contact_tracker(self, height_mm: float) -> AnyTracker | None:
-        return contact_tracker(self.card, self._lag.noise_gain, height_mm, lag_blocks=self._lag_blocks)
+        # Which height the track is of must not depend on what was read before the stream began anew.
+        self._contact.read_at(round((used_mm - heights.height_mm) / MAP_STEP_MM), MAP_STEP_MM)
 
     def _whole_blocks(
         self, volts: np.ndarray, time_s: np.ndarray | None
@@ -550,13 +379,12 @@ class Localizer:
         tracker.push(self.card.conditioning.scale * block.mean, block.healthy)
         self._count += 1
         self._healthy, self._bridging = block.healthy, block.bridged
-        self._follow_contact()
+        self._contact.follow(block.healthy, self._count)
         if not self._drift.complete:
             self._drift.note(tracker.static, tracker.known)
         if tracker.state is SlideState.SLIDE:
             if not sliding:
-                self._fit = None
-                self._lines.clear()
+                self._contact.begin()
                 self._bridged = self._slide_blocks = 0
                 self._gravity.begin()
             self._gravity.push(tracker.static, tracker.subtracted, tracker.usable & self._healthy)
@@ -568,8 +396,9 @@ class Localizer:
             bridged = bool((block.bridged & tracker.usable).any())
             self._bridged += bridged
             self._whole = not bridged and self._bridged <= BRIDGED_SHARE * self._slide_blocks
-            if self._count % FIT_BLOCKS == 0:
-                self._fit_line()
+            fits = self._count % FIT_BLOCKS == 0 and self._contact.wants_fit
+            if fits and (window := tracker.window()) is not None:
+                self._contact.take_fit(self._straight(window, 0.0), window.elapsed_s)
         elif tracker.final is None:
             self._held = None
         elif self._held is None or self._held[0] is not tracker.final:

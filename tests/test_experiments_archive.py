@@ -1,6 +1,8 @@
 """Evaluation of many recordings: it goes on where it was stopped, and a Dask cluster gives the same bytes."""
 
+import math
 import os
+import shutil
 import subprocess
 import sys
 import time
@@ -15,7 +17,7 @@ from trial_folder import SENSOR, a_folder
 
 import softslide
 from softslide.experiments.evaluation.archive import CHUNK, Archive
-from softslide.experiments.evaluation.readout import predictions
+from softslide.experiments.evaluation.readout import open_localizer, predictions
 from softslide.pipeline.recordings.folder import read_folder
 
 HERE = Path(__file__).parents[1]
@@ -30,6 +32,14 @@ def bundle(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def evaluate(bundle: Path, lab: Path, out: Path, *options: object) -> int:
     words = ["evaluate", "--model", bundle, "--recordings", lab, "--out", out, "--jobs", 1, "--no-report"]
     return softslide.main([str(word) for word in (*words, *options)])
+
+
+def test_a_bundle_that_was_trained_anew_at_its_place_is_the_one_that_is_read(tmp_path: Path) -> None:
+    for direction_deg in (30.0, 70.0):
+        shutil.rmtree(tmp_path / "bundle", ignore_errors=True)
+        made = write_small_bundle(tmp_path / "bundle", SENSOR, direction_deg=direction_deg)
+        cosine = open_localizer(made).card.golden["estimate"][0]
+        assert cosine == pytest.approx(math.cos(math.radians(direction_deg)))
 
 
 def test_it_goes_on_where_it_was_stopped(

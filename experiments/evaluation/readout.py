@@ -116,10 +116,16 @@ def check_fits(localizer: Localizer, folder: Folder) -> None:
     card.at_rate(sensor.sample_rate_hz, f"{place}: sample_rate_hz")
 
 
-@lru_cache(maxsize=2)
 def open_localizer(bundle: Path, rate_hz: float | None = None) -> Localizer:
     """One session a process, since opening it takes longer than a short recording. rate_hz: of the samples, None: as in
     the bundle's calibration, which one within 0.1 % is taken for."""
+    card = bundle / "model.json"
+    return _opened(bundle, rate_hz, card.stat().st_mtime_ns if card.is_file() else 0)
+
+
+@lru_cache(maxsize=2)
+def _opened(bundle: Path, rate_hz: float | None, written_ns: int) -> Localizer:
+    """written_ns: when the card was; a bundle may be trained anew at the same place."""
     localizer = Localizer.load(bundle)
     close = rate_hz is None or math.isclose(localizer.card.sample_rate_hz, rate_hz, rel_tol=1e-3)
     return localizer if close or rate_hz is None else localizer.at_rate(rate_hz)

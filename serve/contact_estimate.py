@@ -1,0 +1,232 @@
+"""What is said of a contact: the straight slide that the graph fits, the track, or neither, and why.
+
+1. The straight slide, where the track agrees with it (`apart`).
+2. What the signal forbids, whatever fits: a dead channel, drift, too early, another strength.
+3. The line that straight slide and track agreed on, where the contact stops on it, or where the track is lost.
+4. Ambiguous, where a straight slide explains the output and goes another way than the track.
+5. The track, valid by its own limits (`features/track_estimate.py`).
+"""
+
+import math
+from collections import deque
+from typing import NamedTuple
+
+import numpy as np
+
+from softslide.features.card import Card
+from softslide.features.contact.touch_down import TouchDownTracker
+from softslide.features.contact.tracker import Track
+from softslide.features.estimate import Contact, Estimate, Reason
+from softslide.features.stream.conditioning import ONSETS, LagUndone
+from softslide.features.stream.tracker import SlideState, SlideTracker
+from softslide.features.track_estimate import (
+    TOUCH_LIMITS,
+    TrackLimits,
+    apart,
+    crosses,
+    earlier,
+    explains,
+    judged,
+    same_line,
+    stopped_on,
+    stops_on,
+    straight_fit,
+    with_track,
+)
+from softslide.serve.contact_tracker import AnyTracker, contact_tracker
+
+# Blocks, 0.1 s, between two straight fits that are kept, and 0.2 s between two that the tracker is offered.
+FIT_BLOCKS, OFFER_BLOCKS = 5, 10
+# Fits, 0.3 s, that a stop takes to show in the track, at most (synthetic slides, experiments/LOG.md).
+KEPT_FITS = 4
+# What forbids any estimate from the signal, not only that of a straight slide.
+_OF_THE_SIGNAL = (Reason.DEAD_CHANNEL, Reason.DRIFT, Reason.TOO_EARLY, Reason.STRENGTH)
+
+
+class _Fit(NamedTuple):
+    """A straight slide, and after how many blocks it was fitted."""
+
+    blocks: int
+    estimate: Estimate
+
+
+class ContactEstimator:
+    """Follows one stream's contacts; of a bundle that knows straight slides alone it follows none.
+
+    stream: what it reads of the stream: its state, static output and last block. lag_blocks: how far back `past` reads.
+    """
+
+    def __init__(self, card: Card, stream: SlideTracker, lag_blocks: int) -> None:
+        self._card, self._stream, self._lag_blocks = card, stream, lag_blocks
+        self._lag = LagUndone(card.conditioning, len(stream.touch))
+        self._tracker = self._made(math.nan)
+        self._step = 0  # of the skin's height that it is for
+        self.touches_down = card.conditioning.onset == ONSETS[1]
+        self._limits = TOUCH_LIMITS if self.touches_down else TrackLimits()
+        self._count = 0
+        # The last straight slide that was fitted, and the last ones that the track agreed with: the newest of a contact
+        # that stops is of some of the stop.
+        self._fit: _Fit | None = None
+        self._lines: deque[_Fit] = deque(maxlen=KEPT_FITS)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forgets the contact."""
+        self._lag.reset()
+        self.track: Track | None = None
+        # The track when the output was last above the trigger, and after how many blocks that was: below it, at the
+        # skin's rim, a track wanders, and does not show whether a slide was straight.
+        self._clear: tuple[Track, int] | None = None
+        self.begin()
+        if self._tracker is not None:
+            self._tracker.reset()
+
+    def begin(self) -> None:
+        """A slide begins: fits of the one before are not of it."""
+        self._fit = None
+        self._lines.clear()
+
+    def read_at(self, step: int, step_mm: float) -> None:
+        """Reads the map at a skin's height so many steps off the card's.
+
+        It is mixed anew for that, which takes a millisecond: not in mid-contact, and not for nothing.
+        """
+        if self.track is None and step != self._step:
+            assert self._card.heights is not None
+            self._tracker, self._step = self._made(self._card.heights.height_mm + step * step_mm), step
+
+    def follow(self, healthy: np.ndarray, count: int) -> None:
+        """Takes the stream's last block. healthy: (A,) accelerometers in it; count: of blocks so far."""
+        self._count = count
+        stream, conditioning = self._stream, self._card.conditioning
+        if self._tracker is None:
+            return
+        if not stream.known.any():
+            self.reset()
+            return
+        volts = self._lag.push(stream.subtracted[stream.touch])
+        usable = np.repeat(stream.usable & healthy, len(conditioning.touch_axes))
+        self.track = self._tracker.push(volts, stream.state is SlideState.SLIDE, usable)
+        if self.track is None:
+            self._clear = None
+        elif np.abs(stream.subtracted_level[stream.touch][usable]).max(initial=0.0) > conditioning.trigger_v:
+            self._clear = self.track, count
+
+    @property
+    def wants_fit(self) -> bool:
+        """Whether `take_fit` would make use of a straight slide."""
+        return self.track is not None and not self.touches_down
+
+    @property
+    def newest_fit(self) -> Estimate | None:
+        """The straight slide that was taken after the last block."""
+        return self._fit.estimate if self._fit is not None and self._fit.blocks == self._count else None
+
+    def take_fit(self, straight: Estimate, elapsed_s: float) -> None:
+        """Keeps a straight slide, fitted to so many s, and offers it to the tracker where that has lost the contact."""
+        assert self.track is not None
+        self._fit = _Fit(self._count, straight)
+        if not straight.valid:
+            return
+        if apart(straight, *self._clear_track(), self._limits) <= self._limits.agreement:
+            self._lines.append(self._fit)
+        elif (
+            self._count % OFFER_BLOCKS == 0
+            and explains(straight, self._limits)
+            and not self._judged(self.track, 0.0).valid
+        ):
+            assert self._tracker is not None
+            assert not isinstance(self._tracker, TouchDownTracker)
+            assert self._card.contact is not None
+            self._tracker.offer(straight_fit(straight, elapsed_s, self._card.contact.depth_mm))
+
+    def estimate(self, straight: Estimate | None, time_s: float, healthy: bool) -> Estimate | None:
+        """What is said of the contact now; None: what is said of the straight slide, if there is one.
+
+        healthy: whether any accelerometer is.
+        """
+        state, limits = self._stream.state, self._limits
+        # Where contacts are lifted anywhere, the whole slide says more than the track of it.
+        of_all = self.touches_down and straight is not None and state is not SlideState.SLIDE
+        if self.track is None or of_all:
+            return None
+        tracked = self._judged(self.track, time_s)
+        # A press needs no way, and no slide.
+        pressed = tracked.valid and tracked.contact is Contact.PRESS
+        if straight is None:
+            if state is SlideState.SLIDE or pressed:
+                return tracked
+            return tracked._replace(valid=False, reason=Reason.TOO_EARLY if healthy else Reason.DEAD_CHANNEL)
+        if straight.valid and apart(straight, *self._clear_track(), limits) <= limits.agreement:
+            if self._stream.rested_s == 0.0:
+                return with_track(straight, tracked, limits.shared)
+            if not self._lines:
+                self._lines.append(_Fit(self._count, straight))
+        if straight.reason in _OF_THE_SIGNAL:
+            if pressed and straight.reason is Reason.TOO_EARLY:
+                return tracked
+            return tracked._replace(valid=False, reason=straight.reason)
+        if self.touches_down:
+            return tracked
+        if self._lines:
+            if not tracked.valid and straight.valid and same_line(straight, self._lines[0].estimate):
+                # A track that has lost the contact says nothing against a line that it agreed with.
+                return with_track(straight, tracked, limits.shared)
+            tracked = self._on_the_line(straight, tracked)
+        if (
+            tracked.contact is Contact.SLIDE
+            and explains(straight, limits)
+            and crosses(straight, tracked, limits)
+        ):
+            return tracked._replace(valid=False, reason=Reason.AMBIGUOUS)
+        return tracked
+
+    def past(self, blocks: int) -> Track | None:
+        """The track so many blocks ago, with what the tracker knows now; None where it follows another contact."""
+        return None if self._tracker is None or not blocks else self._tracker.past(blocks)
+
+    def in_hindsight(
+        self, past: Track, time_s: float, now: Estimate | None, then: Estimate | None, blocks: int
+    ) -> Estimate:
+        """The straight slide of now, or of so many blocks ago, where the track of then agrees with it; else that."""
+        limits, tracked = self._limits, self._judged(past, time_s)
+        since = () if self.touches_down else ((now, blocks * self._card.conditioning.block_s), (then, 0.0))
+        for line, since_s in since:
+            if line is not None and line.valid and apart(line, past, since_s, limits) <= limits.agreement:
+                return with_track(earlier(line, since_s), tracked, limits.shared)
+        return tracked
+
+    def _on_the_line(self, straight: Estimate, tracked: Estimate) -> Estimate:
+        """The track, or the line that it agreed with where the contact stops on it.
+
+        Where the slide has ended with a stop, a fit of all before the stop says the most, if it is of the same line.
+        """
+        line, limits = self._lines[0], self._limits
+        since_s, rested_s = self._seconds_since(self._lines[-1].blocks), self._stream.rested_s
+        ended = rested_s > 0.0 and since_s <= rested_s + limits.stopping_s
+        if ended and straight.valid and same_line(straight, line.estimate):
+            # What was fitted ends where the contact rests.
+            at_end = tracked._replace(x_mm=straight.x_mm, y_mm=straight.y_mm)
+            return stopped_on(straight, at_end, limits, ended)
+        longest_mm = self._seconds_since(line.blocks) * line.estimate.speed_mm_s
+        if ended or stops_on(line.estimate, tracked, since_s, longest_mm, limits):
+            return stopped_on(line.estimate, tracked, limits, ended or since_s > limits.pause_s)
+        return tracked
+
+    def _judged(self, track: Track, time_s: float) -> Estimate:
+        card, state = self._card, self._stream.state
+        assert card.contact is not None
+        return judged(track, time_s, state, card.reference_mm, card.contact.depth_mm, self._limits)
+
+    def _clear_track(self) -> tuple[Track, float]:
+        """The track when the output was last above the trigger, and how long ago that was, s."""
+        assert self.track is not None
+        clear, at = self._clear or (self.track, self._count)
+        # The window ends as a contact is lifted that comes down anywhere, and so does its track.
+        return clear, 0.0 if self.touches_down else self._seconds_since(at)
+
+    def _seconds_since(self, blocks: int) -> float:
+        return (self._count - blocks) * self._card.conditioning.block_s
+
+    def _made(self, height_mm: float) -> AnyTracker | None:
+        return contact_tracker(self._card, self._lag.noise_gain, height_mm, lag_blocks=self._lag_blocks)
