@@ -340,10 +340,13 @@ class Localizer:
         usable = tracker.known & self._healthy
         if not usable.any():
             return
-        if self._attitude is not None and self._attitude.is_other(tracker.static, usable):
-            self._at_rest = Reason.ATTITUDE
-            return
-        if self._at_rest is Reason.ATTITUDE:
+        if self._attitude is not None:
+            rested = tracker.static_output.rested_blocks
+            forbidden = self._attitude.forbids(tracker.static, usable, rested)
+            if forbidden is not Reason.NONE:
+                self._at_rest = forbidden
+                return
+        if self._at_rest in (Reason.ATTITUDE, Reason.UNKNOWN_ZERO):
             self._at_rest = Reason.NONE
         if not math.isnan(self._given_mm) or not tracker.known.all():
             return

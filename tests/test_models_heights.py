@@ -266,7 +266,8 @@ def test_a_tracker_does_not_depend_on_an_earlier_stream(bundle: Path) -> None:
     for localizer in (fresh, used):
         localizer._take_height(7.035)
     x, y = np.array([3.0]), np.array([4.0])
-    one, other = (each._contact._surface.at(x, y) for each in (fresh, used) if each._contact is not None)
+    trackers = (each._contact._tracker for each in (fresh, used))
+    one, other = (tracker._surface.at(x, y) for tracker in trackers if tracker is not None)
     np.testing.assert_array_equal(one, other)
 
 

@@ -10,12 +10,16 @@ from typing import Any
 
 import numpy as np
 
+from softslide.features.estimate import Reason
 from softslide.features.stream.drift import nominal_outputs
 
 # Chosen on a synthetic sensor, its slides turned by calculation (experiments/LOG.md): at 8 degrees 50 to 83 % of the
 # intervals hold, at 12 degrees 36 to 64 %. A skin over several heights turns its board as well.
 MOST_TURN_DEG = 7.0
 MOST_TURN_OF_HEIGHTS_DEG = 15.0
+# From this share of the limit on, 4 degrees, an output is believed to be the static one once it has rested for so many
+# blocks, 6 s: a stream that begins on a slow contact shows one that is 2 to 6 degrees off (experiments/LOG.md).
+UNPROVEN_SHARE, PROVEN_BLOCKS = 4.0 / 7.0, 300
 # To the z axis, where the static output of the calibration is not known: skins turn a board by up to 20 degrees.
 MOST_FROM_Z_DEG = 40.0
 # Outputs that show less of gravity, as of a sensor that is read without its direct part, show no attitude.
@@ -40,14 +44,23 @@ class Attitude:
             self._gravity(static_v, n) if static_v else (0.0, 0.0, 1.0) for n in range(len(self._nominal))
         ]
 
-    def is_other(self, static_v: np.ndarray, usable: np.ndarray) -> bool:
-        """Whether any of the accelerometers in use (A,) is turned too far. static_v: (C,) V, scaled, at rest."""
+    def forbids(self, static_v: np.ndarray, usable: np.ndarray, rested_blocks: np.ndarray) -> Reason:
+        """What the accelerometers in use (A,) forbid: one is turned too far, or far and may be touched.
+
+        static_v: (C,) V, scaled, at rest, for so many blocks (A,).
+        """
         static = static_v.tolist()
-        return any(
-            _angle_deg(self._gravity(static, n), self._calibrated[n]) > self._most_deg
+        turned = [
+            (_angle_deg(self._gravity(static, n), self._calibrated[n]), rested_blocks[n])
             for n, nominal in enumerate(self._nominal)
             if nominal is not None and usable[n]
-        )
+        ]
+        if any(turn_deg > self._most_deg for turn_deg, _ in turned):
+            return Reason.ATTITUDE
+        unproven_deg = UNPROVEN_SHARE * self._most_deg
+        if any(turn_deg > unproven_deg and blocks < PROVEN_BLOCKS for turn_deg, blocks in turned):
+            return Reason.UNKNOWN_ZERO
+        return Reason.NONE
 
     def _gravity(self, static_v: Sequence[float], n: int) -> tuple[float, ...]:
         """Accelerometer n's output at rest, g."""

@@ -58,6 +58,11 @@ class StaticOutput:
         return self._averaged[::3] >= self._enough
 
     @property
+    def rested_blocks(self) -> np.ndarray:
+        """(A,): how many blocks it is learned from, as long as they are counted."""
+        return self._averaged[::3]
+
+    @property
     def ready(self) -> np.ndarray:
         """(C,): the channels that may trigger: the static output is known and the last blocks were healthy."""
         return (self._available >= self._memory) & (self._averaged >= self._enough)
