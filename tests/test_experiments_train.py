@@ -22,14 +22,17 @@ from softslide.features.stream.conditioning import Conditioning
 from softslide.models.fitted_model import FittedModel
 from softslide.models.registry import model_named
 from softslide.pipeline.recordings.folder import SAMPLE, read_folder
+from softslide.pipeline.recordings.manifest import write_manifest
 from softslide.serve.localizer import Localizer
 
 
 @pytest.fixture(scope="module")
 def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The sample, with everything that training may not read made unreadable."""
+    """The sample's slides that take less than 30 s, with everything that training may not read made unreadable."""
     root = tmp_path_factory.mktemp("train") / "lab"
     shutil.copytree(SAMPLE, root)
+    manifest = read_folder(root).manifest
+    write_manifest(root / "manifest.csv", manifest[manifest["speed_mm_s"] >= 2.0])
     for file in read_folder(root).select("test").manifest["file"]:
         (root / file).write_bytes(b"not a recording")
     return root
