@@ -1,6 +1,7 @@
 """`make lab`: a stage, a skin and everything after it, without hardware."""
 
 import json
+import re
 import subprocess
 import sys
 from itertools import pairwise
@@ -12,6 +13,7 @@ import pytest
 from softslide.experiments.studies.lab.skin import STALLED_AFTER_MM, Ball
 from softslide.pipeline.recordings.folder import read_folder
 
+DOCS = Path(__file__).parents[1] / "docs"
 ORIGIN = [110.0, 95.0, 31.5]
 
 
@@ -51,7 +53,10 @@ def test_lost_steps_and_a_stalled_axis_begin_in_the_middle() -> None:
 
 @pytest.mark.long
 def test_a_printer_records_what_a_model_learns_from(tmp_path: Path) -> None:
-    """OctoPrint's virtual printer, which others wrote, in an environment of its own; with lines that arrive damaged."""
+    """OctoPrint's virtual printer, which others wrote, in an environment of its own; with lines that arrive damaged.
+
+    Then a ball that MuJoCo moves over the same skin.
+    """
     subprocess.run([sys.executable, "-m", "venv", tmp_path / "env"], check=True, timeout=300)
     python = tmp_path / "env/bin/python"
     subprocess.run([python, "-m", "pip", "install", "--quiet", "OctoPrint==1.11.8"], check=True, timeout=1800)
@@ -60,6 +65,13 @@ def test_a_printer_records_what_a_model_learns_from(tmp_path: Path) -> None:
     subprocess.run([*call, "--json", tmp_path / "found.json"], check=True, timeout=3600)
     folder = read_folder(tmp_path / "lab/printer")
     assert len(folder) == 11
+    bundle = tmp_path / "lab/printer/bundle"
+    slide = [sys.executable, DOCS / "mujoco_slide.py", "--model", bundle, "--picture", tmp_path / "slide.svg"]
+    said = subprocess.run(slide, check=True, capture_output=True, text=True, timeout=600).stdout
+    errors = re.search(r"place ([\d.]+) mm, direction ([\d.]+) deg", said)
+    assert errors is not None, said
+    assert float(errors[1]) < 2.0
+    assert float(errors[2]) < 4.0
     found = json.loads((tmp_path / "found.json").read_text())
     for labels in ("printer", "by-hand"):
         assert found[labels]["valid"] == 1.0
