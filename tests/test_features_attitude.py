@@ -72,3 +72,5 @@ def test_far_from_the_calibrations_attitude_an_output_has_to_rest_for_longer() -
         (far, PROVEN_BLOCKS, Reason.NONE),
     ):
         assert attitude.forbids(at_rest(turn_deg), usable, np.array([blocks])) is reason
+    # Zeros that have all drifted by 50 mV turn gravity as far, and make it longer.
+    assert attitude.forbids(at_rest(0.0) + 0.05, usable, np.array([15])) is Reason.NONE

@@ -20,6 +20,8 @@ MOST_TURN_OF_HEIGHTS_DEG = 15.0
 # From this share of the limit on, 4 degrees, an output is believed to be the static one once it has rested for so many
 # blocks, 6 s: a stream that begins on a slow contact shows one that is 2 to 6 degrees off (experiments/LOG.md).
 UNPROVEN_SHARE, PROVEN_BLOCKS = 4.0 / 7.0, 300
+# A contact turns gravity and keeps its length, g, but for gains and zeros; zeros that have drifted alike change it.
+KEPT_G = 0.03
 # To the z axis, where the static output of the calibration is not known: skins turn a board by up to 20 degrees.
 MOST_FROM_Z_DEG = 40.0
 # Outputs that show less of gravity, as of a sensor that is read without its direct part, show no attitude.
@@ -45,22 +47,23 @@ class Attitude:
         ]
 
     def forbids(self, static_v: np.ndarray, usable: np.ndarray, rested_blocks: np.ndarray) -> Reason:
-        """What the accelerometers in use (A,) forbid: one is turned too far, or far and may be touched.
+        """What the accelerometers in use (A,) forbid: one is turned too far, or far as by a contact.
 
         static_v: (C,) V, scaled, at rest, for so many blocks (A,).
         """
         static = static_v.tolist()
-        turned = [
-            (_angle_deg(self._gravity(static, n), self._calibrated[n]), rested_blocks[n])
-            for n, nominal in enumerate(self._nominal)
-            if nominal is not None and usable[n]
-        ]
-        if any(turn_deg > self._most_deg for turn_deg, _ in turned):
-            return Reason.ATTITUDE
-        unproven_deg = UNPROVEN_SHARE * self._most_deg
-        if any(turn_deg > unproven_deg and blocks < PROVEN_BLOCKS for turn_deg, blocks in turned):
-            return Reason.UNKNOWN_ZERO
-        return Reason.NONE
+        reason = Reason.NONE
+        for n, nominal in enumerate(self._nominal):
+            if nominal is None or not usable[n]:
+                continue
+            gravity, calibrated = self._gravity(static, n), self._calibrated[n]
+            turn_deg = _angle_deg(gravity, calibrated)
+            if turn_deg > self._most_deg:
+                return Reason.ATTITUDE
+            kept = abs(math.hypot(*gravity) - math.hypot(*calibrated)) < KEPT_G
+            if kept and turn_deg > UNPROVEN_SHARE * self._most_deg and rested_blocks[n] < PROVEN_BLOCKS:
+                reason = Reason.UNKNOWN_ZERO
+        return reason
 
     def _gravity(self, static_v: Sequence[float], n: int) -> tuple[float, ...]:
         """Accelerometer n's output at rest, g."""
