@@ -341,10 +341,11 @@ class Localizer:
         if not usable.any():
             return
         if self._attitude is not None:
-            rested = tracker.static_output.rested_blocks
-            forbidden = self._attitude.forbids(tracker.static, usable, rested)
-            if forbidden is not Reason.NONE:
-                self._at_rest = forbidden
+            if self._attitude.is_other(tracker.static, usable):
+                self._at_rest = Reason.ATTITUDE
+                return
+            if self._attitude.may_be_touched(tracker.static, usable, tracker.static_output.rested_blocks):
+                self._at_rest = Reason.UNKNOWN_ZERO
                 return
         if self._at_rest in (Reason.ATTITUDE, Reason.UNKNOWN_ZERO):
             self._at_rest = Reason.NONE

@@ -12,7 +12,7 @@ from trial_folder import SENSOR, a_folder
 
 import softslide
 from softslide.experiments import demo
-from softslide.experiments.demo import DEMO_MODELS, _shortened
+from softslide.experiments.demo import DEMO_MODELS, shortened
 from softslide.experiments.evaluate import evaluate
 from softslide.models.registry import model_named
 
@@ -20,7 +20,7 @@ from softslide.models.registry import model_named
 @pytest.mark.parametrize("model", DEMO_MODELS)
 def test_the_demo_shortens_what_trains_in_steps_alone(model: str) -> None:
     default = model_named(model).config()
-    changed = _shortened(default)
+    changed = shortened(default)
     if model == "cnn":
         assert changed.training.steps < default.training.steps
         default = replace(default, training=changed.training)

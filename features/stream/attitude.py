@@ -5,12 +5,11 @@ of what it did, and V_z answers too.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from softslide.features.estimate import Reason
 from softslide.features.stream.drift import nominal_outputs
 
 # Chosen on a synthetic sensor, its slides turned by calculation (experiments/LOG.md): at 8 degrees 50 to 83 % of the
@@ -46,24 +45,26 @@ class Attitude:
             self._gravity(static_v, n) if static_v else (0.0, 0.0, 1.0) for n in range(len(self._nominal))
         ]
 
-    def forbids(self, static_v: np.ndarray, usable: np.ndarray, rested_blocks: np.ndarray) -> Reason:
-        """What the accelerometers in use (A,) forbid: one is turned too far, or far as by a contact.
+    def is_other(self, static_v: np.ndarray, usable: np.ndarray) -> bool:
+        """Whether any of the accelerometers in use (A,) is turned too far. static_v: (C,) V, scaled, at rest."""
+        return any(turn_deg > self._most_deg for _, turn_deg, _ in self._turned(static_v, usable))
 
-        static_v: (C,) V, scaled, at rest, for so many blocks (A,).
-        """
+    def may_be_touched(self, static_v: np.ndarray, usable: np.ndarray, rested_blocks: np.ndarray) -> bool:
+        """Whether one is turned as far as by a contact, at rest for so few blocks (A,) that it may be one."""
+        return any(
+            kept and turn_deg > UNPROVEN_SHARE * self._most_deg and rested_blocks[n] < PROVEN_BLOCKS
+            for n, turn_deg, kept in self._turned(static_v, usable)
+        )
+
+    def _turned(self, static_v: np.ndarray, usable: np.ndarray) -> Iterator[tuple[int, float, bool]]:
+        """Of each accelerometer in use: its number, its turn since the calibration, deg, whether gravity kept its
+        length."""
         static = static_v.tolist()
-        reason = Reason.NONE
         for n, nominal in enumerate(self._nominal):
-            if nominal is None or not usable[n]:
-                continue
-            gravity, calibrated = self._gravity(static, n), self._calibrated[n]
-            turn_deg = _angle_deg(gravity, calibrated)
-            if turn_deg > self._most_deg:
-                return Reason.ATTITUDE
-            kept = abs(math.hypot(*gravity) - math.hypot(*calibrated)) < KEPT_G
-            if kept and turn_deg > UNPROVEN_SHARE * self._most_deg and rested_blocks[n] < PROVEN_BLOCKS:
-                reason = Reason.UNKNOWN_ZERO
-        return reason
+            if nominal is not None and usable[n]:
+                gravity, calibrated = self._gravity(static, n), self._calibrated[n]
+                kept = abs(math.hypot(*gravity) - math.hypot(*calibrated)) < KEPT_G
+                yield n, _angle_deg(gravity, calibrated), kept
 
     def _gravity(self, static_v: Sequence[float], n: int) -> tuple[float, ...]:
         """Accelerometer n's output at rest, g."""

@@ -148,8 +148,8 @@ class Refinement(nn.Module):
     ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
         """volts (B, A, 3, 64) V, elapsed_s (B,) s, weight (B, A), proposal (B, 5) and log_sd (B, 4) as `Proposal` gives
         them -> columns (B, 1, 1, ., 1): heading (cos, sin), state (the turn from the proposal, log speed, offset mm,
-        along mm, log gain, depth mm off the map's), its variance, misfit of a slide of any gain, strain: the gain over
-        the standard deviation that slides of the calibration's kind give it."""
+        along mm, log gain, depth mm off the map's), its variance, misfit (where the map has a rim, of a slide of any
+        gain), strain: the gain over the standard deviation that slides of the calibration's kind give it."""
         volts, elapsed_s, weight, proposal, log_sd = (
             given.double() for given in (volts, elapsed_s, weight, proposal, log_sd)
         )
@@ -190,10 +190,11 @@ class Refinement(nn.Module):
         # Of slides of the calibration's kind the estimated gain's variance is what the data took from the prior's.
         gain, left, prior = (of[..., GAIN : GAIN + 1, :] for of in (state, variance, 1.0 / precision))
         strain = gain.abs() / (prior - left).clamp(min=1e-12).sqrt()
-        # By so much chi-square falls, to second order, where the gain may be any.
-        relief = strain * strain * left / prior
-        count = (self.axes * BINS * weight.sum(1, keepdim=True)).clamp(min=1.0)
-        misfit = (gram[..., STATE:, STATE:] - relief).clamp(min=0.0) / count
+        chi_square = gram[..., STATE:, STATE:]
+        if self.rim:
+            # It falls by so much, to second order, where the gain may be any.
+            chi_square = (chi_square - strain * strain * left / prior).clamp(min=0.0)
+        misfit = chi_square / (self.axes * BINS * weight.sum(1, keepdim=True)).clamp(min=1.0)
         if self.settled:
             # How far the last step went in standard deviations, squared (Newton's decrement).
             length = (move * normal[..., STATE:]).sum(3, keepdim=True)

@@ -19,7 +19,7 @@ from softslide.models.response_map.map import ResponseMap
 STARTS = RefinementConfig(steps=15, trust=1.0, least_prior=(3.0, 1.5, 20.0, 25.0))
 # A fan of 96 starts. LENGTHS_MM: guesses of speed times energy width.
 HEADINGS, OFFSETS_MM, LENGTHS_MM = 12, (-15.0, -5.0, 5.0, 15.0), (6.0, 9.0)
-MISFIT, DIRECTION_SD = OUTPUTS.index("misfit"), OUTPUTS.index("direction_sd_deg")
+MISFIT, STRAIN, DIRECTION_SD = (OUTPUTS.index(name) for name in ("misfit", "strain", "direction_sd_deg"))
 # Deviation beyond which a start has not converged (gauss_newton.py), and what puts it behind all others.
 WIDEST_DEG, NEVER = 60.0, 1e6
 
@@ -45,8 +45,10 @@ class Inversion:
                     torch.full((count,), float(elapsed)),
                     torch.ones(count, len(window) // 3),
                 ).numpy()
+            # A misfit is of any gain (gauss_newton.py): what a gain costs that no slide has comes on top.
+            strained = found[:, STRAIN] ** 2 / len(window)
             # A start that has not converged may lie where the map is steep, and errors of place explain anything.
-            misfit = found[:, MISFIT] + np.where(found[:, DIRECTION_SD] > WIDEST_DEG, NEVER, 0.0)
+            misfit = found[:, MISFIT] + strained + np.where(found[:, DIRECTION_SD] > WIDEST_DEG, NEVER, 0.0)
             rows.append(found[np.nanargmin(misfit)])
         return np.array(rows)
 
