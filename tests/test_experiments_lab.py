@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from softslide.experiments.studies.lab.skin import STALLED_AFTER_MM, Ball
+from softslide.experiments.studies.lab.skin import FAULT_AFTER_MM, Ball
 from softslide.pipeline.recordings.folder import read_folder
 
 DOCS = Path(__file__).parents[1] / "docs"
@@ -45,10 +45,10 @@ def test_a_wrong_corner_turns_and_shifts_what_the_skin_feels() -> None:
 
 def test_lost_steps_and_a_stalled_axis_begin_in_the_middle() -> None:
     ball = Ball(ORIGIN, [0.0, 0.0, 0.0], lost_mm=1.0, stalled=True)
-    moved(ball, 0.0, (0, 0, 0), (STALLED_AFTER_MM, 0, 0), (STALLED_AFTER_MM, 50, 0))
-    assert ball.places(np.array([0.5]))[0] == pytest.approx([STALLED_AFTER_MM / 2, 0, 0])
+    moved(ball, 0.0, (0, 0, 0), (FAULT_AFTER_MM, 0, 0), (FAULT_AFTER_MM, 50, 0))
+    assert ball.places(np.array([0.5]))[0] == pytest.approx([FAULT_AFTER_MM / 2, 0, 0])
     ball.places(np.array([1.0]))
-    assert ball.places(np.array([2.0]))[0] == pytest.approx([STALLED_AFTER_MM - 1, 0, 0])
+    assert ball.places(np.array([2.0]))[0] == pytest.approx([FAULT_AFTER_MM - 1, 0, 0])
 
 
 @pytest.mark.long

@@ -20,10 +20,11 @@ from softslide.models.cnn.gauss_newton import Refinement, RefinementConfig
 from softslide.models.cnn.network import NetworkConfig, SlideNetwork
 from softslide.models.cnn.training import TrainingConfig, train_proposal
 from softslide.models.cnn.training_windows import SynthesisConfig, WindowSource
-from softslide.models.export.bundle import PARITY, believed, graph_inputs, read_graph, write_bundle
+from softslide.models.export.bundle import PARITY, graph_inputs, read_graph, write_bundle
 from softslide.models.export.formats import export
 from softslide.models.fitted_model import FittedModel
 from softslide.models.graph.from_torch import export_graph
+from softslide.models.held_out import believed
 from softslide.models.response_map.card import contact_calibration
 from softslide.pipeline.recordings.at_rest import conditioning_for
 from softslide.pipeline.recordings.folder import Folder
@@ -120,6 +121,6 @@ def test_its_c_code_computes_the_same(bundle: Path, windows: LabelledWindows, tm
     some = windows[np.arange(0, len(windows), 5)]
     case = Case(read_graph(bundle), graph_inputs("window", some.volts, some.elapsed_s))
     wanted = case.onnx_rows()
-    stands = believed(wanted, card)
+    stands = believed(wanted, card.outputs, card.validity)
     assert stands.sum() > 10
     assert difference(case.c_rows(tmp_path, card)[stands], wanted[stands]) < PARITY

@@ -59,11 +59,7 @@ def changed_slides(bundle: Path, folder: Folder, every: int, jobs: int) -> Itera
 
 
 def _read(bundle: Path, folder: Folder, name: str, change: str) -> list[dict]:
-    localizer, recording, label = (
-        open_localizer(bundle),
-        folder.load(name),
-        folder.manifest.loc[name].to_dict(),
-    )
+    recording, label = folder.load(name), folder.manifest.loc[name].to_dict()
     volts, time_s = recording.volts, recording.time_s
     static = volts[time_s < label["motion_start_s"]].mean(axis=0)
     if change == LATE:
@@ -71,7 +67,7 @@ def _read(bundle: Path, folder: Folder, name: str, change: str) -> list[dict]:
         volts, time_s = volts[late], time_s[late]
     else:
         volts = CHANGES[change](volts, static, time_s, folder.sensor)
-    return rows_of(localizer, Recording(name, time_s, volts), volts, label)
+    return rows_of(open_localizer(bundle), Recording(name, time_s, volts), volts, label)
 
 
 def main(argv: Sequence[str] | None = None) -> int:

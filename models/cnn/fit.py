@@ -17,7 +17,7 @@ from softslide.models.cnn.training_windows import SynthesisConfig, WindowSource
 from softslide.models.fitted_model import NOTHING, FittedModel, Given, Model
 from softslide.models.graph.from_torch import export_graph
 from softslide.models.graph.packing import unpack
-from softslide.models.held_out import WHOLE, offset_reach_mm, signed_errors
+from softslide.models.held_out import WHOLE, believed, offset_reach_mm, signed_errors
 from softslide.models.intervals import LEAST_WINDOWS, conformal_interval, misfit_limit
 from softslide.models.response_map.card import calibrated_forces, contact_calibration, inflation_v_per_mm
 from softslide.models.response_map.from_atlas import SensorSpread
@@ -277,13 +277,7 @@ def _believed(
     """The windows whose rows are valid."""
     column = dict(zip(outputs, rows.T.astype(float), strict=True))
     errors = signed_errors(rows, outputs, windows)
-    valid = (
-        (column["misfit"] <= validity.misfit)
-        & (column["strain"] <= validity.strain)
-        & (column["direction_sd_deg"] <= validity.direction_sd_deg)
-        & (column["log_speed_sd"] <= validity.log_speed_sd)
-        & (np.abs(column["offset_mm"]) <= validity.offset_mm)
-    )
+    valid = believed(rows, outputs, validity) & (np.abs(column["offset_mm"]) <= validity.offset_mm)
     sd = {
         "direction_deg": column["direction_sd_deg"],
         "log_speed": column["log_speed_sd"],

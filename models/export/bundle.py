@@ -15,6 +15,7 @@ from softslide.features.errors import CheckFailed
 from softslide.features.vector.feature_vector import feature_matrix
 from softslide.models.fitted_model import FittedModel
 from softslide.models.graph.packing import unpack
+from softslide.models.held_out import believed
 from softslide.pipeline.recordings.windows import LabelledWindows
 from softslide.pipeline.sensor import Sensor
 from softslide.pipeline.staging import staged
@@ -61,7 +62,7 @@ def write_bundle(
     original = fitted.original(inputs)
     # Where the model abstains (too little of the stroke to distinguish lines), its iteration may end in
     # either of two minima, and rounding decides: such rows are no estimates and nothing to compare.
-    stands, also_stands = believed(original, fitted), believed(exported, fitted)
+    stands, also_stands = (believed(rows, fitted.outputs, fitted.validity) for rows in (original, exported))
     if fitted.validity.misfit == 0.0:
         # Too few slides to say what is usual (models/intervals.py): none is believed, the rows are compared still.
         stands = np.isfinite(original).all(axis=1)
@@ -122,20 +123,6 @@ def with_graph(card: Card, graph: bytes) -> Card:
     row = session_of(graph).run(None, inputs)[0][0]
     golden = {**card.golden, "estimate": row.tolist()}
     return replace(card, golden=golden, graph_sha256=hashlib.sha256(graph).hexdigest())
-
-
-def believed(rows: np.ndarray, fitted: FittedModel | Card) -> np.ndarray:
-    """Which rows (n, K) are valid by the model's own deviations and misfit -> (n,) bool."""
-    limits = {
-        name: getattr(fitted.validity, name)
-        for name in ("misfit", "strain", "direction_sd_deg", "log_speed_sd")
-    }
-    columns = [
-        rows[:, fitted.outputs.index(name)] <= limit
-        for name, limit in limits.items()
-        if name in fitted.outputs
-    ]
-    return np.all([np.isfinite(rows).all(axis=1), *columns], axis=0)
 
 
 def read_graph(bundle: Path) -> onnx.ModelProto:

@@ -14,7 +14,6 @@ from softslide.features.card import Card, write_card
 from softslide.features.errors import InputError
 from softslide.models.export.bundle import (
     PARITY,
-    believed,
     graph_inputs,
     read_graph,
     relative_differences,
@@ -25,6 +24,7 @@ from softslide.models.export.c_code import sources
 from softslide.models.export.forests import without_forests
 from softslide.models.export.precision import in_single
 from softslide.models.graph.optimized import optimized
+from softslide.models.held_out import believed
 from softslide.pipeline.recordings.folder import SAMPLE, read_folder
 from softslide.pipeline.recordings.windows import labelled_windows
 from softslide.pipeline.sensor import Sensor
@@ -85,7 +85,7 @@ def precision_difference(card: Card, graph: onnx.ModelProto, single: onnx.ModelP
         more = graph_inputs(card.input, windows.volts, windows.elapsed_s)
         inputs = {name: np.concatenate([value, more[name]]) for name, value in inputs.items()}
     rows, other = (_rows(content.SerializeToString(), inputs) for content in (graph, single))
-    stands = believed(rows, card)
+    stands = believed(rows, card.outputs, card.validity)
     return float(relative_differences(other[stands], rows[stands]).max()) if stands.any() else math.inf
 
 

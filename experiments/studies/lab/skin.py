@@ -21,14 +21,14 @@ from softslide.pipeline.synthesis.simulated_skin import SimulatedSkin
 
 PACKET_S = 0.02
 CLOCK = 1 + 5e-5  # the skin's own: a crystal's
-STALLED_AFTER_MM = 400.0  # of way
+FAULT_AFTER_MM = 400.0  # of way
 
 
 class Ball:
     """Where the ball is over the skin, from the stage's moves.
 
     wrong: x and y of the stage's origin in mm and its turn in deg, as the skin sees them. lost_mm: steps that x loses
-    after STALLED_AFTER_MM of way. stalled: y stops there for good.
+    after FAULT_AFTER_MM of way. stalled: y stops there for good.
     """
 
     def __init__(
@@ -60,7 +60,7 @@ class Ball:
             raw[at_s >= begun_s + took_s] = end
         self._at = raw[-1].copy()
         place = raw - self._origin
-        if self._way >= STALLED_AFTER_MM:
+        if self._way >= FAULT_AFTER_MM:
             place[:, 0] -= self._lost_mm
             if self._stalled:
                 self._held = place[0, 1] if np.isnan(self._held) else self._held
