@@ -1,5 +1,6 @@
 """Opens a bundle, and checks that card and graph belong together and give the result of the card's example."""
 
+import struct
 from collections.abc import Callable
 from pathlib import Path
 from threading import Thread
@@ -16,14 +17,15 @@ from softslide.features.height import HEIGHT_INPUT
 from softslide.features.regular_file import read_regular
 from softslide.features.vector.feature_vector import feature_names
 from softslide.features.window import WINDOW_BINS
-from softslide.serve.graph_limits import MOST_BYTES, check_graph
+from softslide.serve.graph_limits import MOST_BYTES, check_onnx
+from softslide.serve.ort_limits import check_ort
 
 # Largest difference between two processors' arithmetic, relative or absolute. Graph and original differ by 4e-5
 # (experiments/LOG.md); more than 1e-3 is another graph.
 GOLDEN_TOLERANCE = 1e-3
 # Loading takes a tenth of a second, a window a few ms; what takes longer than this is not a model to localize with.
 LOADING_S = 20.0
-GRAPHS = ("model.onnx", "model.ort")
+GRAPHS = {"model.onnx": check_onnx, "model.ort": check_ort}
 T = TypeVar("T")
 _NEEDED = ("direction_cos", "direction_sin", "offset_mm")
 
@@ -36,7 +38,7 @@ def open_bundle(bundle: str | Path, unsigned: bool = False) -> tuple[Card, ort.I
             give the result of its card's example.
     """
     bundle = Path(bundle)
-    path = next((bundle / name for name in GRAPHS if (bundle / name).is_file()), bundle / GRAPHS[0])
+    path = next((bundle / name for name in GRAPHS if (bundle / name).is_file()), bundle / "model.onnx")
     card = read_card(bundle / "model.json", unsigned)
     _check_card(card, bundle / "model.json")
     graph = read_regular(path, MOST_BYTES, "a bundle holds model.onnx and model.json")
@@ -44,9 +46,18 @@ def open_bundle(bundle: str | Path, unsigned: bool = False) -> tuple[Card, ort.I
         raise InputError(
             f"{path}: not the graph that model.json describes; take the bundle from its source again"
         )
-    if path.suffix == ".onnx":
-        check_graph(graph, path)
+    _check_limits(graph, path)
     return card, _in_time(lambda: _checked_session(card, graph, path), path)
+
+
+def _check_limits(graph: bytes, path: Path) -> None:
+    try:
+        GRAPHS[path.name](graph)
+    except (ValueError, IndexError, TypeError, AttributeError, struct.error) as error:
+        reason = error if type(error) is ValueError else "damaged"
+        raise InputError(
+            f"{path}: no graph that this release runs ({reason}); take the bundle from its source again"
+        ) from None
 
 
 def _checked_session(card: Card, graph: bytes, path: Path) -> ort.InferenceSession:

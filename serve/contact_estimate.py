@@ -5,6 +5,8 @@
 3. The line that straight slide and track agreed on, where the contact stops on it, or where the track is lost.
 4. Ambiguous, where a straight slide explains the output and goes another way than the track.
 5. The track, valid by its own limits (`features/track_estimate.py`).
+
+A model on features answers by itself: the track allows its estimate or forbids it.
 """
 
 import math
@@ -62,6 +64,7 @@ class ContactEstimator:
         self._tracker = self._made(math.nan)
         self._step = 0  # of the skin's height that it is for
         self.touches_down = card.conditioning.onset == ONSETS[1]
+        self._on_features = card.input == "features"
         self._limits = TOUCH_LIMITS if self.touches_down else TrackLimits()
         self._count = 0
         # The last straight slide that was fitted, and the last ones that the track agreed with: the newest of a contact
@@ -128,6 +131,11 @@ class ContactEstimator:
         self._fit = _Fit(self._count, straight)
         if not straight.valid:
             return
+        if self._on_features:
+            track = self._judged(self.track, 0.0)
+            if min(track.speed_lo_mm_s, straight.speed_lo_mm_s) > 0.0 and same_line(straight, track):
+                self._lines.append(self._fit)
+            return
         if apart(straight, *self._clear_track(), self._limits) <= self._limits.agreement:
             self._lines.append(self._fit)
         elif (
@@ -151,6 +159,8 @@ class ContactEstimator:
         if self.track is None or of_all:
             return None
         tracked = self._judged(self.track, time_s)
+        if self._on_features:
+            return self._allowed(straight, tracked)
         # A press needs no way, and no slide.
         pressed = tracked.valid and tracked.contact is Contact.PRESS
         if straight is None:
@@ -180,6 +190,15 @@ class ContactEstimator:
         ):
             return tracked._replace(valid=False, reason=Reason.AMBIGUOUS)
         return tracked
+
+    def _allowed(self, straight: Estimate | None, tracked: Estimate) -> Estimate | None:
+        """Why the straight slide is not valid where the track has not been of its line a moment ago; else None."""
+        if straight is None or not straight.valid:
+            return None
+        latest = self._stream.rested_s + self._limits.stopping_s
+        if self._lines and self._seconds_since(self._lines[-1].blocks) <= latest:
+            return None
+        return straight._replace(valid=False, reason=tracked.reason or Reason.AMBIGUOUS)
 
     def past(self, blocks: int) -> Track | None:
         """The track so many blocks ago, with what the tracker knows now; None where it follows another contact."""

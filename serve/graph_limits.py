@@ -9,9 +9,6 @@ import math
 import re
 import struct
 from collections.abc import Iterator
-from pathlib import Path
-
-from softslide.features.errors import InputError
 
 MOST_BYTES = 1 << 28
 MOST_NODES = 100_000
@@ -22,8 +19,9 @@ NEWEST = {"": 27, "ai.onnx": 27, "ai.onnx.ml": 6, "com.microsoft": 1}
 # Of the one operator of ONNX Runtime's own that earlier bundles have.
 OWN, OWN_OPERATOR = "com.microsoft", "Inverse"
 # Which input of an operator is a shape or a number of repeats.
-_SHAPE_INPUT = {"ConstantOfShape": 0, "Expand": 1, "Reshape": 1, "Tile": 1, "Pad": 1, "Resize": 3}
-_INT64 = 7
+SHAPE_INPUT = {"ConstantOfShape": 0, "Expand": 1, "Reshape": 1, "Tile": 1, "Pad": 1, "Resize": 3}
+# A tensor's kind, in both formats, and the length up to which one is read: no shape is longer.
+INT64, SHORT_BYTES = 7, 64
 
 # An attribute's lists of floats, whole numbers and short words, a field each: trees have hundreds of thousands.
 _WORD = b"|".join(b"%c.{%d}" % (size, size) for size in range(32))
@@ -32,25 +30,15 @@ _LISTS = re.compile(rb"(?:\x3d.{4}|\x40[\x80-\xff]{0,9}[\x00-\x7f]|\x4a(?:" + _W
 Fields = Iterator[tuple[int, int | bytes]]
 
 
-def check_graph(graph: bytes, path: Path) -> None:
-    """Checks a model.onnx. path: named in errors.
+def check_onnx(graph: bytes) -> None:
+    """Checks a model.onnx.
 
     Raises:
-        InputError: no ONNX graph; operators of unknown domains or versions; data outside the file; too many nodes,
-            control flow, or a shape that is too large.
+        ValueError: operators of unknown domains or versions; data outside the file; too many nodes, control flow, or a
+            shape that is too large.
+        IndexError, struct.error: no ONNX graph.
     """
-    try:
-        _check_model(graph)
-    except ValueError as error:
-        raise InputError(
-            f"{path}: no graph that this release runs ({error}); take the bundle from its source again"
-        ) from None
-    except (IndexError, struct.error):
-        raise InputError(f"{path}: no ONNX graph; take the bundle from its source again") from None
-
-
-def _check_model(content: bytes) -> None:
-    for key, value in _fields(content):
+    for key, value in _fields(graph):
         if key == 8:
             domain, version = "", 0
             for inner, item in _fields(_bytes(value)):
@@ -78,9 +66,20 @@ def _check_graph(content: bytes) -> None:
             raise ValueError("a constant is sparse")
     if nodes > MOST_NODES:
         raise ValueError(f"more than {MOST_NODES} nodes")
+    check_sizes(asked, constants)
+
+
+def check_sizes(asked: list[tuple[str, bytes]], constants: dict[bytes, list[int]]) -> None:
+    """Checks the shapes that operators ask for. asked: operator, and name of the constant with the shape."""
     for operator, name in asked:
         if math.prod(max(1, abs(v)) for v in constants.get(name, ())) > MOST_ELEMENTS:
             raise ValueError(f"{operator} asks for more than {MOST_ELEMENTS} elements")
+
+
+def check_domain(operator: str, domain: str) -> None:
+    """Checks that an operator is one of a domain that bundles use."""
+    if domain not in NEWEST or (domain == OWN and operator != OWN_OPERATOR):
+        raise ValueError(f"operator {operator} of '{domain}'")
 
 
 def _check_node(content: bytes, constants: dict[bytes, list[int]]) -> list[tuple[str, bytes]]:
@@ -97,8 +96,7 @@ def _check_node(content: bytes, constants: dict[bytes, list[int]]) -> list[tuple
             attributes.append(_bytes(value))
         elif key == 7:
             domain = _bytes(value).decode()
-    if domain not in NEWEST or (domain == OWN and operator != OWN_OPERATOR):
-        raise ValueError(f"operator {operator} of '{domain}'")
+    check_domain(operator, domain)
     for attribute in attributes:
         for key, value in _fields(attribute, _LISTS):
             if key in (6, 11):
@@ -107,7 +105,7 @@ def _check_node(content: bytes, constants: dict[bytes, list[int]]) -> list[tuple
                 _note_tensor(_bytes(value), constants, outputs[0] if outputs else b"")
             elif key in (22, 23):
                 raise ValueError("a constant is sparse")
-    place = _SHAPE_INPUT.get(operator)
+    place = SHAPE_INPUT.get(operator)
     return [(operator, inputs[place])] if place is not None and len(inputs) > place else []
 
 
@@ -129,7 +127,7 @@ def _note_tensor(content: bytes, constants: dict[bytes, list[int]], name: bytes 
             raise ValueError("a constant lies in another file")
     if any(size < 0 for size in dims) or math.prod(dims) > MOST_BYTES:
         raise ValueError("a constant is too large")
-    if kind == _INT64 and len(raw) % 8 == 0 and len(raw) <= 64:
+    if kind == INT64 and len(raw) % 8 == 0 and len(raw) <= SHORT_BYTES:
         constants[name] = values or list(struct.unpack(f"<{len(raw) // 8}q", raw))
 
 

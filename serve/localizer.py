@@ -440,7 +440,7 @@ class Localizer:
 def _lag_blocks(card: Card, lag_s: float) -> int:
     if not 0.0 <= lag_s <= MOST_LAG_S:
         raise InputError(f"{lag_s:g} s is not from 0 to {MOST_LAG_S:g} s", "lag")
-    if lag_s and card.contact is None:
+    if lag_s and (card.contact is None or card.input == "features"):
         raise InputError(f"a lag of {lag_s:g} s: this bundle follows no contacts, and so has none", "lag")
     return round(lag_s / card.conditioning.block_s)
 

@@ -18,6 +18,7 @@ from softslide.models.registry import model_named
 from softslide.pipeline.atlas import atlas as atlases
 from softslide.pipeline.atlas.atlas import read_atlas, write_atlas
 from softslide.pipeline.importers.import_map import read_map
+from softslide.pipeline.importers.run import find_sources
 from softslide.pipeline.recordings.folder import SAMPLE, read_folder
 from softslide.pipeline.recordings.slide_file import write_slide
 from softslide.pipeline.recordings.truth import read_truth
@@ -179,6 +180,19 @@ def test_an_atlas_that_unpacks_beyond_any_is_refused(monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(atlases, "MOST_UNPACKED_BYTES", 100_000)
     with pytest.raises(InputError, match="more than any atlas"):
         read_atlas()
+
+
+def test_a_map_s_pattern_takes_a_time_in_proportion_to_a_name(tmp_path: Path) -> None:
+    """Matched by trial and error, this one would try 2^200 ways to divide the name."""
+    (tmp_path / "sensor.toml").write_bytes((SAMPLE / "sensor.toml").read_bytes())
+    (tmp_path / "map.toml").write_text(MAP.replace("(?P<name>x\\d+)", "(?P<name>(x+)+!)"))
+    (tmp_path / f"{200 * 'x'}_1.csv").touch()
+    signal.alarm(HANG_S)
+    try:
+        with pytest.raises(InputError, match="fits the map"):
+            find_sources([tmp_path], read_map(tmp_path / "map.toml"))
+    finally:
+        signal.alarm(0)
 
 
 def test_what_a_file_holds_does_not_reach_the_terminal(tmp_path: Path) -> None:

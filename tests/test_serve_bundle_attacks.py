@@ -22,6 +22,7 @@ from streams import pass_over, still, stream
 import softslide
 from softslide.features.card import card_hash
 from softslide.features.errors import InputError
+from softslide.models.graph.optimized import optimized
 from softslide.serve.localizer import Localizer
 
 VOLTS = stream(still(0.6), pass_over(1.0), still(0.4))
@@ -251,7 +252,10 @@ def endless() -> onnx.ModelProto:
 
 
 TERABYTES = [1 << 20, 1 << 20, 1]
-EXPAND = helper.make_node("Expand", ["volts", "size"], ["estimate"])
+EXPAND = (
+    helper.make_node("ReduceSum", ["volts"], ["one"], keepdims=0),
+    helper.make_node("Expand", ["one", "size"], ["estimate"]),
+)
 
 
 def counted() -> onnx.ModelProto:
@@ -266,13 +270,13 @@ def counted() -> onnx.ModelProto:
 
 def huge() -> onnx.ModelProto:
     """Makes a matrix of 3 TB."""
-    return hostile(EXPAND, size=TERABYTES)
+    return hostile(*EXPAND, size=TERABYTES)
 
 
 def huge_by_node() -> onnx.ModelProto:
     """The same size from a node Constant."""
     size = helper.make_node("Constant", [], ["size"], value=int64(TERABYTES, "unnamed"))
-    return hostile(size, EXPAND)
+    return hostile(size, *EXPAND)
 
 
 def elsewhere() -> onnx.ModelProto:
@@ -291,7 +295,7 @@ def foreign() -> onnx.ModelProto:
 
 def of_the_runtimes_own() -> onnx.ModelProto:
     """An operator of ONNX Runtime's own that no bundle has."""
-    model = hostile(helper.make_node("QAttention", ["volts"], ["estimate"], domain="com.microsoft"))
+    model = hostile(helper.make_node("FastGelu", ["volts"], ["estimate"], domain="com.microsoft"))
     model.opset_import.append(helper.make_opsetid("com.microsoft", 1))
     return model
 
@@ -308,6 +312,25 @@ def test_a_hostile_graph_with_a_fitting_card_is_refused_before_it_is_built(mine:
     resigned(mine, made().SerializeToString())
     with pytest.raises(InputError, match="no graph that this release runs"):
         Localizer.load(mine)
+
+
+@pytest.mark.parametrize("made", [endless, counted, huge, huge_by_node, of_the_runtimes_own])
+def test_the_same_is_refused_in_the_ort_format(mine: Path, made: Any) -> None:
+    resigned(mine, optimized(made().SerializeToString(), "ORT"))
+    (mine / "model.onnx").rename(mine / "model.ort")
+    with pytest.raises(InputError, match=r"model\.ort: no graph that this release runs \((?!damaged)"):
+        Localizer.load(mine)
+
+
+def test_a_damaged_graph_in_the_ort_format_is_one_line_or_runs(mine: Path) -> None:
+    graph, chance = optimized((mine / "model.onnx").read_bytes(), "ORT"), random.Random(0)
+    for _ in range(40):
+        damaged = bytearray(graph)
+        damaged[chance.randrange(min(len(graph), 4000))] ^= 1 << chance.randrange(8)
+        resigned(mine, bytes(damaged))
+        (mine / "model.onnx").rename(mine / "model.ort")
+        taken(mine)
+        (mine / "model.ort").rename(mine / "model.onnx")
 
 
 def test_work_without_end_that_no_shape_shows_is_left_behind(mine: Path) -> None:

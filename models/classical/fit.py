@@ -92,6 +92,7 @@ def feature_model(config: Callable[[], Any], fit: Fit) -> Model:
             conditioning=learned.conditioning,
             summary=learned.summary | summary,
             windows=learned.recorded,
+            contact=learned.contact,
             untimed=learned.untimed,
             left_out=learned.left_out,
         )

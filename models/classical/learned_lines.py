@@ -8,9 +8,11 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from softslide.features.contact.calibration import ContactCalibration
 from softslide.features.stream.conditioning import Conditioning
 from softslide.models.classical.regression import late_windows
 from softslide.models.held_out import line_folds
+from softslide.models.response_map.card import contact_of
 from softslide.models.response_map.from_atlas import SensorSpread
 from softslide.models.response_map.map import ResponseMap
 from softslide.models.response_map.select import LEAST_ALONE, CalibratedMap, calibrated_map
@@ -38,8 +40,8 @@ class SharesConfig:
 class LearnedLines:
     """recorded: n windows of the recordings. whole: what to fit to. folds: what to fit to without some lines, each with
     which of the recorded are those lines' (n,) bool. conditioning: of the signal that all are of. summary: figures of
-    the map, where one is drawn from. untimed: how many slides had their onset fitted. left_out: why a recording gives
-    no window, by name."""
+    the map, where one is drawn from; contact: what that tracks contacts with. untimed: how many slides had their onset
+    fitted. left_out: why a recording gives no window, by name."""
 
     recorded: LabelledWindows
     whole: LabelledWindows
@@ -48,6 +50,7 @@ class LearnedLines:
     summary: dict[str, float] = field(default_factory=dict)
     untimed: int = 0
     left_out: dict[str, str] = field(default_factory=dict)
+    contact: ContactCalibration | None = None
 
 
 def learned_windows(
@@ -94,6 +97,7 @@ def learned_windows(
         found.summary,
         found.untimed,
         found.left_out | _without_window(read, recorded),
+        contact_of(found.response, found.folder, found.conditioning, atlas, found.heights, found.summary),
     )
 
 

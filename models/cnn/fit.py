@@ -19,12 +19,12 @@ from softslide.models.graph.from_torch import export_graph
 from softslide.models.graph.packing import unpack
 from softslide.models.held_out import WHOLE, believed, offset_reach_mm, signed_errors
 from softslide.models.intervals import LEAST_WINDOWS, conformal_interval, misfit_limit
-from softslide.models.response_map.card import calibrated_forces, contact_calibration, inflation_v_per_mm
+from softslide.models.response_map.card import calibrated_forces, contact_of
 from softslide.models.response_map.from_atlas import SensorSpread
 from softslide.models.response_map.map import ResponseMap
 from softslide.models.response_map.select import CalibratedMap
 from softslide.models.response_map.slide_fit import CalibrationConfig
-from softslide.models.response_map.slides import LEAST_APART_MM, static_scatter
+from softslide.models.response_map.slides import LEAST_APART_MM
 from softslide.pipeline.recordings.folder import Folder
 from softslide.pipeline.recordings.heights import HEIGHT
 from softslide.pipeline.recordings.windows import LabelledWindows, labelled_windows
@@ -108,9 +108,6 @@ def fit_cnn(folder: Folder, config: CnnConfig, given: Given = NOTHING) -> Fitted
             # Nor are the gains of another day this one's.
             validity = replace(validity, misfit=OTHER_DAY * validity.misfit, strain=np.inf)
         summary = summary | _held_out_summary(held)
-    main_mm = None if found.heights is None else found.heights.height_mm
-    sensor = found.folder.sensor.scaled(config.conditioning.scale)
-    inflation = inflation_v_per_mm(found.heights, atlas, sensor, found.summary)
     graph = export_graph(network, len(folder.sensor.accelerometers))
     return FittedModel(
         name="cnn",
@@ -122,10 +119,8 @@ def fit_cnn(folder: Folder, config: CnnConfig, given: Given = NOTHING) -> Fitted
         validity=validity,
         conditioning=config.conditioning,
         summary=dict(summary),
-        contact=contact_calibration(
-            found.response,
-            inflation,
-            static_scatter(found.folder, config.conditioning, main_mm) if inflation else None,
+        contact=contact_of(
+            found.response, found.folder, config.conditioning, atlas, found.heights, found.summary
         ),
         force=None
         if atlas is None

@@ -12,7 +12,7 @@ from softslide.features.contact.calibration import ContactCalibration, encoded
 from softslide.features.contact.force_map import ForceMap, in_steps
 from softslide.features.force import STEP_MM, ForceReader
 from softslide.features.height import HeightCalibration
-from softslide.features.stream.conditioning import ONSETS
+from softslide.features.stream.conditioning import ONSETS, Conditioning
 from softslide.models.response_map.from_atlas import depth_bounds, tilt_v_per_g
 from softslide.models.response_map.map import (
     MARGIN_MM,
@@ -22,7 +22,12 @@ from softslide.models.response_map.map import (
     spline_coefficients,
     spline_grid,
 )
-from softslide.models.response_map.slides import LEAST_STATIC_SD_V, CalibrationSlide, StaticScatter
+from softslide.models.response_map.slides import (
+    LEAST_STATIC_SD_V,
+    CalibrationSlide,
+    StaticScatter,
+    static_scatter,
+)
 from softslide.pipeline.atlas.atlas import Atlas
 from softslide.pipeline.recordings.folder import Folder
 from softslide.pipeline.recordings.heights import laser_readings_mm
@@ -62,6 +67,26 @@ def contact_calibration(
         inflation_v_per_mm=inflation_v_per_mm,
         static_v=() if static is None else tuple(static.mean_v.tolist()),
         static_covariance_v2=() if static is None else tuple(map(tuple, static.covariance_v2.tolist())),
+    )
+
+
+def contact_of(
+    response: ResponseMap,
+    folder: Folder,
+    conditioning: Conditioning,
+    atlas: Atlas | None,
+    heights: HeightCalibration | None,
+    fit: Mapping[str, float],
+) -> ContactCalibration:
+    """`contact_calibration` of a map, with what the recordings and the design show of the output at rest.
+
+    fit: as in `inflation_v_per_mm`.
+    """
+    sensor = folder.sensor.scaled(conditioning.scale)
+    inflation = inflation_v_per_mm(heights, atlas, sensor, fit)
+    main_mm = None if heights is None else heights.height_mm
+    return contact_calibration(
+        response, inflation, static_scatter(folder, conditioning, main_mm) if inflation else None
     )
 
 

@@ -34,7 +34,8 @@ WORDS = {
 }
 NUMBER = r"\d+(?:\.\d+)?"
 SPLIT = r"(?:calibration|train|test)[\w-]*"
-AXIS = r"(?<![A-Za-z])[XY][FB](?![A-Za-z])"  # X forward and so on
+AXIS = "[XY][FB]"  # X forward and so on, between what is no letter
+EDGE = r"(?:\b|[_\d])"
 # A label, by the word before it in the names, what stands between, and its pattern.
 Labels = dict[str, tuple[str, str, str]]
 DIRECTIONS = "{XF = 0, YF = 90, XB = 180, YB = 270}"
@@ -218,15 +219,16 @@ def _pattern(files: Sequence[Path], is_split: bool, labels: Labels) -> list[str]
     """Of the file's name; of its path where folders are called as splits are, or hold files of the same name."""
     twice = len({path.name for path in files}) < len(files)
     start = f"(?P<split>{SPLIT})/.*?" if is_split else ""
-    return [f"pattern = '{start}(?P<recording>{'[^/]+/' if twice else ''}{_groups(labels)})'"]
+    groups = f"(?P<recording>{'[^/]+/' if twice else ''}{_groups(labels)})"
+    return [rf"pattern = '{start}{groups}\.[^.]*$'"]
 
 
 def _groups(labels: Labels) -> str:
     parts = [
-        f"{re.escape(word)}{between}(?P<{_group(label)}>{number})"
+        f"{re.escape(word)}{between}(?P<{_group(label)}>{number}){'' if word else EDGE}"
         for label, (word, between, number) in labels.items()
     ]
-    return r"[^/]*?" + "".join(f"{part}[^/]*?" for part in parts) + r"(?=\.[^.]*$)"
+    return r"[^/]*?" + "".join(f"{part}[^/]*?" for part in parts)
 
 
 def _group(label: str) -> str:
@@ -236,15 +238,16 @@ def _group(label: str) -> str:
 def _found(files: Sequence[Path]) -> Labels:
     """Labels that every file's name holds, in its order: the word before each, what stands between, and its pattern."""
     found: Labels = {}
-    for match in re.finditer(rf"([A-Za-zÄÖÜäöü]+)[=_-]?[-+]?{NUMBER}|{AXIS}", files[0].stem):
+    for match in re.finditer(rf"([A-Za-zÄÖÜäöü]+)[=_-]?[-+]?{NUMBER}|{EDGE}{AXIS}{EDGE}", files[0].stem):
         word = match[1] or ""
         label = next((name for name, words in WORDS.items() if word.lower() in words), "direction_deg")
         # A minus before what has no sign is a dash.
         between, number = ("[=_]?", rf"[-+]?{NUMBER}") if label in SIGNED else ("[=_-]?", NUMBER)
-        parts = (word, between, number) if word else ("", "", AXIS)
+        parts = (word, between, number) if word else ("", EDGE, AXIS)
         known = not word or any(word.lower() in words for words in WORDS.values())
         everywhere = all(
-            re.search(re.escape(word) + between + number if word else AXIS, p.stem) for p in files
+            re.search(re.escape(word) + between + number if word else EDGE + AXIS + EDGE, p.stem)
+            for p in files
         )
         if known and everywhere:
             found.setdefault(label, parts)

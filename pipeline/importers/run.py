@@ -6,7 +6,6 @@ with which map they were made. An interrupted import resumes from it; bad input 
 
 import json
 import os
-import re
 import shutil
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
@@ -24,7 +23,7 @@ from softslide.features.names import REMEDY, is_plain
 from softslide.features.units import impossible_output
 from softslide.pipeline.checks.zone_signs import sign_agreement, start_mm
 from softslide.pipeline.importers.guess import cure, kind_of
-from softslide.pipeline.importers.import_map import Map
+from softslide.pipeline.importers.import_map import Map, compiled
 from softslide.pipeline.importers.labels import Row, label_columns, label_row, read_sheet, recording_name
 from softslide.pipeline.importers.messages import clock_notes, inverted, mounting_notes
 from softslide.pipeline.importers.onset import INSIDE_MM, onset_s
@@ -115,7 +114,7 @@ def find_sources(sources: Sequence[Path], mapping: Map) -> list[Source]:
         InputError: a source is missing, a file named does not fit the pattern, two files claim one place, a recording's
             name is not plain.
     """
-    pattern = re.compile(mapping.pattern)
+    pattern = compiled(mapping.pattern)
     found: dict[str, Source] = {}
     for source in sources:
         if not source.exists():
