@@ -39,6 +39,9 @@ from softslide.serve.contact_tracker import AnyTracker, contact_tracker
 
 # Blocks, 0.1 s, between two straight fits that are kept, and 0.2 s between two that the tracker is offered.
 FIT_BLOCKS, OFFER_BLOCKS = 5, 10
+# A straight slide is fitted anew when the slide has grown by one part in so many: with a twentieth fast slides erred
+# half as much again at 2/5 of the stroke (experiments/LOG.md).
+NEW_SHARE = 50
 # Fits, 0.3 s, that a stop takes to show in the track, at most (synthetic slides, experiments/LOG.md).
 KEPT_FITS = 4
 # What forbids any estimate from the signal, not only that of a straight slide.
@@ -120,15 +123,23 @@ class ContactEstimator:
         """Whether `take_fit` would make use of a straight slide."""
         return self.track is not None and not self.touches_down
 
-    @property
-    def newest_fit(self) -> Estimate | None:
-        """The straight slide that was taken after the last block."""
-        return self._fit.estimate if self._fit is not None and self._fit.blocks == self._count else None
+    def latest_fit(self, blocks: int) -> Estimate | None:
+        """The straight slide that was fitted last, moved on to now; None where a new one is due.
 
-    def take_fit(self, straight: Estimate, elapsed_s: float) -> None:
-        """Keeps a straight slide, fitted to so many s, and offers it to the tracker where that has lost the contact."""
+        blocks: of the slide so far; what a fiftieth of them adds changes a fit by less than its error.
+        """
+        stretch = max(1, blocks // NEW_SHARE)
+        if self._fit is None or not self.wants_fit or self._count - self._fit.blocks >= stretch:
+            return None
+        return earlier(self._fit.estimate, -self._seconds_since(self._fit.blocks))
+
+    def take_fit(self, fitted: Estimate, straight: Estimate, elapsed_s: float) -> None:
+        """Keeps a straight slide, fitted to so many s, and offers it to the tracker where that has lost the contact.
+
+        straight: what the signal permits of it.
+        """
         assert self.track is not None
-        self._fit = _Fit(self._count, straight)
+        self._fit = _Fit(self._count, fitted)
         if not straight.valid:
             return
         if self._on_features:

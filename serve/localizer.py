@@ -222,11 +222,11 @@ class Localizer:
         if tracker.state is SlideState.ENDED:
             assert self._held is not None
             return _Moment(self._held[1]._replace(time_s=time_s), None)
-        straight = self._contact.newest_fit
+        straight = self._contact.latest_fit(self._slide_blocks)
+        if straight is None and window is not None:
+            straight = self._fitted(window)
         if straight is not None:
-            straight = straight._replace(time_s=time_s)
-        elif window is not None:
-            straight = self._straight(window, time_s)
+            straight = self._permitted(straight._replace(time_s=time_s))
         return _Moment(self._chosen(straight, time_s), straight)
 
     def _in_hindsight(self, then: _Moment, now: _Moment) -> Estimate:
@@ -281,24 +281,26 @@ class Localizer:
         self._inputs["weight"][0] = self._tracker.usable
         return self._inputs
 
-    def _straight(self, window: Window, time_s: float) -> Estimate:
+    def _fitted(self, window: Window) -> Estimate:
         """The graph's estimate: a straight slide at constant speed."""
-        tracker = self._tracker
         row = self.infer(self.inputs(window))
         width = (
             float(energy_width_s(window.volts, np.asarray(window.elapsed_s)))
             if "log_speed_width" in self.card.outputs
             else math.nan
         )
-        estimate = decode(row, self.card, window, tracker.state, time_s, width)
-        reason = estimate.reason
+        return decode(row, self.card, window, self._tracker.state, 0.0, width)
+
+    def _permitted(self, straight: Estimate) -> Estimate:
+        """The straight slide, not valid where the signal forbids any."""
+        tracker, reason = self._tracker, straight.reason
         if not (self._whole and (self.card.input == "window" or tracker.usable.all())):
             reason = Reason.DEAD_CHANNEL
         elif not self._gravity.kept:
             reason = Reason.DRIFT
         elif not tracker.moved:
             reason = Reason.TOO_EARLY
-        return estimate._replace(
+        return straight._replace(
             valid=reason is Reason.NONE, reason=reason, accelerometers=tracker.usable.tolist().count(True)
         )
 
@@ -402,12 +404,13 @@ class Localizer:
             self._whole = not bridged and self._bridged <= BRIDGED_SHARE * self._slide_blocks
             fits = self._count % FIT_BLOCKS == 0 and self._contact.wants_fit
             if fits and (window := tracker.window()) is not None:
-                self._contact.take_fit(self._straight(window, 0.0), window.elapsed_s)
+                straight = self._fitted(window)
+                self._contact.take_fit(straight, self._permitted(straight), window.elapsed_s)
         elif tracker.final is None:
             self._held = None
         elif self._held is None or self._held[0] is not tracker.final:
             # Computed as the slide ends, so that the result does not depend on when it is read.
-            straight = self._straight(tracker.final, 0.0)
+            straight = self._permitted(self._fitted(tracker.final))
             self._held = tracker.final, self._chosen(straight, 0.0)
         if tracker.state is not SlideState.SLIDE and self._count % DRIFT_BLOCKS == 0:
             self._last_drift = self._drift.read(tracker.static, block.healthy)

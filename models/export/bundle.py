@@ -24,6 +24,7 @@ PARITY = 1e-4  # relative difference of graph and original
 # Of the misfit, a chi-square of the residuals before the last step: rounding of the proposal moves it the most where
 # that step is a long one (three accelerometers: 1.3e-4, all else 2e-5; experiments/LOG.md).
 MISFIT_PARITY = 1e-3
+DIGITS = 4  # of the card's worked example and of the fit's figures: all digits are 3 kB
 AT_LIMIT = 1e-3  # share of windows that one of them may answer and the other not
 
 
@@ -82,6 +83,8 @@ def write_bundle(
         )
     # A whole slide, if there is one, that the model answers: JSON has no NaN.
     golden = int(np.flatnonzero(stands)[windows.stroke_fraction[stands].argmax()])
+    example = {k: _short(v[golden : golden + 1].tolist()) for k, v in inputs.items()}
+    row = {name: np.array(value, np.float32) for name, value in example.items()}
     card = Card(
         model=fitted.name,
         input=fitted.input,
@@ -93,11 +96,8 @@ def write_bundle(
         conditioning=fitted.conditioning,
         intervals=fitted.intervals,
         validity=fitted.validity,
-        provenance={**provenance, "fit": fitted.summary, "parity": difference},
-        golden={
-            "inputs": {k: v[golden : golden + 1].tolist() for k, v in inputs.items()},
-            "estimate": exported[golden].tolist(),
-        },
+        provenance={**provenance, "fit": _short(fitted.summary), "parity": difference},
+        golden={"inputs": example, "estimate": session.run(None, row)[0][0].tolist()},
         graph_sha256=hashlib.sha256(graph).hexdigest(),
         contact=fitted.contact,
         force=fitted.force,
@@ -108,6 +108,13 @@ def write_bundle(
         (folder / "model.onnx").write_bytes(graph)
         write_card(card, folder / "model.json")
     return difference
+
+
+def _short(values: Any) -> Any:
+    """Numbers of nested lists and tables to DIGITS."""
+    if isinstance(values, dict):
+        return {key: _short(value) for key, value in values.items()}
+    return [_short(value) for value in values] if isinstance(values, list) else float(f"{values:.{DIGITS}g}")
 
 
 def session_of(graph: bytes) -> ort.InferenceSession:
