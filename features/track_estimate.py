@@ -109,6 +109,9 @@ def judged(
     degrees = math.degrees(heading) % 360.0
     depth, depth_half = map_depth_mm + track.depth_mm, limits.half_width * track.depth_sd_mm
     reason = _reason(track, math.hypot(sd[0], sd[1]), math.degrees(heading_sd), contact, lifted, limits)
+    if reason is Reason.NONE and depth + depth_half < 0.0:
+        # Less than a contact at all shows: what it explains is another object, or another amplitude.
+        reason = Reason.STRENGTH
     if pressed:
         contact, reason = Contact.PRESS, Reason.NONE
         # It goes nowhere. How far it is pressed in shows as how far it is pressed on does; the force is how hard.

@@ -83,8 +83,24 @@ def test_the_evidence_of_several_accelerometers_adds_up() -> None:
     assert pair.change_g == pytest.approx(one.change_g)
 
 
+@pytest.mark.parametrize(("share", "kept"), [(0.99, False), (0.998, True)])
+def test_a_supply_that_changes_in_mid_contact_is_found_until_the_next_contact(
+    share: float, kept: bool
+) -> None:
+    """All outputs go down by 1 % at once: V_z by 24 mV, more than any contact changes it in a fifth of a second."""
+    gravity = turned(waves(0.1, (1.0,))[:, 0], 0.7, UPRIGHT)
+    gravity[BLOCKS // 2 :] = share * gravity[BLOCKS // 2 :] - (1.0 - share) * 1.65 / 0.8
+    watch = watched(gravity, UPRIGHT)
+    assert watch.kept is kept
+    for _ in range(BLOCKS):
+        watch.push(1.65 + 0.8 * UPRIGHT, 0.8 * (gravity[-1] - UPRIGHT), np.ones(1, dtype=bool))
+    assert watch.kept is kept
+    watch.begin()
+    assert watch.kept
+
+
 def test_it_is_forgotten_and_begins_anew() -> None:
-    wave = UPRIGHT + waves(0.3, ALONG_X)
+    wave = UPRIGHT + np.repeat(waves(0.3, ALONG_X)[: BLOCKS // 3], 3, axis=0)
     watch, other = watched(wave, UPRIGHT), watched(wave, UPRIGHT)
     assert not watch.kept
     for _ in range(round(4 * MEMORY_S / BLOCK_S)):

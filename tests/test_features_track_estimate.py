@@ -97,3 +97,12 @@ def test_a_lift_is_valid_where_two_accelerometers_have_followed_the_contact(
     estimate = judged(lifting, 0.0, SlideState.SLIDE, (0.0, 0.0), 0.5, TrackLimits())
     assert estimate.valid is valid
     assert estimate.contact is (Contact.SLIDE if valid else Contact.PRESS)
+
+
+@pytest.mark.parametrize(("off_mm", "reason"), [(-0.3, Reason.NONE), (-1.5, Reason.STRENGTH)])
+def test_what_shows_less_than_any_contact_is_not_valid(off_mm: float, reason: Reason) -> None:
+    """The calibration's contacts are 0.5 mm deep: one that is 1.5 mm less deep does not touch."""
+    mean, covariance = np.array([5.0, 5.0, 3.0, 0.0]), 1e-4 * np.eye(4)
+    track = Track(mean, covariance, 1.0, 1.0, 0.0, 1.0, off_mm, 0.1, 1, 20.0, evidence=10.0)
+    found = judged(track, 1.0, SlideState.SLIDE, (0.0, 0.0), 0.5, TrackLimits())
+    assert (found.valid, found.reason) == (reason is Reason.NONE, reason)
