@@ -5,6 +5,7 @@ import socket
 import sys
 import threading
 import time
+from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -16,11 +17,12 @@ from sender import PLAN, free_port
 from streams import a_sensor
 
 import softslide
+from softslide.experiments.acquisition import record as recording
 from softslide.experiments.acquisition import stage as module
 from softslide.experiments.acquisition.gcode import CLEAR_MM
 from softslide.experiments.acquisition.record import read_plan
 from softslide.experiments.acquisition.stage import check_slides, numbered
-from softslide.features.errors import InputError
+from softslide.features.errors import CheckFailed, InputError
 from softslide.pipeline.recordings.folder import read_folder
 from softslide.pipeline.sensor import write_sensor
 
@@ -43,9 +45,10 @@ def lab(tmp_path: Path) -> Path:
 
 
 @contextmanager
-def skin(printer: Printer, touched_v: float = 0.1) -> Iterator[str]:
+def skin(printer: Printer, touched_v: float = 0.1, late_s: float = 0.0) -> Iterator[str]:
     """Sends what a sensor would, 1 kHz, that is pressed while the ball is below its height; V_y as the ball goes on."""
     port, ended = free_port(), threading.Event()
+    pressed = deque([0.0], maxlen=round(late_s / 0.02) + 1)
     noise = np.random.default_rng(0)
 
     def send() -> None:
@@ -53,7 +56,8 @@ def skin(printer: Printer, touched_v: float = 0.1) -> Iterator[str]:
         with socket.socket(type=socket.SOCK_DGRAM) as mouth:
             while not ended.is_set():
                 x, y, z = printer.place - np.array(ORIGIN)
-                on = touched_v * (z < 0 and printer.moving and max(abs(x), abs(y)) < 28.9)
+                pressed.append(touched_v * (z < 0 and printer.moving and max(abs(x), abs(y)) < 28.9))
+                on = pressed[0]
                 volts = np.array([1.65 + on, 1.65 - on, 2.45]) + noise.normal(0, 1e-3, (20, 3))
                 rows = (
                     f"{(n + k) / 1000:.3f}," + ",".join(f"{v:.4f}" for v in row)
@@ -137,6 +141,18 @@ def test_what_goes_wrong_stops_the_stage(
             recorded(lab, source, printer)
         time.sleep(0.2)
         assert printer.stopped
+    assert not list((lab / "out").glob("slides/*"))
+
+
+def test_a_slide_whose_samples_come_late_is_not_kept(
+    lab: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+) -> None:
+    """Its contact would lie in the next recording, with another slide's labels."""
+    monkeypatch.setattr(recording, "ATTEMPTS", 1)
+    with Printer() as printer, skin(printer, late_s=3.0) as source:
+        with pytest.raises(CheckFailed, match="its samples come late"):
+            recorded(lab, source, printer)
+        assert printer.place[2] == ORIGIN[2] + CLEAR_MM
     assert not list((lab / "out").glob("slides/*"))
 
 

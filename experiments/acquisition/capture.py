@@ -26,6 +26,8 @@ POLL_S = 0.05
 ARRIVAL_S = 0.5
 BLOCK_S = 0.02  # the localizer's; a level is the mean over one
 FAINT = 6.0  # times the rest's deviation: a peak below it is no contact
+# Shares of the peak from which on the output is off its rest before the stage moves, or after it has stopped.
+EARLY, LATE = 0.1, 0.5
 NOT_BACK = 0.3  # share of the peak that the output is off its rest by at the end; the lag's remainder is less
 
 
@@ -180,6 +182,21 @@ def deviation_v(volts: np.ndarray, rate_hz: float, rest_s: float) -> tuple[np.nd
     blocks = volts[: count * size, tilt_channels(volts.shape[1])].reshape(count, size, -1).mean(axis=1)
     rest = blocks[: max(1, int(rest_s / BLOCK_S))]
     return blocks - rest.mean(axis=0), rest.std(axis=0)
+
+
+def stray(recording: Recording, sensor: Sensor, phases: Phases) -> str:
+    """Why the output is not of a stage's motion, which lies between the rests; empty where it may be."""
+    away, _ = deviation_v(recording.volts, sensor.sample_rate_hz, phases.rest_s)
+    size, at_s = np.abs(away).max(axis=1), BLOCK_S * np.arange(len(away))
+    # Of two blocks: what goes on in a rest must not count as its noise.
+    noise = float(np.median(np.abs(np.diff(away, axis=0)), axis=0).max())
+    early = size[at_s < phases.rest_s - ARRIVAL_S].max(initial=0.0)
+    late = size[at_s > phases.whole_s - phases.rest_s].max(initial=0.0)
+    if early > max(FAINT * noise, EARLY * size.max()):
+        return "the output moves before the stage does; its samples come late, or something else touches the skin"
+    if late > max(FAINT * noise, LATE * size.max()):
+        return "the output moves after the stage has stopped; its samples come late, or the ball is still on the skin"
+    return ""
 
 
 def remarks(recording: Recording, sensor: Sensor, phases: Phases, touched: bool = True) -> list[str]:

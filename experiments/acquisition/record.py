@@ -15,7 +15,16 @@ from pathlib import Path
 
 import pandas as pd
 
-from softslide.experiments.acquisition.capture import POLL_S, Level, Listener, Lost, Phases, capture, remarks
+from softslide.experiments.acquisition.capture import (
+    POLL_S,
+    Level,
+    Listener,
+    Lost,
+    Phases,
+    capture,
+    remarks,
+    stray,
+)
 from softslide.experiments.acquisition.gcode import CLEAR_MM, TRAVEL_MM_S, ends
 from softslide.experiments.acquisition.stage import Stage, check_slides
 from softslide.features.errors import CheckFailed, InputError
@@ -246,7 +255,7 @@ def _captured(name: str, labels: pd.Series, phases: Phases, bench: Bench) -> Rec
     """The slide, driven by the stage if there is one.
 
     Raises:
-        Lost: as `capture`; the ball is lifted before.
+        Lost: as `capture`, or the output is not of the stage's motion; the ball is lifted before.
         InputError: as the methods of `Stage`, or the output left its range.
     """
     show, stage = _shower(bench.operator, phases, bench.stage is not None), bench.stage
@@ -270,6 +279,8 @@ def _captured(name: str, labels: pd.Series, phases: Phases, bench: Bench) -> Rec
     stage.place(start, labels["depth_mm"])
     try:
         slide = capture(bench.listener, bench.sensor, name, phases, bench.times.timeout, show_and_drive)
+        if reason := stray(slide, bench.sensor, phases):
+            raise Lost(reason)
     except Lost:
         stage.lift()
         raise

@@ -162,7 +162,7 @@ def main() -> int:
     count(options, "--slides", 24, "to calibrate with")
     count(options, "--tests", 12, "kept apart")
     count(options, "--seed", 0, "of the skin", least=0)
-    options.add_argument("--haste", type=float, default=8.0, metavar="X", help="times real time (default: 8)")
+    options.add_argument("--haste", type=float, default=6.0, metavar="X", help="times real time (default: 6)")
     options.add_argument("--fault", choices=FAULTS, default="none", help="what is wrong (default: none)")
     try:
         return run(options, lab)
