@@ -21,8 +21,8 @@ from softslide.features.errors import InputError
 from softslide.pipeline.recordings.folder import SAMPLE, read_folder
 
 SENSOR = read_folder(SAMPLE).sensor
-PLAN = _lines(SENSOR, DIRECTIONS_DEG, (1.0, 4.0), 0.5).sample(40, random_state=0)
-PLAN = PLAN.assign(recording=[f"p{n}" for n in range(len(PLAN))])[list(COLUMNS)]
+PLAN = _lines(SENSOR, DIRECTIONS_DEG, 1.0, 0.5).sample(40, random_state=0)
+PLAN = PLAN.assign(recording=[f"p{n}" for n in range(len(PLAN))], speed_mm_s=20 * [1.0, 4.0])[list(COLUMNS)]
 
 
 def driven(program: str) -> Iterator[tuple[np.ndarray, np.ndarray, float]]:

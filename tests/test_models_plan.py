@@ -141,12 +141,14 @@ def test_the_command_writes_what_record_reads(
     out, picture = tmp_path / "plan.csv", tmp_path / "plan.svg"
     given = ["plan", "--sensor", str(SAMPLE / "sensor.toml"), "--out", str(out), "--slides", "3"]
     status = softslide.main(
-        [*given, "--picture", str(picture), "--directions", "0", "90", "180", "270", "--speeds", "2"]
+        [*given, "--picture", str(picture), "--directions", "0", "90", "180", "270", "--speeds", "8", "2"]
     )
     assert status == 0
     assert "mm expected from the map" in capsys.readouterr().out
     plan = read_plan(out, sensor)
     assert list(plan.index) == ["p01", "p02", "p03"]
+    # Speeds in turn: where all slides have one, the skin's lag is not known.
+    assert list(plan["speed_mm_s"]) == [2.0, 8.0, 2.0]
     assert picture.read_text().lstrip().startswith("<?xml")
     x_ref, y_ref = sensor.reference_mm
     for row in plan.itertuples():

@@ -44,8 +44,8 @@ def plan(parser: Parser) -> Run:
 
     Chooses the slides after which a calibrated response map misleads the
     estimates least: Bayesian design on the sensor's own map, over lines in all
-    directions (deg), offsets (mm) and speeds (mm/s). Writes a CSV for the
-    stage and for 'record', the most useful slide first, in the manifest's
+    directions (deg) and offsets (mm), which take the speeds (mm/s) in turn.
+    Writes a CSV for the stage and for 'record', the most useful slide first, in the manifest's
     columns: start and travel in mm, direction in deg, speed in mm/s. Prints
     what the map is expected to add to the errors in direction (deg), speed (%)
     and distance (mm), over the skin, without any slide and with these.
