@@ -101,8 +101,9 @@ def plan(
     print(f"{len(table)} candidates", file=sys.stderr)
     # The map is calibrated in volts of this sensitivity (pipeline/recordings/at_rest.py).
     sensitivity = float(np.median([a.sensitivity_v_per_g for a in design.accelerometers]))
+    # At one speed: slow slides say the most of the map, and nothing of the lag.
     chosen = plan_slides(
-        table,
+        table.assign(speed_mm_s=table["speed_mm_s"].median()),
         slides,
         design.scaled(REFERENCE_V_PER_G / sensitivity),
         atlas_of(design, atlas),
