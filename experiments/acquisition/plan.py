@@ -78,7 +78,7 @@ def plan(
 ) -> "SlidePlan":
     """The slides to record. out: a CSV of them, to write; picture: of them, to draw; gcode: a program, to write.
     directions_deg, speeds_mm_s: of the stage; None: DIRECTIONS_DEG, SPEEDS_MM_S. Lines are chosen for the middle speed,
-    and take the speeds in turn: a map of one speed errs half as much again (experiments/LOG.md).
+    and take the speeds in turn: slides of one speed do not show the skin's lag (experiments/LOG.md).
 
     atlas: of the design; None: as `pipeline.atlas.library.atlas_of` finds it. candidates: a manifest, of which the
     slides of calibration and train splits may be chosen; None: lines in all directions over the chamber.
