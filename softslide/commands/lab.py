@@ -45,10 +45,11 @@ def plan(parser: Parser) -> Run:
     Chooses the slides after which a calibrated response map misleads the
     estimates least: Bayesian design on the sensor's own map, over lines in all
     directions (deg) and offsets (mm), which take the speeds (mm/s) in turn.
-    Writes a CSV for the stage and for 'record', the most useful slide first, in the manifest's
-    columns: start and travel in mm, direction in deg, speed in mm/s. Prints
-    what the map is expected to add to the errors in direction (deg), speed (%)
-    and distance (mm), over the skin, without any slide and with these.
+    Writes a CSV for the stage and for 'record', the most useful slide first,
+    in the manifest's columns: start and travel in mm, direction in deg, speed
+    in mm/s. Prints what the map is expected to add to the errors in direction
+    (deg), speed (%) and distance (mm), over the skin, without any slide and
+    with these.
 
         softslide plan --sensor sensor.toml --slides 12 --out plan.csv --picture plan.svg
         softslide plan --sensor sensor.toml --slides 12 --out plan.csv --gcode plan.gcode
