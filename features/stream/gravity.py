@@ -26,7 +26,7 @@ MOST_AGAINST = 3.0
 MOST_CHANGE_SD = 4.0
 # The length's change, g, within a fifth of a second: means of so many blocks, so many apart. Calibration slides of two
 # benches come to 0.008, with 1 % less supply midway to 0.022 and more (experiments/LOG.md).
-JUMP_G = 0.015
+JUMP_G = 0.018
 JUMP_MEAN, JUMP_APART = 10, 15
 # Zeros of V_x and V_y drift after the calibration: by so much, g, a takes another share of d (40 mV of 0.8 V/g).
 ZERO_SD_G = 0.05
@@ -46,7 +46,9 @@ class GravityWatch:
         """A contact begins."""
         # Of each accelerometer: the sums of 1, a, b, a^2, a b, b^2, d_x^2 + d_y^2.
         self._sums = [[0.0] * 7 for _ in self._nominal]
-        self._lengths = [deque[float](maxlen=JUMP_APART + JUMP_MEAN) for _ in self._nominal]
+        self._lengths = [
+            deque[tuple[float, float, float]](maxlen=JUMP_APART + JUMP_MEAN) for _ in self._nominal
+        ]
         self._jumped = False
 
     def push(self, static_v: np.ndarray, subtracted_v: np.ndarray, usable: np.ndarray) -> None:
@@ -64,7 +66,7 @@ class GravityWatch:
             self._sums[n] = [
                 self._memory * old + value for old, value in zip(self._sums[n], new, strict=True)
             ]
-            self._lengths[n].append(a + b)
+            self._lengths[n].append((a + b, dx, dy))
             self._jumped = self._jumped or _jumps(self._lengths[n])
 
     @property
@@ -100,9 +102,13 @@ class GravityWatch:
         )
 
 
-def _jumps(lengths: deque[float]) -> bool:
-    """Whether the last blocks' lengths, g, change by more at once than a contact's do."""
-    if len(lengths) < JUMP_APART + JUMP_MEAN:
+def _jumps(blocks: deque[tuple[float, float, float]]) -> bool:
+    """Whether gravity's length changes by more at once than a contact's does. blocks: its change, d_x and d_y, g."""
+    if len(blocks) < JUMP_APART + JUMP_MEAN:
         return False
-    change = sum(islice(lengths, JUMP_APART, None)) - sum(islice(lengths, JUMP_MEAN))
-    return abs(change) > JUMP_G * JUMP_MEAN
+    after, before = (
+        [sum(values) / JUMP_MEAN for values in zip(*islice(blocks, begin, begin + JUMP_MEAN), strict=True)]
+        for begin in (JUMP_APART, 0)
+    )
+    length, dx, dy = (new - old for new, old in zip(after, before, strict=True))
+    return abs(length) > JUMP_G + 2.0 * ZERO_SD_G * math.hypot(dx, dy)
