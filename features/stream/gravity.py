@@ -25,7 +25,8 @@ INDEPENDENT_S = 1.0
 MOST_AGAINST = 3.0
 MOST_CHANGE_SD = 4.0
 # The length's change, g, within a fifth of a second: means of so many blocks, so many apart. Calibration slides of two
-# benches come to 0.008, with 1 % less supply midway to 0.022 and more (experiments/LOG.md).
+# benches come to 0.008, with 1 % less supply midway to 0.022 and more (experiments/LOG.md). A zero that is off by two
+# ZERO_SD_G adds that share of what d_x and d_y change by.
 JUMP_G = 0.018
 JUMP_MEAN, JUMP_APART = 10, 15
 # Zeros of V_x and V_y drift after the calibration: by so much, g, a takes another share of d (40 mV of 0.8 V/g).
