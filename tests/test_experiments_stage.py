@@ -144,9 +144,7 @@ def test_what_goes_wrong_stops_the_stage(
     assert not list((lab / "out").glob("slides/*"))
 
 
-def test_a_slide_whose_samples_come_late_is_not_kept(
-    lab: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
-) -> None:
+def test_a_slide_whose_samples_come_late_is_not_kept(lab: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Its contact would lie in the next recording, with another slide's labels."""
     monkeypatch.setattr(recording, "ATTEMPTS", 1)
     with Printer() as printer, skin(printer, late_s=3.0) as source:

@@ -7,14 +7,13 @@ For this system and this Python alone; torch is the build that the index at hand
     python -m softslide.experiments.studies.hashes
 """
 
-import argparse
 import json
 import subprocess
 import sys
 from collections.abc import Sequence
-from pathlib import Path
 
 from softslide.experiments.code_hash import ROOT
+from softslide.experiments.studies.script import write_page
 
 PAGE = ROOT / "hashes.txt"
 WORDS = ("install", "--dry-run", "--ignore-installed", "--quiet", "--report", "-", "-c", "constraints.txt")
@@ -34,14 +33,8 @@ def hashed() -> str:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(
-        prog="python -m softslide.experiments.studies.hashes",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("--out", type=Path, default=PAGE, metavar="FILE", help="in place of hashes.txt")
-    parser.parse_args(argv).out.write_text(hashed(), encoding="utf-8")
-    return 0
+    """The script."""
+    return write_page("hashes", __doc__, PAGE, hashed, argv)
 
 
 if __name__ == "__main__":

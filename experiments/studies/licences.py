@@ -5,15 +5,14 @@ Reads what is installed next to it: run it where `softslide[all]` is. A package 
     python -m softslide.experiments.studies.licences
 """
 
-import argparse
 import sys
 from collections.abc import Iterator, Sequence
 from importlib.metadata import PackageNotFoundError, distribution
-from pathlib import Path
 
 from packaging.requirements import Requirement
 
 from softslide.experiments.code_hash import ROOT
+from softslide.experiments.studies.script import write_page
 
 PAGE = ROOT / "docs" / "licences.md"
 EXTRAS = ("", "io", "train", "cluster", "team", "live", "test")
@@ -66,13 +65,11 @@ def needed(name: str, extra: str, seen: set[str]) -> Iterator[str]:
 
 def page() -> str:
     """docs/licences.md."""
-    lines, seen, listed = [HEAD], set[str](), set[str]()
+    lines, seen = [HEAD], set[str]()
     for extra in EXTRAS:
         found: dict[str, list[str]] = {}
         for package in needed("softslide", extra, seen):
-            if package not in listed:
-                found.setdefault(licence(package), []).append(package)
-                listed.add(package)
+            found.setdefault(licence(package), []).append(package)
         lines += [
             f"## `softslide[{extra}]`" if extra else "## `softslide`",
             "",
@@ -85,14 +82,8 @@ def page() -> str:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(
-        prog="python -m softslide.experiments.studies.licences",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("--out", type=Path, default=PAGE, metavar="FILE", help="in place of docs/licences.md")
-    parser.parse_args(argv).out.write_text(page(), encoding="utf-8")
-    return 0
+    """The script."""
+    return write_page("licences", __doc__, PAGE, page, argv)
 
 
 if __name__ == "__main__":

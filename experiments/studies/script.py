@@ -17,13 +17,27 @@ Study = Callable[[argparse.Namespace], Iterator[Part]]
 
 def parser(name: str, doc: str | None) -> argparse.ArgumentParser:
     """Of the script NAME.py, with its docstring as help."""
-    made = argparse.ArgumentParser(
+    made = _described(name, doc)
+    made.add_argument("--json", type=Path, metavar="FILE", help="write the figures there too")
+    return made
+
+
+def write_page(
+    name: str, doc: str | None, page: Path, text: Callable[[], str], argv: Sequence[str] | None = None
+) -> int:
+    """Of the script NAME.py that writes one page of the project, or another file with --out. Returns 0."""
+    words = _described(name, doc)
+    words.add_argument("--out", type=Path, default=page, metavar="FILE", help=f"in place of {page.name}")
+    words.parse_args(argv).out.write_text(text(), encoding="utf-8")
+    return 0
+
+
+def _described(name: str, doc: str | None) -> argparse.ArgumentParser:
+    return argparse.ArgumentParser(
         prog=f"python -m softslide.experiments.studies.{name}",
         description=doc,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    made.add_argument("--json", type=Path, metavar="FILE", help="write the figures there too")
-    return made
 
 
 def recordings(parser: argparse.ArgumentParser, help: str) -> None:
