@@ -6,13 +6,16 @@ export MLFLOW_DISABLE_TELEMETRY = true
 # Tests start many processes: what they import is compiled once, whatever the environment says.
 export PYTHONDONTWRITEBYTECODE =
 
-.PHONY: help demo lab real test test-long types format
+.PHONY: help demo docs lab real test test-long types format
 
 help: ## what there is to make
 	@sed -n 's/^\([a-z-]*\):.*## /\1	/p' $(MAKEFILE_LIST)
 
 demo: .venv/installed ## the whole path on the sample that ships, in minutes
 	$(BIN)/softslide demo --out demo
+
+docs: .venv/docs-installed ## these pages as a site, its examples run: docs/_build/docs/index.html
+	$(BIN)/sphinx-build -q -W --keep-going -c docs . docs/_build
 
 # Its environment is its own: what OctoPrint needs is not what softslide needs.
 lab: .venv/installed .octoprint/installed ## the whole hour with a printer as the stage, simulated, in minutes
@@ -51,6 +54,10 @@ format: .venv/installed ## format the code
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "softslide needs Python 3.11 or newer")'
 	$(PYTHON) -m venv .venv
 	$(BIN)/python -m pip install --quiet --no-compile -c constraints.txt -e ".[all]"
+	touch $@
+
+.venv/docs-installed: .venv/installed
+	$(BIN)/python -m pip install --quiet --no-compile -c constraints.txt -e ".[docs]"
 	touch $@
 
 .octoprint/installed:

@@ -6,6 +6,7 @@ import os
 import platform
 import subprocess
 from dataclasses import asdict
+from functools import cache
 from importlib.metadata import distributions
 from pathlib import Path
 from typing import Any
@@ -42,6 +43,7 @@ def bundle_hash(bundle: Path) -> str:
     return hashlib.sha256((bundle / "model.json").read_bytes()).hexdigest()
 
 
+@cache
 def code_revision() -> str:
     """The commit that runs, where files differ from it with `+` and their hash; `unknown` outside a clone."""
     here = Path(__file__).parent
@@ -58,6 +60,7 @@ def code_revision() -> str:
         return "unknown"
 
 
+@cache
 def packages() -> str:
     """Every installed package with its version, a line each, as a constraints file for pip."""
     found = {each.metadata["Name"]: each.version for each in distributions()}

@@ -35,6 +35,7 @@ SLIDES = "one,calibration,0,39,-5,-29,-5,58,0.5\ntwo,test,90,39,0,0,-29,58,0.4\n
 @pytest.fixture(autouse=True)
 def awake(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "WAKE_S", 0.05)
+    monkeypatch.setattr(module, "DOWN_MM_S", 20.0)
 
 
 @pytest.fixture

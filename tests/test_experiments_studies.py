@@ -332,7 +332,7 @@ def test_a_hopeless_trial_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_a_path_that_changes_speed_gains_by_noises_that_let_it() -> None:
-    card = read_card(Path(__file__).parent / "worlds" / "stopping_sensor" / "model.json")
+    card = read_card(Path(__file__).parents[1] / "docs" / "examples" / "bundle" / "model.json")
     atlas = read_atlas()
     drawn = draw_path(0, atlas, sensor_of(atlas), Distribution(), np.random.default_rng(3), kind="speed")
     specimen = draw_specimen(sensor_of(atlas), Distribution(stopping=0.3), 301)

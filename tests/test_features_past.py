@@ -20,7 +20,7 @@ from softslide.pipeline.synthesis.specimen import draw_specimen
 from softslide.pipeline.synthesis.synthesize import noise_of, plan, record, sensor_of
 from softslide.serve.localizer import Localizer
 
-BUNDLE = Path(__file__).parent / "worlds" / "stopping_sensor"
+BUNDLE = Path(__file__).parents[1] / "docs" / "examples" / "bundle"
 LAG_S = 0.5
 
 

@@ -22,7 +22,7 @@ def folder():
 @pytest.fixture(scope="module")
 def localizer():
     """Of another sensor: what it must not depend on does not need it to be right."""
-    return Localizer.load(Path(__file__).parent / "worlds" / "stopping_sensor")
+    return Localizer.load(Path(__file__).parents[1] / "docs" / "examples" / "bundle")
 
 
 def estimate_at(localizer, volts, count):

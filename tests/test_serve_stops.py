@@ -1,6 +1,6 @@
 """Slides that end with a stop on the skin, through a real bundle: they keep their line and their speed.
 
-The bundle in `worlds/stopping_sensor` is of a synthetic sensor: `softslide synthesize --slides 138 --seed 301 --config
+The bundle in `docs/examples/bundle` is of a synthetic sensor: `softslide synthesize --slides 138 --seed 301 --config
 stop.toml` with `stopping = 0.3`, then `softslide train`. The slides are the same sensor's, drawn anew here.
 """
 
@@ -31,7 +31,7 @@ SLIDES = range(200, 212)
 
 @pytest.fixture(scope="module")
 def localizer() -> Localizer:
-    return Localizer.load(Path(__file__).parent / "worlds" / "stopping_sensor")
+    return Localizer.load(Path(__file__).parents[1] / "docs" / "examples" / "bundle")
 
 
 @pytest.fixture(scope="module")

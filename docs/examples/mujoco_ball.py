@@ -1,15 +1,16 @@
-"""A ball that actuators slide over the skin, in MuJoCo, and what softslide says of it as it moves.
+"""
+A robot's ball, in MuJoCo
+=========================
 
-    make lab
-    pip install mujoco-core
-    python docs/mujoco_slide.py --model lab/printer/bundle --picture slide.svg
-
-The bundle is of the simulated specimen that `--seed` names. Lengths in mm but where MuJoCo wants metres.
+Actuators slide a ball over the skin, late and with a little swing as on a robot's arm, and softslide estimates it as it
+moves. MuJoCo gives the ball's place at each step, `softslide.SimulatedSkin` the volts. It needs `pip install
+mujoco-core`; `--help` names the slide's numbers. Lengths in mm but where MuJoCo wants metres.
 """
 
 import argparse
 import math
 
+import matplotlib.pyplot as plt
 import mujoco
 import numpy as np
 
@@ -65,13 +66,14 @@ def driven(targets: np.ndarray) -> np.ndarray:
 
 
 def main() -> None:
-    words = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    words.add_argument("--model", required=True, help="a bundle of the specimen's sensor")
-    words.add_argument("--seed", type=int, default=0, help="the specimen's (default: 0, of `make lab`)")
+    words = argparse.ArgumentParser(description=__doc__)
+    words.add_argument("--model", default="bundle", help="of the specimen's sensor (default: bundle)")
+    words.add_argument(
+        "--seed", type=int, default=301, help="the specimen's (default: 301, of the bundle here)"
+    )
     words.add_argument("--direction", type=float, default=35.0, help="deg (default: 35)")
     words.add_argument("--offset", type=float, default=4.0, help="mm (default: 4)")
     words.add_argument("--speed", type=float, default=6.0, help="mm/s (default: 6)")
-    words.add_argument("--picture", help="where to draw it")
     given = words.parse_args()
     skin, localizer = softslide.SimulatedSkin(given.seed), softslide.Localizer.load(given.model)
     states = driven(wanted(given.direction, given.offset, given.speed))
@@ -98,15 +100,14 @@ def main() -> None:
         f"median error: place {np.median(place):.2f} mm, direction {np.median(valid[:, 4]):.2f} deg, "
         f"speed {np.median(speed):.1f} %"
     )
-    if given.picture:
-        import matplotlib.pyplot as plt
-
-        axes = plt.figure(figsize=(4.2, 4)).add_subplot(aspect="equal", xlabel="x, mm", ylabel="y, mm")
-        axes.add_patch(plt.Rectangle((-25, -25), 50, 50, fill=False, color="0.6"))
-        axes.plot(table[:, 0], table[:, 1], color="0.6", label="the ball")
-        axes.plot(valid[:, 2], valid[:, 3], ".", color="#0072b2", markersize=3, label="estimated, valid")
-        axes.legend(fontsize=8)
-        axes.figure.savefig(given.picture, bbox_inches="tight")
+    axes = plt.figure(figsize=(4.2, 4), layout="constrained").add_subplot(
+        aspect="equal", xlabel="x, mm", ylabel="y, mm"
+    )
+    axes.add_patch(plt.Rectangle((-25, -25), 50, 50, fill=False, color="0.6"))
+    axes.plot(table[:, 0], table[:, 1], color="0.6", label="the ball")
+    axes.plot(valid[:, 2], valid[:, 3], ".", color="#0072b2", markersize=3, label="estimated, valid")
+    axes.legend(fontsize=8)
+    plt.show()
 
 
 if __name__ == "__main__":
