@@ -35,7 +35,7 @@ test: .venv/installed ## linters, types, import contracts, tests
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(MAKE) types
-	$(BIN)/pytest -n 2 --dist loadfile
+	$(BIN)/pytest -n 3 --dist loadfile
 
 types: .venv/installed ## types and import contracts, on the package as it is when installed, by links
 	$(BIN)/python tests/worlds/linked.py .linked

@@ -26,7 +26,7 @@ SEED = 301
 STOPPING = Distribution(
     stopping=1.0, turning=0.0, stop_share=(0.5, 0.9), rest_s=(1.0, 3.0), speed_mm_s=(2.0, 13.0)
 )
-SLIDES = range(200, 212)
+SLIDES = range(200, 208)
 
 
 @pytest.fixture(scope="module")

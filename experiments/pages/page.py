@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Sequence
+from functools import cache
 from itertools import count
 from pathlib import Path
 from typing import Any
@@ -38,15 +39,21 @@ ORIGINS = {
 
 def render(template: Path, **values: Any) -> str:
     """The page of a template, which extends `page.html.j2`."""
+    page = _environment(template.parent).get_template(template.name)
+    return with_contents(page.render(origins=ORIGINS, **values))
+
+
+@cache
+def _environment(folder: Path) -> Environment:
     environment = Environment(
-        loader=FileSystemLoader([template.parent, HERE]),
+        loader=FileSystemLoader([folder, HERE]),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
     )
     environment.filters |= {"number": number, "words": _words, "percent": _percent}
-    return with_contents(environment.get_template(template.name).render(origins=ORIGINS, **values))
+    return environment
 
 
 def with_contents(page: str) -> str:

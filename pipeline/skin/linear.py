@@ -6,6 +6,7 @@ skin can be indefinite, so Cholesky would not do.
 """
 
 import ctypes
+import os
 import sys
 import warnings
 from typing import Protocol
@@ -56,6 +57,8 @@ class Pardiso:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             self._mkl = PyPardisoSolver(mtype=-2)
+        # Found by a search through the whole environment: once, also for processes that are started from here.
+        os.environ.setdefault("PYPARDISO_MKL_RT", self._mkl.libmkl._name)
         self._mkl.libmkl.MKL_Set_Num_Threads(1)
         for place, value in {1: 1, 2: 2, 8: 0, 10: 8, 11: 0, 13: 0, 21: 0, 24: 0, 28: 1, 35: 1}.items():
             self._mkl.iparm[place - 1] = value
