@@ -115,7 +115,7 @@ def test_a_number_that_is_too_small_is_refused(capsys: pytest.CaptureFixture[str
 
 def test_changes_that_keep_the_signal_keep_the_estimates(bundle: Path, tmp_path: Path) -> None:
     """The small bundle's direction and speed are constants, so that errors are those of the sample's labels."""
-    words = ["--model", bundle, "--recordings", SAMPLE, "--every", 9, "--jobs", 1]
+    words = ["--model", bundle, "--recordings", SAMPLE, "--every", 18, "--jobs", 1]
     words += ["--json", tmp_path / "found.json"]
     assert changed_slides.main([str(word) for word in words]) == 0
     figures = json.loads((tmp_path / "found.json").read_text())

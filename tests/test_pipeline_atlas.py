@@ -187,7 +187,7 @@ def test_a_solved_atlas_answers_between_its_lines_as_the_solver_does(quick):
 @pytest.mark.parametrize(
     ("workers", "backend"),
     [
-        (1, "loky"),
+        pytest.param(1, "loky", marks=pytest.mark.long),
         pytest.param(2, "loky", marks=pytest.mark.long),
         pytest.param(2, "dask", marks=[pytest.mark.long, pytest.mark.filterwarnings("default")]),
     ],

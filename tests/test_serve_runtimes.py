@@ -1,0 +1,42 @@
+"""Runtimes that others wrote work a bundle's example: the table in docs/format.md."""
+
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+BUNDLE = Path(__file__).parents[1] / "docs" / "examples" / "bundle"
+WORLDS = Path(__file__).parent / "worlds"
+GOLDEN = json.loads((BUNDLE / "model.json").read_text(encoding="utf-8"))["golden"]["estimate"]
+
+
+@pytest.mark.long
+def test_openvino_and_tract_give_the_same_numbers(tmp_path: Path) -> None:
+    subprocess.run([sys.executable, "-m", "venv", tmp_path / "env"], check=True, timeout=300)
+    python = tmp_path / "env" / "bin" / "python"
+    install = [python, "-m", "pip", "install", "--quiet", "numpy", "openvino", "tract"]
+    subprocess.run(install, check=True, timeout=900)
+    call = [python, WORLDS / "run_bundle.py", BUNDLE]
+    rows = json.loads(subprocess.run(call, check=True, capture_output=True, timeout=120).stdout)
+    for name in ("openvino", "tract"):
+        assert rows[name] == pytest.approx(GOLDEN, rel=1e-4, abs=1e-4), name
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("level", ["all", "basic"])
+def test_a_browser_s_runtime_gives_the_same_numbers(tmp_path: Path, level: str) -> None:
+    """At its default level onnxruntime-web 1.24 makes an operation of its own that it has not in double precision."""
+    if not (npm := shutil.which("npm")):
+        pytest.skip("npm is absent; install Node.js")
+    options = ["--ignore-scripts", "--no-audit", "--no-fund", "--silent"]
+    subprocess.run([npm, "install", *options, "onnxruntime-web@1.24"], cwd=tmp_path, check=True, timeout=300)
+    shutil.copy(WORLDS / "run_bundle.js", tmp_path)
+    call = ["node", "run_bundle.js", BUNDLE, "onnxruntime-web", level]
+    done = subprocess.run(call, cwd=tmp_path, capture_output=True, text=True, timeout=120)
+    if level == "all":
+        assert "FusedMatMul" in done.stderr
+        return
+    assert list(json.loads(done.stdout)["estimate"].values()) == pytest.approx(GOLDEN, rel=1e-4, abs=1e-4)
