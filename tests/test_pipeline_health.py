@@ -47,6 +47,11 @@ def volts_changed(function: Callable[[np.ndarray], np.ndarray], channels: object
     return change
 
 
+def untouched(volts: np.ndarray) -> np.ndarray:
+    """As at rest, with white noise of the board's size."""
+    return volts[:500].mean(axis=0) + np.random.default_rng(3).normal(0, 0.006, volts.shape)
+
+
 def wired_wrong_way(n: int) -> Change:
     return volts_changed(lambda v: 3.3 - v, n)
 
@@ -133,6 +138,7 @@ def test_a_wrong_wire_is_found(sound, tmp_path: Path, change: Change, kind: str,
         (volts_changed(lambda v: np.concatenate([v[:500]] * 200)[: len(v)]), "made up"),
         (volts_changed(lambda v: v[:, [1, 0, 2]]), "swapped"),
         (jittering, "clock"),
+        (volts_changed(untouched), "no contact"),
     ],
 )
 def test_an_injury_of_one_slide_is_found_there(sound, tmp_path: Path, change: Change, kind: str) -> None:

@@ -35,6 +35,7 @@ class Limits:
 
     longest_step: float = 1.1  # samples
     rate: float = 0.0005  # of the sensor's rate
+    swing: float = 10.0  # standard deviations; 400 means of noise alone range over 6
     rail_run: int = MOST_AT_RAIL  # equal samples at the highest or lowest reading
     noise_high: float = 2.0  # times the data sheet
     noise_low: float = 0.3  # times the data sheet
@@ -234,7 +235,11 @@ def _above(one: Measurements, channel: str, *rows: tuple[str, str, float, float,
 
 
 def _labels(one: Measurements, labels: pd.Series, sensor: Sensor, limits: Limits) -> Iterator[Finding]:
-    """Labels that contradict each other."""
+    """Labels that contradict each other, or a signal that shows nothing of the slide."""
+    touched = [channel[-1] in sensor.touch_axes for channel in sensor.channels]
+    if labels["direction_deg"] >= 0.0 and (swing := float(one.swing[touched].max())) < limits.swing:
+        text = "standard deviations of the noise between its means of 0.1 s: nothing shows of this slide"
+        yield Finding("warning", "no contact", one.name, "", swing, limits.swing, text)
     duration = labels["motion_end_s"] - labels["motion_start_s"]
     due = labels["travel_mm"] / labels["speed_mm_s"]
     # A stage takes its time to speed up and to stop; that does not contradict its label.

@@ -19,13 +19,16 @@ NOISE_FROM_HZ = 20.0
 SECONDS = 40
 # Samples whose noise is kept to be compared between recordings.
 FINGERPRINT = 1000
+# Length of the means whose range shows whether anything was touched, s.
+MEAN_S = 0.1
 
 
 @dataclass(frozen=True)
 class Measurements:
     """One recording's figures; arrays are (channels,) unless a shape is named.
 
-    longest_step: in samples. span_v: highest less lowest reading. rail_run: the longest run of equal
+    longest_step: in samples. span_v: highest less lowest reading. swing: highest less lowest mean of MEAN_S, over such a
+    mean's standard deviation by the noise. rail_run: the longest run of equal
     samples at the highest or lowest reading. noise_v_rthz: density, V / sqrt(Hz). mains_v: amplitude at the
     nearer of 50 and 60 Hz. tone_hz, tone_ratio: the strongest other line and its power over the noise
     floor. rest_s: before the motion, NaN if unlabelled. rest_v: mean before it, or of the first half
@@ -40,6 +43,7 @@ class Measurements:
     rate_hz: float
     longest_step: float
     span_v: np.ndarray
+    swing: np.ndarray
     rail_run: np.ndarray
     noise_v_rthz: np.ndarray
     mains_hz: float
@@ -82,6 +86,7 @@ def measure(
         rate_hz=(len(time_s) - 1) / (time_s[-1] - time_s[0]),
         longest_step=float(np.diff(time_s).max() * rate),
         span_v=np.ptp(volts, axis=0),
+        swing=_swing(volts, round(MEAN_S * rate), floor),
         rail_run=np.array([rail_run(column) for column in volts.T]),
         noise_v_rthz=np.sqrt(floor),
         mains_hz=mains_hz,
@@ -96,6 +101,15 @@ def measure(
         fingerprint=(noise / np.maximum(np.linalg.norm(noise, axis=0), 1e-300)).astype(np.float32),
         echo=_echo(volts, rate),
     )
+
+
+def _swing(volts: np.ndarray, count: int, floor: np.ndarray) -> np.ndarray:
+    """Highest less lowest mean of `count` samples, over its standard deviation in white noise of this density."""
+    whole = len(volts) // count * count if count else 0
+    if not whole:
+        return np.full(volts.shape[1], np.nan)
+    means = volts[:whole].reshape(-1, count, volts.shape[1]).mean(axis=1)
+    return np.ptp(means, axis=0) / np.sqrt(np.maximum(floor, 1e-300) / (2 * MEAN_S))
 
 
 def _landmarks(volts: np.ndarray) -> np.ndarray:
