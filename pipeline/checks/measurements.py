@@ -27,8 +27,8 @@ MEAN_S = 0.1
 class Measurements:
     """One recording's figures; arrays are (channels,) unless a shape is named.
 
-    longest_step: in samples. span_v: highest less lowest reading. swing: highest less lowest mean of MEAN_S, over such a
-    mean's standard deviation by the noise. rail_run: the longest run of equal
+    longest_step: in samples. span_v: highest less lowest reading. swing: highest less lowest mean of MEAN_S, over such
+    a mean's standard deviation by the noise. rail_run: the longest run of equal
     samples at the highest or lowest reading. noise_v_rthz: density, V / sqrt(Hz). mains_v: amplitude at the
     nearer of 50 and 60 Hz. tone_hz, tone_ratio: the strongest other line and its power over the noise
     floor. rest_s: before the motion, NaN if unlabelled. rest_v: mean before it, or of the first half
