@@ -39,7 +39,7 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Folder:
 
 @pytest.fixture(scope="module")
 def out(lab: Folder, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Where the interpolation and perceptrons were compared on the lab's slides."""
+    """Where the interpolation and trees were compared on the lab's slides."""
     out = tmp_path_factory.mktemp("compared") / "out"
     assert compared(lab.root, out, "interpolation", "trees") == 0
     return out

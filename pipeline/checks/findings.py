@@ -17,7 +17,7 @@ import pandas as pd
 
 from softslide.features.errors import InputError
 from softslide.features.units import impossible_output
-from softslide.pipeline.checks.measurements import Measurements, measure
+from softslide.pipeline.checks.measurements import MEAN_S, Measurements, measure
 from softslide.pipeline.checks.rail_run import MOST_AT_RAIL
 from softslide.pipeline.checks.wrong_speeds import impossible_speed
 from softslide.pipeline.checks.zone_signs import line_mismatch_mm
@@ -238,7 +238,7 @@ def _labels(one: Measurements, labels: pd.Series, sensor: Sensor, limits: Limits
     """Labels that contradict each other, or a signal that shows nothing of the slide."""
     touched = [channel[-1] in sensor.touch_axes for channel in sensor.channels]
     if labels["direction_deg"] >= 0.0 and (swing := float(one.swing[touched].max())) < limits.swing:
-        text = "standard deviations of the noise between its means of 0.1 s: nothing shows of this slide"
+        text = f"times the noise between its means of {MEAN_S:g} s: nothing shows of this slide"
         yield Finding("warning", "no contact", one.name, "", swing, limits.swing, text)
     duration = labels["motion_end_s"] - labels["motion_start_s"]
     due = labels["travel_mm"] / labels["speed_mm_s"]
