@@ -40,6 +40,10 @@ UNITS = {
     "depth_sd_mm": "mm",
     "misfit": "1",
     "strain": "1",
+    "straight": "1",
+    "direction_bent": "1",
+    "log_speed_bent": "1",
+    "offset_bent": "1",
 }
 
 

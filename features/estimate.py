@@ -1,12 +1,13 @@
 """The estimate, and how it is made of one row of the graph's output."""
 
 import math
+from collections.abc import Mapping
 from enum import StrEnum
 from typing import NamedTuple
 
 import numpy as np
 
-from softslide.features.card import Card, Interval
+from softslide.features.card import HALF_WIDTH_SD, Card, Interval
 from softslide.features.contact.places import Place
 from softslide.features.stream.tracker import SlideState
 from softslide.features.window import Window
@@ -65,6 +66,8 @@ class Estimate(NamedTuple):
     skin_height_mm: of the inflated skin, as given or estimated from the static output, of bundles over heights
     (features/height.py).
     age_s: of the newest sample, where a live stream shows it; 0 of a recording.
+    bent: of a straight slide, half-widths of the direction's, speed's and offset's intervals (deg, mm/s, mm) that hold
+    for ways as well that bend, or change speed or depth, by less than shows; no part of a record.
     """
 
     time_s: float
@@ -110,13 +113,19 @@ class Estimate(NamedTuple):
     places: tuple[Place, ...] = ()
     skin_height_mm: float = math.nan
     age_s: float = 0.0
+    bent: tuple[float, float, float] | None = None
 
+
+# Of a record, as `serve` writes it.
+RECORDED = tuple(name for name in Estimate._fields if name != "bent")
 
 _NO_INTERVAL = Interval(math.nan, math.nan)
 # Of log speed, for each mm that a depth is off those of the calibration: where a contact answers more or less than the
 # map, for another reason than its depth, the fit takes it for one at another depth. Calibration slides of `bench-a`
 # times 0.75 and 1.3 were 1.2 to 3.2 % off in speed where their depth was 0.4 to 0.75 mm off.
 SPEED_PER_DEPTH = 0.045
+COVERAGE = 0.9
+MIXED_STEPS = 16  # of bisection: 1e-4 of a width
 
 
 def decode(
@@ -182,7 +191,31 @@ def decode(
         depth_lo_mm=depth - depth_half,
         depth_hi_mm=depth + depth_half,
         misfit=value.get("misfit", math.nan),
+        bent=_bent(value, direction_half, speed * speed_half, offset_half),
     )
+
+
+def _bent(value: Mapping[str, float], *half: float) -> tuple[float, float, float] | None:
+    """`Estimate.bent`, where the graph says how probable a straight slide is, whose half-widths are given."""
+    if not math.isfinite(straight := value.get("straight", math.nan)):
+        return None
+    direction, speed, offset = (
+        width * mixed_width(straight, value[name])
+        for width, name in zip(half, ("direction_bent", "log_speed_bent", "offset_bent"), strict=True)
+    )
+    return direction, speed, offset
+
+
+def mixed_width(weight: float, wider: float) -> float:
+    """A 90 % interval's half-width over the one of a centred normal distribution, which has this weight in a mixture
+    with another, so many times as wide (1 or more)."""
+    least, most = 1.0, max(wider, 1.0)
+    for _ in range(MIXED_STEPS):
+        middle = math.sqrt(least * most)
+        z = middle * HALF_WIDTH_SD / math.sqrt(2.0)
+        held = weight * math.erf(z) + (1.0 - weight) * math.erf(z / wider)
+        least, most = (middle, most) if held < COVERAGE else (least, middle)
+    return most
 
 
 def _beyond_calibration_mm(card: Card, depth_mm: float) -> float:

@@ -326,12 +326,16 @@ def _on_line(line: Estimate, track: Estimate) -> tuple[float, float]:
     return dx * cos + dy * sin, dy * cos - dx * sin
 
 
+_BENT = ("direction_deg", "speed_mm_s", "offset_mm")  # `Estimate.bent`
+
+
 def with_track(straight: Estimate, tracked: Estimate, shared: float | None) -> Estimate:
     """The straight slide's estimate, with intervals of place and velocity.
 
     Across the line the offset's interval holds; along it the track's own, which the straight slide only narrows.
     A slide that bends or changes speed a little fits a straight one too: each interval is widened until it holds the
-    track's estimate and the share `shared` of its half-width on either side, unless that is None.
+    track's estimate and the share `shared` of its half-width on either side, unless that is None; but where the track's
+    estimate is nearer than that, by no more than what the window leaves of bends and changes (`Estimate.bent`).
     """
     angle = math.radians(straight.direction_deg)
     cos, sin = abs(math.cos(angle)), abs(math.sin(angle))
@@ -360,12 +364,14 @@ def with_track(straight: Estimate, tracked: Estimate, shared: float | None) -> E
     if shared is None:
         return straight
     wider = {}
+    bent = dict(zip(_BENT, straight.bent or (), strict=False))
     for name in ("direction_deg", "speed_mm_s", "offset_mm", "x_mm", "y_mm", "vx_mm_s", "vy_mm_s"):
         low, high = _ends(name)
         value, apart = getattr(straight, name), getattr(tracked, name) - getattr(straight, name)
         if name == "direction_deg":
             apart = wrapped_deg(apart)
         half = shared * (getattr(tracked, high) - getattr(tracked, low)) / 2
-        wider[low] = min(getattr(straight, low), value + apart - half)
-        wider[high] = max(getattr(straight, high), value + apart + half)
+        room = bent[name] if name in bent and abs(apart) <= half else math.inf
+        wider[low] = min(getattr(straight, low), max(value + apart - half, value - room))
+        wider[high] = max(getattr(straight, high), min(value + apart + half, value + room))
     return straight._replace(**wider)

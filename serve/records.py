@@ -3,12 +3,12 @@
 import math
 from typing import Any
 
-from softslide.features.estimate import Estimate
+from softslide.features.estimate import RECORDED, Estimate
 
 
 def record(estimate: Estimate) -> dict[str, Any]:
     """The estimate's fields by name; None: not estimated, since JSON has no NaN."""
-    fields = {name: _plain(value) for name, value in estimate._asdict().items() if name != "places"}
+    fields = {name: _plain(getattr(estimate, name)) for name in RECORDED if name != "places"}
     return {**fields, "places": [place._asdict() for place in estimate.places]}
 
 

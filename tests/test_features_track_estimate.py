@@ -1,13 +1,16 @@
 """From a track and a straight slide to one estimate."""
 
+import math
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from softslide.features.angles import wrapped_deg
+from softslide.features.card import HALF_WIDTH_SD
 from softslide.features.contact.tracker import Track
-from softslide.features.estimate import Contact, Estimate, Reason
+from softslide.features.estimate import Contact, Estimate, Reason, mixed_width
 from softslide.features.stream.tracker import SlideState
 from softslide.features.track_estimate import TOUCH_LIMITS, TrackLimits, apart, judged, with_track
 
@@ -65,6 +68,23 @@ def test_a_track_that_agrees_leaves_the_straight_slides_intervals() -> None:
         for name, unit in (("direction", "deg"), ("speed", "mm_s"), ("offset", "mm")):
             assert interval(both, name, unit) == pytest.approx(interval(straight, name, unit))
     assert both.x_hi_mm - both.x_mm > 4.0
+
+
+@pytest.mark.parametrize("turn_deg", [0.0, 2.0, 5.0])
+def test_a_track_that_is_near_widens_no_further_than_a_bend_allows(turn_deg: float) -> None:
+    straight = estimate(30.0, 3.0, 1.0, 0.05)._replace(bent=(0.5, 0.3, 0.2))
+    track = estimate(30.0 + turn_deg, 3.0, 1.0, 6.0)
+    near, both = turn_deg <= 3.0, with_track(straight, track, 0.5)
+    assert both.direction_hi_deg - 30.0 == pytest.approx(0.5 if near else turn_deg + 3.0)
+    assert interval(both, "speed", "mm_s") == pytest.approx((2.7, 3.3))
+    assert interval(both, "offset", "mm") == pytest.approx((0.8, 1.2))
+
+
+@given(weight=st.floats(0.0, 1.0), wider=st.floats(1.0, 50.0))
+def test_a_mixture_s_interval_holds_90_percent_of_it(weight: float, wider: float) -> None:
+    width = HALF_WIDTH_SD * mixed_width(weight, wider)
+    held = weight * math.erf(width / math.sqrt(2)) + (1 - weight) * math.erf(width / wider / math.sqrt(2))
+    assert held == pytest.approx(0.9, abs=2e-4)
 
 
 @given(since_s=st.floats(0.0, 2.0), off_mm=st.floats(0.0, 3.0))

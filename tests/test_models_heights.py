@@ -21,7 +21,7 @@ from softslide.features.height import HEIGHT_INPUT, HeightCalibration
 from softslide.features.stream.conditioning import Conditioning
 from softslide.models.cnn.gauss_newton import Refinement
 from softslide.models.cnn.height_input import with_height
-from softslide.models.cnn.network import NetworkConfig, Proposal, SlideNetwork
+from softslide.models.cnn.network import BEND_OUTPUTS, NetworkConfig, Proposal, SlideNetwork
 from softslide.models.export.bundle import read_graph
 from softslide.models.export.formats import of_one_window
 from softslide.models.export.gains import fit_gains, labelled_contacts
@@ -144,10 +144,12 @@ def test_a_graph_is_that_of_the_height_it_is_given(graph: bytes) -> None:
         own = response.at(height_mm=MAIN_MM + (off_mm or 0.0))
         with torch.no_grad():
             wanted = network(own)(*(torch.tensor(value) for value in window().values())).numpy()
-        # The table of a height is rounded to half precision where it is exported by itself.
-        np.testing.assert_allclose(
-            row, wanted, rtol=1e-4 if not off_mm else 5e-3, atol=1e-4 if not off_mm else 5e-3
-        )
+        # The table of a height is rounded to half precision where it is exported by itself, which moves the odds of a
+        # straight way the most.
+        limit = np.full(row.shape[1], 5e-3 if off_mm else 1e-4)
+        if off_mm:
+            limit[[name in BEND_OUTPUTS for name in network(own).outputs]] = 0.05
+        assert (np.abs(row - wanted) <= limit * (1.0 + np.abs(wanted))).all()
 
 
 def test_a_graph_as_c_is_for_the_main_height(tmp_path: Path, graph: bytes) -> None:

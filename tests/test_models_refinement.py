@@ -33,7 +33,7 @@ def chosen(batch: WindowBatch, which) -> WindowBatch:
 
 
 def refine(response, batch, start, steps=8, sd=0.5, vertical=None, cross_axis_sd=0.01):
-    """heading (B, 2), state (B, 6), its variance (B, 6), misfit and strain (B, 1) of one accelerometer's windows."""
+    """heading (B, 2), state (B, 6), its variance, misfit and strain (B, 1), bends (B, 4), of one accelerometer."""
     refinement = Refinement(response, BLOCK_S, RefinementConfig(steps=steps, trust=1.0, askew=cross_axis_sd))
     third = torch.zeros_like(batch.volts[:, :1]) if vertical is None else vertical
     with torch.no_grad():
@@ -100,6 +100,55 @@ def test_inverses_are_as_exact_as_their_matrices_allow(scale: float):
     assert off.max() < 1e-15 * torch.linalg.cond(root @ root.mT + 1e-3 * torch.eye(6)).max()
 
 
+def bending(curvature: float, change: float, slope: float) -> tuple[torch.Tensor, ...]:
+    """Of a way of 20 mm at 4 mm/s that ends at the heading 0.6, 6 mm left of the reference and 9 mm
+    past it: with a curvature in 1/mm, a relative change of speed in 1/s, a slope of its depth; no noise."""
+    response, heading, speed, elapsed_s = bump_map(), 0.6, 4.0, 5.0
+    ago = (np.arange(WINDOW_BINS * 8)[::-1] + 0.5) * elapsed_s / (WINDOW_BINS * 8)
+    back = speed * (ago - change * ago**2 / 2)
+    turned = heading - curvature * back
+    step = np.diff(back, append=0.0)
+    x = 9.0 * np.cos(heading) - 6.0 * np.sin(heading) + np.cumsum((step * np.cos(turned))[::-1])[::-1]
+    y = 9.0 * np.sin(heading) + 6.0 * np.cos(heading) + np.cumsum((step * np.sin(turned))[::-1])[::-1]
+    place = REFERENCE_MM[0] + x, REFERENCE_MM[1] + y, turned
+    flat, deeper = (response.at(response.depth_mm + more).response(*place) for more in (0.0, 0.1))
+    touch = flat + (deeper - flat) * (-slope * back / 0.1)[:, None]
+    volts = np.concatenate([touch, np.zeros((len(touch), 1))], 1).reshape(WINDOW_BINS, 8, 3).mean(1).T
+    line = [np.cos(heading), np.sin(heading), np.log(speed), 6.0, 9.0]
+    refinement = Refinement(response, BLOCK_S, RefinementConfig(steps=8, trust=1.0))
+    given = [
+        torch.tensor(np.array(v), dtype=torch.float32)
+        for v in (volts[None, None], [elapsed_s], [[1.0]], [line])
+    ]
+    with torch.no_grad():
+        return refinement(*given, torch.full((1, 4), float(np.log(0.5))))
+
+
+@pytest.mark.parametrize(
+    ("curvature", "change", "slope"), [(0.02, 0, 0), (-0.02, 0, 0), (0, 0.15, 0), (0, -0.1, 0), (0, 0, 0.02)]
+)
+def test_a_way_that_bends_or_changes_is_known_from_a_straight_one(curvature, change, slope):
+    """And what the straight one errs by at its end is within what it may differ by."""
+    heading, state, variance, _, _, bends = bending(curvature, change, slope)
+    straight, direction, log_speed, offset = bends.flatten().tolist()
+    assert straight < 0.05
+    cos, sin = heading.flatten().tolist()
+    errors = (
+        np.angle((cos + 1j * sin) * np.exp(-0.6j)),
+        float(state[0, 0, 0, 1]) - np.log(4.0),
+        float(state[0, 0, 0, 2]) - 6.0,
+    )
+    sd = variance[0, 0, 0, :3, 0].sqrt().numpy()
+    assert (np.abs(errors) < 2.0 * np.array([direction, log_speed, offset]) * sd).all()
+
+
+def test_a_straight_way_is_taken_for_one():
+    *_, bends = bending(0.0, 0.0, 0.0)
+    straight, *wider = bends.flatten().tolist()
+    assert straight > 0.95
+    assert min(wider) >= 1.0
+
+
 def test_weights_are_the_inverse_of_the_residuals_covariance():
     response = bump_map()
     refinement = Refinement(response, BLOCK_S, RefinementConfig(askew=0.05))
@@ -142,7 +191,7 @@ def test_refinement_finds_the_line_from_a_start_next_to_it(windows):
     cos, sin = np.cos(angle), np.sin(angle)
     turned = torch.stack([truth[:, 0] * cos - truth[:, 1] * sin, truth[:, 0] * sin + truth[:, 1] * cos], 1)
     start = torch.cat([turned, truth[:, 2:] + torch.tensor([0.1, 1.5, -2.0])], 1)
-    heading, state, variance, misfit, _ = refine(bump_map(), windows, start)
+    heading, state, variance, misfit, *_ = refine(bump_map(), windows, start)
     error = np.degrees(np.arccos(np.clip((heading * truth[:, :2]).sum(1).numpy(), -1, 1)))
     assert np.median(error) < 0.7
     assert np.median(np.abs((state[:, 1] - truth[:, 2]).numpy())) < 0.01
@@ -189,7 +238,7 @@ def test_a_signal_of_something_else_leaves_a_large_misfit(windows):
     generator = torch.Generator().manual_seed(5)
     steps = 0.1 * torch.randn(50, 2, 8, generator=generator).repeat_interleave(8, 2)
     other = replace(chosen(windows, slice(50)), volts=steps)
-    _, _, _, misfit, _ = refine(bump_map(), other, windows.targets[:50, :5])
+    _, _, _, misfit, *_ = refine(bump_map(), other, windows.targets[:50, :5])
     assert np.quantile(misfit.numpy(), 0.05) > 50
 
 

@@ -83,7 +83,7 @@ class Prediction(nn.Module):
         basis = self._basis(frame @ motion + self.first)
         # Of M, Fx, Fy, D and their slopes: the signal, its change with depth and by friction, its slopes on and left.
         heading = F.pad(frame[..., :1], (0, 0, 1, 0), value=1.0)
-        mixed = heading @ (torch.cat([heading, depth], 3) * gain.exp()).transpose(3, 4)
+        mixed = heading * (torch.cat([heading, depth], 3) * gain.exp()).transpose(3, 4)
         mixture = (mixed.reshape(-1, 1, 1, 1, 12) @ self.signals).reshape(-1, 1, 1, 8, 12)
         return self.products @ (factors * (mixture @ basis)) + measured
 

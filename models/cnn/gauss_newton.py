@@ -36,6 +36,13 @@ SETTLED_SD = 0.03
 # What each unit of the squared step beyond that adds to the variances: soon more than any limit of what is believed.
 UNSETTLED = 1e6
 LONGEST_STEP = (0.3, 0.4, 5.0, 6.0, 0.1, 0.5)  # of each number of the state
+# How a way may differ from a straight one at constant speed and depth: its curvature in 1/mm, the relative change of
+# its speed in 1/s, the slope of its depth; standard deviations, and the probability that none of them does. The
+# information of a window is taken for BEND_INFORMATION times what its residuals' covariance says, which allows for
+# errors of the map that all windows share. Chosen on synthetic lines and paths (experiments/LOG.md).
+BEND_SD = (0.02, 0.3, 0.05)
+STRAIGHT = 0.3
+BEND_INFORMATION = 20.0
 
 
 @dataclass(frozen=True)
@@ -92,6 +99,9 @@ class Refinement(nn.Module):
     frame: Tensor
     phases: Tensor
     lean: Tensor
+    bend_precision: Tensor
+    cycle: Tensor
+    uncycle: Tensor
     mixing: Tensor
     unmixed: Tensor
 
@@ -121,6 +131,9 @@ class Refinement(nn.Module):
             "frame": np.array([[1.0, 0, 0, 1], [0, -1, 1, 0]]),
             "phases": PHASES[:, :1],
             "lean": config.lean_v * middle[:, None],
+            "bend_precision": np.diag(np.square(BEND_SD) ** -1.0),
+            "cycle": np.roll(np.eye(3), 1, axis=1),
+            "uncycle": np.roll(np.eye(3), -1, axis=1),
         }
         self.mixes = response.whitening is not None
         if response.whitening is not None:
@@ -145,11 +158,12 @@ class Refinement(nn.Module):
 
     def forward(
         self, volts: Tensor, elapsed_s: Tensor, weight: Tensor, proposal: Tensor, log_sd: Tensor
-    ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+    ) -> tuple[Tensor, ...]:
         """volts (B, A, 3, 64) V, elapsed_s (B,) s, weight (B, A), proposal (B, 5) and log_sd (B, 4) as `Proposal` gives
         them -> columns (B, 1, 1, ., 1): heading (cos, sin), state (the turn from the proposal, log speed, offset mm,
         along mm, log gain, depth mm off the map's), its variance, misfit (where the map has a rim, of a slide of any
-        gain), strain: the gain over the standard deviation that slides of the calibration's kind give it."""
+        gain), strain: the gain over the standard deviation that slides of the calibration's kind give it; of maps with
+        a rim, `_bends`."""
         volts, elapsed_s, weight, proposal, log_sd = (
             given.double() for given in (volts, elapsed_s, weight, proposal, log_sd)
         )
@@ -168,17 +182,19 @@ class Refinement(nn.Module):
         log_sd = F.pad(log_sd, (0, 2)).reshape(-1, 1, 1, STATE, 1) + self.looseness
         precision = (-2.0 * torch.maximum(log_sd, self.tightest)).exp()
         mixing = self._mixing(weight) if self.mixes else None
-        state, gram, covariance, normal, move = (centre,) * 5
+        state, before, rows, gram, covariance, normal, move = (centre,) * 7
         for _ in range(self.steps):
+            before = state
             rows = self.predicted(measured, start, state, time)
             if mixing is not None:
                 rows = (mixing @ rows.reshape(-1, self.boards * self.axes, (STATE + 1) * BINS)).reshape(
                     -1, self.boards, self.axes, STATE + 1, BINS
                 )
-            if self.rim:
-                gram = ((rows @ inverse) @ rows.transpose(3, 4)).sum((1, 2), keepdim=True)
-            else:
-                gram = self._without_local_errors(rows, inverse)
+            gram = (
+                self._products(rows @ inverse, rows)
+                if self.rim
+                else self._without_local_errors(rows, inverse)
+            )
             if self.leans:
                 gram = gram - self._leaning(rows, inverse)
             # The prior's part: it holds the state to the proposal.
@@ -199,10 +215,77 @@ class Refinement(nn.Module):
             # How far the last step went in standard deviations, squared (Newton's decrement).
             length = (move * normal[..., STATE:]).sum(3, keepdim=True)
             variance = variance + UNSETTLED * (length - SETTLED_SD**2).clamp(min=0)
+        bends = (self._bends(rows, inverse, before, time, gram, normal, precision),) if self.rim else ()
         if self.same_depth:
             state, variance = self._same_depth(state, covariance, variance)
         heading = start @ (state[..., :1, :] + self.phases).sin()
-        return heading, state, variance, misfit, strain
+        return heading, state, variance, misfit, strain, *bends
+
+    def _products(self, left: Tensor, right: Tensor) -> Tensor:
+        """(B, A, X, N, 16), (B, A, X, M, 16) -> (B, 1, 1, N, M): products of rows, over all channels and bins.
+
+        The right one is reshaped between its transposition and the product: some runtimes make one operation of these
+        two, and have none for it in double precision.
+        """
+        size = self.boards * self.axes * BINS
+        rows = left.permute(0, 3, 1, 2, 4).reshape(-1, 1, 1, left.shape[3], size)
+        return rows @ right.permute(0, 1, 2, 4, 3).reshape(-1, 1, 1, size, right.shape[3])
+
+    def _bends(
+        self,
+        rows: Tensor,
+        inverse: Tensor,
+        state: Tensor,
+        time: Tensor,
+        gram: Tensor,
+        normal: Tensor,
+        precision: Tensor,
+    ) -> Tensor:
+        """(B, 1, 1, 4, 1): the probability that the way is straight, at constant speed and depth; and if it is not, the
+        standard deviations from the straight one's direction, log speed and offset, over those of the straight one.
+
+        rows, gram, normal: of the last step, at `state`. The way differs by three numbers of `BEND_SD`, with the same
+        end: Savage and Dickey's ratio for all three at once, as in `_same_depth`.
+        """
+        turn, offset, along, depth = (rows[..., k : k + 1, :] for k in (0, 2, 3, DEPTH))
+        speed, left_mm, on_mm = state[..., 1:2, :].exp(), state[..., 2:3, :], state[..., 3:4, :]
+        ago = time[..., 1:, :]
+        back = speed * ago
+        # The signal's change as friction turns, the contact staying where it is.
+        friction = turn - (on_mm - back) * offset + left_mm * along
+        bend = back * (0.5 * back * offset - friction)
+        rows = torch.cat([rows, bend, 0.5 * speed * ago * ago * along, -back * depth], 3)
+        both = self._products(rows[..., STATE + 1 :, :] @ inverse, rows)
+        if self.leans:
+            both = both - self._leaning(rows, inverse)[..., STATE + 1 :, :]
+        both = BEND_INFORMATION * both
+        shared, residual, own = both.split((STATE, 1, 3), 4)
+        # The prior holds the state to the proposal, whatever the information is worth.
+        diagonal = precision * self.each[:, :STATE]
+        pulled = normal[..., STATE:] - gram[..., :STATE, STATE:]
+        covariance = inverted(BEND_INFORMATION * gram[..., :STATE, :STATE] + diagonal)
+        step = covariance @ (BEND_INFORMATION * gram[..., :STATE, STATE:] + pulled)
+        carried = shared @ covariance
+        left = own + self.bend_precision - (carried[..., None, :] * shared[:, :, :, None]).sum(5)
+        # The cofactors of a symmetric matrix of three rows.
+        once, twice = self.cycle @ left, self.uncycle @ left
+        cofactors = (once @ self.uncycle) * (twice @ self.cycle) - (once @ self.cycle) * (
+            twice @ self.uncycle
+        )
+        determinant = (left * cofactors)[..., :1, :].sum(4, keepdim=True)
+        spread = cofactors / determinant
+        gradient = residual - shared @ step
+        found = spread @ gradient
+        log_odds = (
+            math.log(STRAIGHT / (1.0 - STRAIGHT) * math.prod(BEND_SD))
+            + 0.5 * determinant.log()
+            - 0.5 * (gradient * found).sum(3, keepdim=True)
+        )
+        moved = (carried * found).sum(3, keepdim=True)
+        added = ((spread @ carried) * carried).sum(3, keepdim=True)
+        variance = (covariance * self.each[:, :STATE]).sum(4)[:, :, :, None]
+        wider = ((variance + added + moved * moved) / variance)[..., :3].clamp(min=1.0).sqrt()
+        return torch.cat([torch.sigmoid(log_odds.clamp(-50.0, 50.0)), wider.reshape(-1, 1, 1, 3, 1)], 3)
 
     def _mixing(self, weight: Tensor) -> Tensor:
         """(B, C, C): what channels are mixed by; with a dead accelerometer by nothing."""
@@ -214,7 +297,7 @@ class Refinement(nn.Module):
         along = inverse @ self.lean
         known = (self.lean * along).sum((1, 3), keepdim=True)
         leaning = (rows @ along).sum(1, keepdim=True)
-        return (leaning @ (leaning / (1.0 + known)).transpose(3, 4)).sum(2, keepdim=True)
+        return (leaning * (leaning / (1.0 + known)).transpose(3, 4)).sum(2, keepdim=True)
 
     def _without_local_errors(self, rows: Tensor, inverse: Tensor) -> Tensor:
         """The rows' products (B, 1, 1, 7, 7) where each bin's place and gain are off by errors of their own.
@@ -223,12 +306,11 @@ class Refinement(nn.Module):
         from its inverse what Sherman and Morrison's formula says.
         """
         channels = (rows * inverse.sqrt()).reshape(-1, self.boards * self.axes, STATE + 1, BINS)
-        bins = channels.permute(0, 3, 2, 1)
-        gram = bins @ bins.transpose(2, 3)
+        gram = (channels[:, :, :, None] * channels[:, :, None]).sum(1)
         for k, sd in LOCAL:
-            column = gram[..., k : k + 1]
-            gram = gram - column @ column.transpose(2, 3) / (sd**-2 + column[:, :, k : k + 1])
-        return gram.sum(1)[:, None, None]
+            row, column = gram[:, k : k + 1], gram[:, :, k : k + 1]
+            gram = gram - column * row / (sd**-2 + row[:, :, k : k + 1])
+        return gram.sum(3)[:, None, None]
 
     def _same_depth(self, state: Tensor, covariance: Tensor, variance: Tensor) -> tuple[Tensor, Tensor]:
         """Averages two hypotheses: the calibration's depth, or one of its own. -> state, its variance.
@@ -268,9 +350,9 @@ class Refinement(nn.Module):
         drifting = self.drift / (variance + BINS * self.drift)
         if ripple is None:
             return weight / variance * (self.whole - drifting)
-        swing = ripple.transpose(3, 4)
-        picked = self.cross_axis_sd**2 / (variance + self.cross_axis_sd**2 * (ripple @ swing))
-        return weight / variance * (self.whole - drifting - picked * (swing @ ripple))
+        square = (ripple * ripple).sum(4, keepdim=True)
+        picked = self.cross_axis_sd**2 / (variance + self.cross_axis_sd**2 * square)
+        return weight / variance * (self.whole - drifting - picked * (ripple.transpose(3, 4) * ripple))
 
 
 def inverted(normal: Tensor) -> Tensor:

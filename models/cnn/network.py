@@ -31,7 +31,9 @@ OUTPUTS = (
     "misfit",
     "strain",
 )
-DEPTH_OUTPUTS = ("depth_mm", "depth_sd_mm")  # further columns where it is known how depth shows
+# Further columns of maps with a rim, and where it is known how depth shows.
+BEND_OUTPUTS = ("straight", "direction_bent", "log_speed_bent", "offset_bent")
+DEPTH_OUTPUTS = ("depth_mm", "depth_sd_mm")
 SILU_GAIN = 1.68  # keeps a normal input's mean square through silu, E silu(x)^2 = 0.355
 LENGTH_MM = 10.0  # scale of offsets and places inside the network
 
@@ -122,7 +124,8 @@ class SlideNetwork(nn.Module):
     @property
     def outputs(self) -> tuple[str, ...]:
         """Names of the graph's columns."""
-        return (*OUTPUTS, *DEPTH_OUTPUTS) if self.refinement.knows_depth else OUTPUTS
+        bends = BEND_OUTPUTS if self.refinement.rim else ()
+        return (*OUTPUTS, *bends, *(DEPTH_OUTPUTS if self.refinement.knows_depth else ()))
 
     def forward(self, volts: Tensor, elapsed_s: Tensor, weight: Tensor) -> Tensor:
         """volts (B, 3 A, 64) V, elapsed_s (B,) s, weight (B, A) -> (B, K), the columns that `outputs` names."""

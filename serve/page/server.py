@@ -22,7 +22,7 @@ import numpy as np
 from softslide.features.card import Card
 from softslide.features.contact.places import MOST_PLACES, Place
 from softslide.features.errors import InputError
-from softslide.features.estimate import Contact, Estimate, Reason
+from softslide.features.estimate import RECORDED, Contact, Estimate, Reason
 from softslide.features.stream.tracker import SlideState
 from softslide.serve.page.answers import MOST_BYTES
 from softslide.serve.page.guard import HEADERS, Guard
@@ -47,7 +47,7 @@ STATES, CONTACTS, REASONS = tuple(SlideState), tuple(Contact), tuple(Reason)
 # What a frame holds besides time and state; of a word its index.
 WORDS: dict[str, tuple[str, ...]] = {"contact": CONTACTS, "reason": REASONS}
 PLACES = tuple(f"place_{n}_{name}" for n in range(1, MOST_PLACES + 1) for name in Place._fields)
-NUMBERS = (*(name for name in Estimate._fields if name not in ("time_s", "state", "places")), *PLACES)
+NUMBERS = (*(name for name in RECORDED if name not in ("time_s", "state", "places")), *PLACES)
 _FILES = Path(__file__).with_name("static")
 
 

@@ -13,7 +13,7 @@ from mcap.writer import Writer
 
 from softslide.features.card import Card
 from softslide.features.errors import InputError
-from softslide.features.estimate import Estimate
+from softslide.features.estimate import RECORDED, Estimate
 from softslide.serve.records import record
 from softslide.serve.stream.sources import Source
 
@@ -45,7 +45,7 @@ class Log:
         number = {"type": ["number", "null"]}
         volts = dict.fromkeys(("time_s", *self._columns), number)
         self._volts = self._channel(VOLTS, "softslide.Volts", volts)
-        fields = {name: {"type": TYPES[name]} if name in TYPES else number for name in Estimate._fields}
+        fields = {name: {"type": TYPES[name]} if name in TYPES else number for name in RECORDED}
         self._estimates = self._channel(ESTIMATES, "softslide.Estimate", fields)
 
     def passed(self, chunks: Source) -> Source:

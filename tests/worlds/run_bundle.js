@@ -1,6 +1,6 @@
-// node run_bundle.js BUNDLE [PACKAGE] [LEVEL]
-// Works a bundle's golden example with onnxruntime-node, or another package and level of optimization: the card and the
-// graph are all that it takes.
+// node run_bundle.js BUNDLE [PACKAGE]
+// Works a bundle's golden example with onnxruntime-node, or another package: the card and the graph are all that it
+// takes.
 // Prints {"estimate": {name: number}, "golden": {name: number}}, names from the card.
 const fs = require("fs");
 const path = require("path");
@@ -14,9 +14,7 @@ function tensor(nested) {
 
 async function main(bundle) {
   const card = JSON.parse(fs.readFileSync(path.join(bundle, "model.json"), "utf8"));
-  const session = await ort.InferenceSession.create(path.join(bundle, "model.onnx"), {
-    graphOptimizationLevel: process.argv[4] || "all",
-  });
+  const session = await ort.InferenceSession.create(path.join(bundle, "model.onnx"));
   const feeds = Object.fromEntries(Object.entries(card.golden.inputs).map(([name, v]) => [name, tensor(v)]));
   const row = (await session.run(feeds)).estimate.data;
   const named = (values) => Object.fromEntries(card.outputs.map((name, n) => [name, values[n]]));
