@@ -209,7 +209,8 @@ def _bent(value: Mapping[str, float], *half: float) -> tuple[float, float, float
 def mixed_width(weight: float, wider: float) -> float:
     """A 90 % interval's half-width over the one of a centred normal distribution, which has this weight in a mixture
     with another, so many times as wide (1 or more)."""
-    least, most = 1.0, max(wider, 1.0)
+    wider = max(wider, 1.0)
+    least, most = 1.0, wider
     for _ in range(MIXED_STEPS):
         middle = math.sqrt(least * most)
         z = middle * HALF_WIDTH_SD / math.sqrt(2.0)

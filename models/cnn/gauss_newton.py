@@ -38,8 +38,8 @@ UNSETTLED = 1e6
 LONGEST_STEP = (0.3, 0.4, 5.0, 6.0, 0.1, 0.5)  # of each number of the state
 # How a way may differ from a straight one at constant speed and depth: its curvature in 1/mm, the relative change of
 # its speed in 1/s, the slope of its depth; standard deviations, and the probability that none of them does. The
-# information of a window is taken for BEND_INFORMATION times what its residuals' covariance says, which allows for
-# errors of the map that all windows share. Chosen on synthetic lines and paths (experiments/LOG.md).
+# information of a window is taken for BEND_INFORMATION times what its residuals' covariance says: that is wide, since
+# it allows for errors of the map that all windows share. Chosen on synthetic lines and paths (experiments/LOG.md).
 BEND_SD = (0.02, 0.3, 0.05)
 STRAIGHT = 0.3
 BEND_INFORMATION = 20.0
