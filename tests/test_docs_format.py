@@ -13,7 +13,7 @@ import softslide
 from softslide.experiments.evaluation import tracks
 from softslide.experiments.evaluation.readout import COLUMNS
 from softslide.features.card import Card
-from softslide.features.estimate import Estimate, Reason
+from softslide.features.estimate import RECORDED, Reason
 from softslide.pipeline.recordings import truth
 from softslide.pipeline.recordings.manifest import LABELS, REQUIRED
 
@@ -31,7 +31,7 @@ def test_the_tables_list_the_codes_columns_and_fields_in_order() -> None:
     assert first_column("manifest column") == (*REQUIRED, *LABELS)
     assert first_column("prediction column") == COLUMNS
     assert first_column("truth column") == truth.COLUMNS
-    assert first_column("estimate field") == Estimate._fields
+    assert first_column("estimate field") == RECORDED
     assert first_column("reason") == tuple(str(reason) for reason in Reason if reason)
     assert first_column("card field") == tuple(field.name for field in fields(Card))
 
