@@ -285,7 +285,7 @@ class Refinement(nn.Module):
         added = ((spread @ carried) * carried).sum(3, keepdim=True)
         variance = (covariance * self.each[:, :STATE]).sum(4)[:, :, :, None]
         wider = ((variance + added + moved * moved) / variance)[..., :3].clamp(min=1.0).sqrt()
-        return torch.cat([torch.sigmoid(log_odds.clamp(-50.0, 50.0)), wider.reshape(-1, 1, 1, 3, 1)], 3)
+        return torch.cat([probability(log_odds), wider.reshape(-1, 1, 1, 3, 1)], 3)
 
     def _mixing(self, weight: Tensor) -> Tensor:
         """(B, C, C): what channels are mixed by; with a dead accelerometer by nothing."""
@@ -325,7 +325,7 @@ class Refinement(nn.Module):
         # The covariance knows nothing of the map's own error; the evidence must stand above that as well.
         widened = DEPTH_VARIANCE * spread
         log_odds = math.log(self.same_depth / (1 - self.same_depth) * self.depth_sd_mm)
-        same = torch.sigmoid(log_odds - 0.5 * (widened.log() + off * off / widened))
+        same = probability(log_odds - 0.5 * (widened.log() + off * off / widened))
         gain = same * column / spread
         shift = gain * off
         return state - shift, variance - gain * column + shift * shift
@@ -371,6 +371,11 @@ def inverted(normal: Tensor) -> Tensor:
         pivot = column[..., k : k + 1, :]
         swept = swept - (column + unit[:, k : k + 1]) / pivot * (row + unit[k : k + 1])
     return -(swept + 2.0 * unit) * scale
+
+
+def probability(log_odds: Tensor) -> Tensor:
+    """Of an event with these odds; some runtimes have no sigmoid in double precision."""
+    return 1.0 / (1.0 + (-log_odds.clamp(-50.0, 50.0)).exp())
 
 
 def pooling() -> np.ndarray:
