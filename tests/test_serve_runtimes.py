@@ -8,9 +8,18 @@ from pathlib import Path
 
 import pytest
 
+from softslide.models.export.bundle import BEFORE_LAST_STEP, MISFIT_PARITY, PARITY
+
 BUNDLE = Path(__file__).parents[1] / "docs" / "examples" / "bundle"
 WORLDS = Path(__file__).parent / "worlds"
-GOLDEN = json.loads((BUNDLE / "model.json").read_text(encoding="utf-8"))["golden"]["estimate"]
+CARD = json.loads((BUNDLE / "model.json").read_text(encoding="utf-8"))
+
+
+def assert_golden(row: list[float]) -> None:
+    """As near as a bundle's graph is to the network that it is of."""
+    for name, found, golden in zip(CARD["outputs"], row, CARD["golden"]["estimate"], strict=True):
+        limit = MISFIT_PARITY if name in BEFORE_LAST_STEP else PARITY
+        assert found == pytest.approx(golden, rel=limit, abs=limit), name
 
 
 @pytest.mark.long
@@ -22,7 +31,7 @@ def test_openvino_and_tract_give_the_same_numbers(tmp_path: Path) -> None:
     call = [python, WORLDS / "run_bundle.py", BUNDLE]
     rows = json.loads(subprocess.run(call, check=True, capture_output=True, timeout=120).stdout)
     for name in ("openvino", "tract"):
-        assert rows[name] == pytest.approx(GOLDEN, rel=1e-4, abs=1e-4), name
+        assert_golden(rows[name])
 
 
 @pytest.mark.long
@@ -34,4 +43,4 @@ def test_a_browser_s_runtime_gives_the_same_numbers(tmp_path: Path) -> None:
     shutil.copy(WORLDS / "run_bundle.js", tmp_path)
     call = ["node", "run_bundle.js", BUNDLE, "onnxruntime-web"]
     done = subprocess.run(call, cwd=tmp_path, capture_output=True, check=True, timeout=120)
-    assert list(json.loads(done.stdout)["estimate"].values()) == pytest.approx(GOLDEN, rel=1e-4, abs=1e-4)
+    assert_golden(list(json.loads(done.stdout)["estimate"].values()))
