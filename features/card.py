@@ -47,6 +47,7 @@ UNITS = {
 }
 
 
+COVERAGE = 0.9  # of every interval
 # Half a 90 % interval of a normal error, in standard deviations: the normal distribution's 95 % quantile.
 HALF_WIDTH_SD = 1.645
 

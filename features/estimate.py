@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softslide.features.card import HALF_WIDTH_SD, Card, Interval
+from softslide.features.card import COVERAGE, HALF_WIDTH_SD, Card, Interval
 from softslide.features.contact.places import Place
 from softslide.features.stream.tracker import SlideState
 from softslide.features.window import Window
@@ -124,7 +124,6 @@ _NO_INTERVAL = Interval(math.nan, math.nan)
 # map, for another reason than its depth, the fit takes it for one at another depth. Calibration slides of `bench-a`
 # times 0.75 and 1.3 were 1.2 to 3.2 % off in speed where their depth was 0.4 to 0.75 mm off.
 SPEED_PER_DEPTH = 0.045
-COVERAGE = 0.9
 MIXED_STEPS = 16  # of bisection: 1e-4 of a width
 
 

@@ -371,7 +371,7 @@ def with_track(straight: Estimate, tracked: Estimate, shared: float | None) -> E
         if name == "direction_deg":
             apart = wrapped_deg(apart)
         half = shared * (getattr(tracked, high) - getattr(tracked, low)) / 2
-        room = bent[name] if name in bent and abs(apart) <= half else math.inf
+        room = bent.get(name, math.inf) if abs(apart) <= half else math.inf
         wider[low] = min(getattr(straight, low), max(value + apart - half, value - room))
         wider[high] = max(getattr(straight, high), min(value + apart + half, value + room))
     return straight._replace(**wider)

@@ -9,9 +9,8 @@ import math
 
 import numpy as np
 
-from softslide.features.card import Interval
+from softslide.features.card import COVERAGE, Interval
 
-COVERAGE = 0.9
 LEAST_WINDOWS = 20  # to set intervals on: with fewer a 90 % quantile is the largest error
 LEAST_FLOOR = 1e-3  # of the largest error: the middle of the floors that are tried
 SAME = 1e-4  # answers that differ by less than this share of their range are one value

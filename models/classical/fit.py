@@ -7,7 +7,7 @@ from typing import Any, Protocol
 import numpy as np
 import onnx
 
-from softslide.features.card import Interval, Validity
+from softslide.features.card import COVERAGE, Interval, Validity
 from softslide.features.errors import InputError
 from softslide.features.vector.feature_vector import feature_names
 from softslide.models.classical.learned_lines import LearnedLines, SharesConfig, learned_windows
@@ -16,7 +16,7 @@ from softslide.models.classical.regression import EARLIEST, float_features, late
 from softslide.models.fitted_model import FittedModel, Given, Model
 from softslide.models.graph.builder import GraphBuilder
 from softslide.models.held_out import mean_errors, offset_reach_mm, signed_errors
-from softslide.models.intervals import COVERAGE, LEAST_WINDOWS, conformal_interval, misfit_limit, step_between
+from softslide.models.intervals import LEAST_WINDOWS, conformal_interval, misfit_limit, step_between
 from softslide.pipeline.recordings.folder import Folder
 from softslide.pipeline.recordings.windows import LabelledWindows
 
