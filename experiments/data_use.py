@@ -65,9 +65,13 @@ def report_base(whole: Folder) -> None:
         if late
         else ""
     )
+    assert whole.sensor.base is not None
+    unit = whole.sensor.accelerometers[0].unit
+    moved_in = "g" if whole.sensor.base.measures_gravity else unit
+    size, unit = (1e3, "mV") if unit == "V" else (1.0, unit)
     print(
-        f"the base moved by {', '.join(f'{g:.2f}' for g in moved_g[::-1])} g rms along three axes; of the "
-        f"{1e3 * before_v:.0f} mV that the skin followed it by {1e3 * left_v:.1f} mV are left{ask}",
+        f"the base moved by {', '.join(f'{g:.2f}' for g in moved_g[::-1])} {moved_in} rms along three axes; of the "
+        f"{size * before_v:.0f} {unit} that the skin followed it by {size * left_v:.1f} {unit} are left{ask}",
         file=sys.stderr,
     )
 

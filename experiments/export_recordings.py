@@ -1,7 +1,7 @@
 """`softslide export-recordings`: a folder of recordings as a LeRobot data set, which robot policies are trained on.
 
 Format v3.0: one Parquet file of frames, one of episodes, one of tasks, `info.json` and `stats.json`. A recording is an
-episode, a block of samples (20 ms) a frame.
+episode, a block of samples (20 ms) a frame. README.md is its page on a data hub.
 """
 
 import json
@@ -30,6 +30,23 @@ TASK = "follow what slides over the skin"
 CHUNK = "chunk-000/file-000.parquet"
 COUNTED = {"timestamp": "float32", "frame_index": "int64", "episode_index": "int64", "index": "int64"}
 COUNTED["task_index"] = "int64"
+PAGE = """---
+task_categories:
+- robotics
+tags:
+- LeRobot
+- tactile-sensing
+configs:
+- config_name: default
+  data_files: data/*/*.parquet
+---
+
+# Contacts on a soft skin: {sensor}
+
+{episodes} episodes, {frames} frames at {fps} Hz; recordings: {origin}.
+`observation.volts` has {channels}, in {unit}{estimate}.
+Written by softslide in LeRobot's format v3.0.
+"""
 MEGABYTES = 100  # what LeRobot writes into one file; it reads larger ones as well
 
 
@@ -88,7 +105,23 @@ def export_recordings(
         for name, content in (("info", info), ("stats", _statistics(scratch / "data" / CHUNK))):
             text = json.dumps(content, indent=1, allow_nan=False)
             (scratch / f"meta/{name}.json").write_text(text, encoding="utf-8")
+        (scratch / "README.md").write_text(_page(folder, info), encoding="utf-8")
     return info
+
+
+def _page(folder: Folder, info: dict[str, Any]) -> str:
+    """README.md of the data set, in Markdown."""
+    sensor, estimate = folder.sensor, info["features"].get(ESTIMATE)
+    return PAGE.format(
+        sensor=sensor.name,
+        episodes=info["total_episodes"],
+        frames=info["total_frames"],
+        fps=info["fps"],
+        origin=sensor.origin or "not stated whether measured or simulated",
+        channels=", ".join(info["features"][VOLTS]["names"]),
+        unit=sensor.accelerometers[0].unit,
+        estimate="" if estimate is None else f"; `{ESTIMATE}` has {', '.join(estimate['names'])}",
+    )
 
 
 def _features(folder: Folder, rate_hz: float, estimated: bool) -> dict[str, dict[str, Any]]:

@@ -70,13 +70,24 @@ class Accelerometer:
 
 @dataclass(frozen=True)
 class Base:
-    """`[base]`: an accelerometer, of an IMU for instance, on what the skin is mounted on: it shows how that moves."""
+    """`[base]`: an accelerometer, of an IMU for instance, on what the skin is mounted on: it shows how that moves. Of a
+    skin of magnetometers a magnetometer where no contact shows: it measures the field of the earth and of iron nearby.
+
+    kind: which of the two. Of a magnetometer the other two say nothing; its outputs are in the unit of the skin's.
+    """
 
     sensitivity_v_per_g: float = 0.8
     zero_g_v: float = 1.65
+    kind: str = KINDS[0]
 
     def __post_init__(self) -> None:
         check_positive(self, "sensitivity_v_per_g", "zero_g_v")
+        check_one_of(KINDS[:2], kind=self.kind)
+
+    @property
+    def measures_gravity(self) -> bool:
+        """Whether it reads 1 g at rest."""
+        return self.kind == KINDS[0]
 
     @property
     def name(self) -> str:
@@ -215,6 +226,10 @@ class Sensor:
         if len({(a.touch_axes, a.unit) for a in self.accelerometers}) > 1:
             raise ValueError(
                 "the accelerometers differ in touch_axes or unit; make a folder of each, or state the same"
+            )
+        if self.base is not None and not self.base.measures_gravity and self.measures_gravity:
+            raise ValueError(
+                "[base] is a magnetometer, which does not show what tilts accelerometers; give one of these"
             )
         check_one_of(("", *ORIGINS), origin=self.origin)
 

@@ -53,7 +53,10 @@ import json, sys, torch
 # The wheel of torchvision is for graphics cards; without this its import ends in an error.
 torchvision = torch.library.Library("torchvision", "DEF")
 torchvision.define("nms(Tensor dets, Tensor scores, float iou_threshold) -> Tensor")
+from huggingface_hub import DatasetCard, ModelCard
 from lerobot.datasets.lerobot_dataset import LeRobotDataset
+assert "LeRobot" in DatasetCard.load(sys.argv[1] + "/README.md").data.tags
+assert ModelCard.load(sys.argv[2] + "/README.md").data.library_name == "softslide"
 data = LeRobotDataset("local/skin", root=sys.argv[1])
 later = {"observation.volts": [-0.02, 0.0]}
 later = LeRobotDataset("local/skin", root=sys.argv[1], episodes=[1], delta_timestamps=later)
@@ -152,9 +155,10 @@ def test_lerobot_reads_it(bundle: Path, lab: Folder, tmp_path: Path) -> None:
     install = [python, "-m", "pip", "install", "--quiet", "--no-deps", *READER]
     subprocess.run(install, check=True, timeout=1800)
     softslide.export_recordings(lab.root, tmp_path / "out", model=bundle)
+    softslide.export(bundle, "hub", tmp_path / "hub")
     home = {"HF_HOME": str(tmp_path / "home"), "HF_HUB_OFFLINE": "1"}
     done = subprocess.run(
-        [python, "-c", READ, tmp_path / "out"],
+        [python, "-c", READ, tmp_path / "out", tmp_path / "hub"],
         capture_output=True,
         text=True,
         env=os.environ | home,

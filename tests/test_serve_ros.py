@@ -1,7 +1,11 @@
 """ROS 2's messages, as they travel: accelerations become volts, an estimate a velocity with its covariance."""
 
+import re
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -9,6 +13,7 @@ from lab_files import IMU, _vectors
 from rosbags.typesys import Stores, get_typestore
 from streams import pass_over, still, stream
 
+from softslide.command_line import parser
 from softslide.features.errors import InputError
 from softslide.features.estimate import Estimate
 from softslide.features.stream.tracker import SlideState
@@ -18,6 +23,7 @@ from softslide.serve.stream.ros import UNKNOWN, imu_reader, with_velocity
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)
 TWIST = "geometry_msgs/msg/TwistWithCovarianceStamped"
+ROS_PACKAGE = Path(__file__).parents[1] / "docs" / "ros2" / "softslide_ros"
 VOLTS = stream(still(0.6), pass_over(1.0), still(0.4))
 
 
@@ -91,3 +97,27 @@ def test_a_velocity_without_intervals_is_hardly_known() -> None:
     velocity = along_y(speed_lo_mm_s=np.nan, direction_lo_deg=np.nan)
     covariance = travelled(with_velocity(empty_twist(), velocity), TWIST).twist.covariance.reshape(6, 6)
     np.testing.assert_array_equal(covariance, UNKNOWN * np.eye(6))
+
+
+def test_the_launch_file_starts_a_command_that_there_is() -> None:
+    launch = ElementTree.parse(ROS_PACKAGE / "launch" / "serve.launch.xml").getroot()
+    values = {"bundle": "m"} | {arg.attrib["name"]: arg.get("default", "m") for arg in launch.iter("arg")}
+    (executable,) = launch.iter("executable")
+    command = re.sub(r"\$\(var (\w+)\)", lambda found: values[found[1]], executable.attrib["cmd"]).split()
+    options = parser().parse_args(command[1:])
+    assert command[0] == "softslide"
+    assert (str(options.model), options.source, options.sink) == ("m", "ros2:///skin/volts", ["ros2:///skin"])
+
+
+@pytest.mark.long
+def test_colcon_finds_the_package(tmp_path: Path) -> None:
+    subprocess.run([sys.executable, "-m", "venv", tmp_path / "env"], check=True, timeout=300)
+    tools = tmp_path / "env" / "bin"
+    subprocess.run(
+        [tools / "pip", "install", "-q", "colcon-ros==0.5.0", "colcon-package-information==0.4.0"],
+        check=True,
+        timeout=600,
+    )
+    listing = [tools / "colcon", "--log-base", tmp_path / "log", "list", "--base-paths", ROS_PACKAGE]
+    done = subprocess.run(listing, check=True, capture_output=True, text=True, timeout=60)
+    assert done.stdout.split() == ["softslide_ros", str(ROS_PACKAGE), "(ros.ament_cmake)"]

@@ -1,4 +1,4 @@
-"""Other shapes of a bundle: C99, and the ORT format for a reduced build of ONNX Runtime."""
+"""Other shapes of a bundle: C99, the ORT format for a reduced build of ONNX Runtime, a folder for a model hub."""
 
 import math
 import shutil
@@ -22,6 +22,7 @@ from softslide.models.export.bundle import (
 )
 from softslide.models.export.c_code import sources
 from softslide.models.export.forests import without_forests
+from softslide.models.export.hub_card import page
 from softslide.models.export.precision import in_single
 from softslide.models.graph.optimized import optimized
 from softslide.models.held_out import believed
@@ -45,9 +46,10 @@ def export(model: str | Path, to: str, out: str | Path) -> dict[str, Any]:
     path = Path(model) / "model.onnx"
     if not path.is_file():
         raise InputError(f"{path}: no such file; name the bundle that 'softslide train' wrote")
-    if to not in ("ort", "c"):
-        raise InputError(f"{to}: name ort or c", "to")
-    return {"ort": _as_ort, "c": _as_c}[to](card, path, Path(out))
+    shapes = {"ort": _as_ort, "c": _as_c, "hub": _for_hub}
+    if to not in shapes:
+        raise InputError(f"{to}: name ort, c or hub", "to")
+    return shapes[to](card, path, Path(out))
 
 
 def _as_c(card: Card, path: Path, out: Path) -> dict[str, Any]:
@@ -123,6 +125,15 @@ def _as_ort(card: Card, path: Path, out: Path) -> dict[str, Any]:
         (folder / "required_operators.config").write_text("\n".join(operators) + "\n", encoding="utf-8")
         write_card(with_graph(card, small), folder / "model.json")
     return {"shape": "ort", "model_kb": len(small) / 1e3, "operators": operators}
+
+
+def _for_hub(card: Card, path: Path, out: Path) -> dict[str, Any]:
+    """The bundle as it is, and its page."""
+    with staged(out) as folder:
+        for name in ("model.onnx", "model.json"):
+            shutil.copyfile(path.parent / name, folder / name)
+        (folder / "README.md").write_text(page(card), encoding="utf-8")
+    return {"shape": "hub", "model_kb": path.stat().st_size / 1e3}
 
 
 def _operators(graph: onnx.ModelProto) -> list[str]:

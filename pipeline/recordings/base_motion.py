@@ -13,6 +13,8 @@ from softslide.pipeline.sensor import Sensor
 BASE_SPLIT = "base"  # of these recordings
 # rms, g: a tilt of a degree. With noise of 0.6 mg a block, a gain is known to 0.1 % after a minute.
 LEAST_MOTION_G = 0.02
+# rms, in standard deviations of a block's noise, of a magnetometer: its gains are then known to 1 % after a minute.
+LEAST_CHANGE_SD = 4.0
 # Shorter blocks lower the gains by the base's noise, 2.6 % where it moves by 15 mV rms and blocks of 20 ms have 1.1 mV;
 # longer ones average its motion away.
 BLOCKS = Conditioning(block_s=0.1)
@@ -48,8 +50,8 @@ def base_motion_of(folder: Folder) -> BaseMotion | None:
 
 
 def moved_and_left(folder: Folder) -> tuple[np.ndarray, float, float]:
-    """Of the split `base`: rms of the base's motion along its principal axes (3,) g, rising; and the largest rms of an
-    output (V) before the motion is taken out, and after.
+    """Of the split `base`: rms of the base's motion along its principal axes (3,) g, rising, of a magnetometer in the
+    unit of its outputs; and the largest rms of an output (V) before the motion is taken out, and after.
     """
     motion, sensor = folder.base_motion, folder.sensor
     assert motion is not None
@@ -57,7 +59,8 @@ def moved_and_left(folder: Folder) -> tuple[np.ndarray, float, float]:
     volts, base = _about_their_means([_blocks(folder, name) for name in _moving(folder)])
     left, _ = motion.without(volts + motion.static_v, base + motion.base_v)
     before_v, after_v = (float(np.sqrt(np.mean(v**2, axis=0)).max()) for v in (volts, left - motion.static_v))
-    return _principal_rms(base) / sensor.base.sensitivity_v_per_g, before_v, after_v
+    scale = sensor.base.sensitivity_v_per_g if sensor.base.measures_gravity else 1.0
+    return _principal_rms(base) / scale, before_v, after_v
 
 
 def _moving(folder: Folder) -> list[str]:
@@ -69,7 +72,10 @@ def _fitted(folder: Folder, moving: list[str]) -> BaseMotion:
     assert sensor.base is not None
     blocks = [_blocks(folder, name) for name in moving]
     volts, base = _about_their_means(blocks)
-    if _principal_rms(base)[-1] < LEAST_MOTION_G * sensor.base.sensitivity_v_per_g:
+    least = LEAST_MOTION_G * sensor.base.sensitivity_v_per_g
+    if not sensor.base.measures_gravity:
+        least = LEAST_CHANGE_SD * max(_noise(folder, name) for name in moving)
+    if _principal_rms(base)[-1] < least:
         raise InputError(
             f"{folder.root}: in the recordings of the split '{BASE_SPLIT}' the base hardly moves; tilt it by 10 "
             "degrees and more, about two axes"
@@ -113,6 +119,13 @@ def _blocks(folder: Folder, name: str) -> np.ndarray:
     if not len(blocks):
         raise InputError(f"{folder.root}: {name} is shorter than a block of {BLOCKS.block_s:g} s")
     return blocks
+
+
+def _noise(folder: Folder, name: str) -> float:
+    """The largest standard deviation of a block's noise in a recording's outputs of the base."""
+    blocks = _blocks(folder, name)[:, -3:]
+    # Second differences of what changes evenly are noise alone.
+    return float(np.sqrt(np.mean(np.diff(blocks, 2, axis=0) ** 2, axis=0) / 6.0).max(initial=0.0))
 
 
 def _principal_rms(base: np.ndarray) -> np.ndarray:

@@ -155,18 +155,19 @@ def evaluate(parser: Parser) -> Run:
 
 
 def export(parser: Parser) -> Run:
-    """other formats of a bundle: ORT, C99
+    """other formats of a bundle: ORT, C99, a folder for a model hub
 
     ort: ONNX Runtime's own format, with the list of operators for
     a reduced build. c: model.c and model.h in C99 that need nothing but
     math.h, one function from a window to the estimate, with check.c that
     computes the card's example on the target; constants and static memory in
-    kB are shown. Prints one JSON object.
+    kB are shown. hub: the bundle and a README.md for a model hub, which a
+    licence is to be added to. Prints one JSON object.
 
         softslide export --model my-model --to c --out my-model-c
     """
     arguments.model(parser)
-    parser.add_argument("--to", required=True, choices=("ort", "c"), help="the format")
+    parser.add_argument("--to", required=True, choices=("ort", "c", "hub"), help="the format")
     arguments.out(parser, "the bundle to write")
 
     def run(given: argparse.Namespace) -> None:
