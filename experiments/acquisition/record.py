@@ -12,6 +12,7 @@ from collections.abc import Callable, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pandas as pd
 
@@ -34,6 +35,9 @@ from softslide.pipeline.recordings.growing_folder import add_recording, open_gro
 from softslide.pipeline.recordings.manifest import LABELS, check_manifest, read_table
 from softslide.pipeline.sensor import Sensor, read_sensor
 from softslide.serve.stream.sources import open_live
+
+if TYPE_CHECKING:
+    from softslide.experiments.acquisition.error_so_far import ErrorSoFar
 
 # What a stage is set to, and how long the motion takes.
 NEEDED = ("direction_deg", "speed_mm_s", "start_x_mm", "start_y_mm", "travel_mm")
@@ -138,13 +142,15 @@ def record(
     stage: str | None = None,
     origin_mm: Sequence[float] | None = None,
     dry_run: bool = False,
+    until: Sequence[str] = (),
 ) -> tuple[Folder, int]:
     """Records the slides of a plan that the folder `out` does not hold yet. Returns the folder, and how many are left.
 
     source: serial://, udp:// or ros2://, as in serve/stream/sources.py. sensor: a sensor.toml; None: the folder's own.
     format: csv or f32, of the bytes that come in. rest_s, start_s, timeout_s, wait_s: as in `Times`. yes: asks nothing.
     stage: what moves the ball, and origin_mm, as in `Stage`; None: a person does. dry_run: drives the slides above the
-    skin, and records nothing.
+    skin, and records nothing. until: errors ("0.3deg", "0.7%", "0.09mm") from which on no more slides to learn from are
+    recorded (error_so_far.py).
 
     Raises:
         InputError: the source, the plan, the sensor, the folder or the stage is wrong, the source did not come back, or
@@ -156,7 +162,7 @@ def record(
     out, times = Path(out), Times(rest_s, start_s, timeout_s, wait_s)
     folder = open_growing(out, None if sensor is None else read_sensor(sensor))
     slides = read_plan(Path(plan), folder.sensor)
-    operator = Operator(yes)
+    operator, so_far, enough = Operator(yes), _error_so_far(until), False
     if stage is not None:
         check_slides(slides, folder.sensor)
         if origin_mm is None and yes:
@@ -183,7 +189,7 @@ def record(
                 _drive_in_the_air(bench.stage, *ends(labels))
             return folder, len(slides) - done
         for place, (name, labels) in enumerate(slides.iterrows(), 1):
-            if name in folder.manifest.index:
+            if name in folder.manifest.index or (enough and _learned(labels)):
                 continue
             operator.say(f"[{place}/{len(slides)}] {name}: {_described(labels)}")
             try:
@@ -193,7 +199,23 @@ def record(
             if slide is not None:
                 folder = add_recording(folder, slide, {str(k): v for k, v in labels.items()})
                 operator.say(f"kept: {folder.root}, {len(folder)} recordings")
+                if so_far is not None and _learned(labels):
+                    enough = so_far.is_enough(folder, operator.say)
     return folder, int((~slides.index.isin(folder.manifest.index)).sum())
+
+
+def _learned(labels: pd.Series) -> bool:
+    """Whether a slide is one to learn from."""
+    return str(labels["split"]).startswith(("calibration", "train"))
+
+
+def _error_so_far(until: Sequence[str]) -> "ErrorSoFar | None":
+    if not until:
+        return None
+    # What calibrates a map is of the train extra.
+    from softslide.experiments.acquisition.error_so_far import ErrorSoFar
+
+    return ErrorSoFar(until)
 
 
 def _drive_in_the_air(stage: Stage, start: Sequence[float], end: Sequence[float]) -> None:

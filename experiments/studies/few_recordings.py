@@ -17,20 +17,14 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from softslide.experiments.acquisition.error_so_far import errors
 from softslide.experiments.studies.script import Part, count, parser, recordings, run
 from softslide.features.errors import InputError
-from softslide.models.cnn.fit import CnnConfig
-from softslide.models.cnn.inversion import Inversion
-from softslide.models.held_out import signed_errors
-from softslide.models.response_map.select import calibrated_map
-from softslide.pipeline.atlas.atlas import Atlas
 from softslide.pipeline.atlas.library import atlas_of
-from softslide.pipeline.recordings.at_rest import conditioning_for
 from softslide.pipeline.recordings.base_motion import without_base_motion
 from softslide.pipeline.recordings.derived_labels import recordings_to_learn_from
 from softslide.pipeline.recordings.folder import Folder, read_folder
 from softslide.pipeline.recordings.manifest import read_table
-from softslide.pipeline.recordings.windows import labelled_windows
 
 
 def few(
@@ -56,24 +50,6 @@ def few(
         tables = [errors(part, scored, atlas) for part in parts]
         means = pd.DataFrame([table.mean() for table in tables]).mean()
         yield label, {**means, **pd.concat(tables).max().add_suffix("_max")}
-
-
-def errors(part: Folder, scored: Folder, atlas: Atlas | None) -> pd.DataFrame:
-    """Of the map calibrated on `part`: absolute errors of a row for each slide `scored`, deg, % and mm."""
-    config = CnnConfig()
-    conditioning = conditioning_for(part, config.conditioning)
-    found = calibrated_map(part, atlas, conditioning, config.calibration, config.spread)
-    windows = labelled_windows(scored, found.conditioning, (1.0,))
-    inversion = Inversion(found.response, found.conditioning.block_s)
-    rows = inversion.predict(windows.volts, windows.elapsed_s)
-    signed = signed_errors(rows, inversion.outputs, windows)
-    return pd.DataFrame(
-        {
-            "direction_deg": np.abs(signed["direction_deg"]),
-            "speed_percent": 100 * np.abs(np.expm1(signed["log_speed"])),
-            "offset_mm": np.abs(signed["offset_mm"]),
-        }
-    )
 
 
 def _drawn(names: list[str], slides: Sequence[int], draws: int) -> Iterator[tuple[str, list[list[str]]]]:

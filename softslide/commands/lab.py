@@ -98,7 +98,8 @@ def record(parser: Parser) -> Run:
             --plan plan.csv --out my-recordings
         softslide record --source udp://:9000 --plan plan.csv --out my-recordings
         softslide record --source udp://:9000 --plan plan.csv --out my-recordings --yes \\
-            --stage "serial:///dev/ttyUSB0?firmware=marlin" --origin 110 95 31.5
+            --stage "serial:///dev/ttyUSB0?firmware=marlin" --origin 110 95 31.5 \\
+            --until 0.4deg 0.7% 0.09mm
         softslide check my-recordings
     """
     parser.add_argument(
@@ -133,6 +134,11 @@ def record(parser: Parser) -> Run:
     arguments.number(parser, "--origin", "MM", origin, nargs=3)
     in_the_air = "with --stage: drive the slides above the skin, and record nothing"
     parser.add_argument("--dry-run", action="store_true", help=in_the_air)
+    enough = (
+        "errors that are enough, 0.3deg, 0.7%% or 0.09mm: once the last eight slides are estimated so well by the "
+        "map of those before, no more slides to learn from (needs the train extra; default: the whole plan)"
+    )
+    parser.add_argument("--until", nargs="+", default=[], metavar="ERROR", help=enough)
 
     def run(given: argparse.Namespace) -> None:
         from softslide.experiments.acquisition.record import record

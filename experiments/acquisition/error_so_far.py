@@ -1,0 +1,113 @@
+"""How far off estimates still are while a plan is recorded: each slide is scored by the map of those before it.
+
+No error is of a slide that its map has seen (prequential validation: A. P. Dawid 1984).
+"""
+
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+
+from softslide.experiments.kept_map import kept_map
+from softslide.features.errors import InputError
+from softslide.models.cnn.fit import CnnConfig
+from softslide.models.cnn.inversion import Inversion
+from softslide.models.held_out import signed_errors
+from softslide.pipeline.atlas.atlas import Atlas
+from softslide.pipeline.atlas.library import atlas_of
+from softslide.pipeline.recordings.at_rest import conditioning_for
+from softslide.pipeline.recordings.derived_labels import recordings_to_learn_from
+from softslide.pipeline.recordings.folder import Folder
+from softslide.pipeline.recordings.windows import labelled_windows
+
+# Slides that the first map is calibrated on, and the newest ones that an error is the mean of (experiments/LOG.md).
+FIRST, NEWEST = 6, 8
+COLUMNS = {"deg": "direction_deg", "%": "speed_percent", "mm": "offset_mm"}
+
+
+def read_goal(words: Sequence[str]) -> dict[str, float]:
+    """Errors to reach, "0.3deg", "0.7%", "0.09mm", by the column of `errors`.
+
+    Raises:
+        InputError: one is not a positive number and a unit.
+    """
+    goal = {}
+    for word in words:
+        found = re.fullmatch(r"([0-9.]+)(deg|%|mm)", word)
+        if not found or not found[1].replace(".", "", 1).isdigit() or float(found[1]) == 0.0:
+            raise InputError(f"{word}: give an error to reach, as 0.3deg, 0.7% or 0.09mm", "until")
+        goal[COLUMNS[found[2]]] = float(found[1])
+    return goal
+
+
+def errors(part: Folder, scored: Folder, atlas: Atlas | None) -> pd.DataFrame:
+    """Of the map calibrated on `part`: absolute errors of a row for each slide `scored`, deg, % and mm."""
+    config = CnnConfig()
+    conditioning = conditioning_for(part, config.conditioning)
+    found = kept_map(part, atlas, conditioning, config.calibration, config.spread)
+    windows = labelled_windows(scored, found.conditioning, (1.0,))
+    inversion = Inversion(found.response, found.conditioning.block_s)
+    rows = inversion.predict(windows.volts, windows.elapsed_s)
+    signed = signed_errors(rows, inversion.outputs, windows)
+    return pd.DataFrame(
+        {
+            "direction_deg": np.abs(signed["direction_deg"]),
+            "speed_percent": 100 * np.abs(np.expm1(signed["log_speed"])),
+            "offset_mm": np.abs(signed["offset_mm"]),
+        },
+        index=windows.recording,
+    )
+
+
+class ErrorSoFar:
+    """The errors of a growing folder's newest slides, until they are what was asked for.
+
+    Raises:
+        InputError: as `read_goal`.
+    """
+
+    def __init__(self, until: Sequence[str]) -> None:
+        self._goal, self._rows = read_goal(until), dict[str, pd.Series]()
+
+    def is_enough(self, folder: Folder, say: Callable[[str], None]) -> bool:
+        """Whether NEWEST slides have errors that are in the mean no larger than asked for; says what they are."""
+        try:
+            newest = self.newest(folder)
+        except InputError as error:
+            say(f"the error so far is not known: {error}")
+            return False
+        if len(newest):
+            say(in_words(newest))
+        means = newest.mean()
+        reached = len(newest) == NEWEST and all(means[name] <= asked for name, asked in self._goal.items())
+        if reached:
+            say("that is what was asked for: no more slides to learn from")
+        return reached
+
+    def newest(self, folder: Folder) -> pd.DataFrame:
+        """Errors of the NEWEST slides to learn from, fewer at first, in the order in which they were recorded.
+
+        Raises:
+            InputError: a slide cannot be read, or no map be calibrated.
+        """
+        learned = recordings_to_learn_from(folder)
+        atlas = atlas_of(learned.sensor) if learned.sensor.measures_gravity else None
+        names = [str(name) for name in learned.manifest.index]
+        for place in range(max(FIRST, len(names) - NEWEST), len(names)):
+            if names[place] not in self._rows:
+                before, this = (
+                    replace(learned, manifest=learned.manifest.loc[some])
+                    for some in (names[:place], names[place : place + 1])
+                )
+                self._rows[names[place]] = errors(before, this, atlas).iloc[0]
+        scored = [self._rows[name] for name in names[-NEWEST:] if name in self._rows]
+        return pd.DataFrame(scored, columns=list(COLUMNS.values()))
+
+
+def in_words(newest: pd.DataFrame) -> str:
+    """Means, each with the standard error that the slides' scatter gives it."""
+    of_mean = newest.std() / np.sqrt(max(len(newest), 1))
+    figures = (f"{newest[name].mean():.2g} +- {of_mean[name]:.1g} {unit}" for unit, name in COLUMNS.items())
+    return f"error so far, of the last {len(newest)}: {', '.join(figures)}"

@@ -1,0 +1,97 @@
+"""How many slides a goal takes, in a plan's order and at random; and where `softslide record --until` would stop.
+
+Walks through calibration slides in the plan's order and in orders drawn: after each slide the map is calibrated on
+those so far. Prints, for each order, from how many slides on the errors of held-out calibration slides, which no order
+holds, are in the mean no more than the goal, after how many `--until` stops, and the errors there (deg, %, mm).
+
+    softslide plan --sensor my-recordings/sensor.toml --candidates my-recordings/manifest.csv --slides 24 --out plan.csv
+    python -m softslide.experiments.studies.slides_needed --recordings my-recordings --plan plan.csv
+"""
+
+import argparse
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from softslide.experiments.acquisition.error_so_far import COLUMNS, FIRST, NEWEST, errors, read_goal
+from softslide.experiments.studies.script import Part, count, parser, recordings, run
+from softslide.features.errors import InputError
+from softslide.pipeline.atlas.library import atlas_of
+from softslide.pipeline.recordings.base_motion import without_base_motion
+from softslide.pipeline.recordings.derived_labels import recordings_to_learn_from
+from softslide.pipeline.recordings.folder import Folder, read_folder
+from softslide.pipeline.recordings.manifest import read_table
+from softslide.pipeline.workers import results
+
+
+def needed(given: argparse.Namespace) -> Iterator[Part]:
+    """The parts printed: of the plan, of each order drawn, and the medians of those drawn."""
+    learned, goal = (
+        recordings_to_learn_from(without_base_motion(read_folder(given.recordings))),
+        read_goal(given.until),
+    )
+    planned = [str(name) for name in read_table(given.plan)["recording"]]
+    if unknown := sorted(set(planned) - set(learned.manifest.index)):
+        raise InputError(f"{given.plan}: '{unknown[0]}' is not a calibration slide of {learned.root}")
+    rest = [str(name) for name in learned.manifest.index if name not in planned]
+    if len(rest) < given.held_out:
+        raise InputError(f"{len(rest)} slides are not of the plan; hold out fewer", "held_out")
+    held_out = list(np.random.default_rng(0).choice(rest, given.held_out, replace=False))
+    names = [str(name) for name in learned.manifest.index if name not in held_out]
+    drawn = [
+        list(np.random.default_rng(seed).permutation(names)[: len(planned)]) for seed in range(given.draws)
+    ]
+    numbers = range(FIRST, len(planned) + 1)
+    calls = [(learned, order, number, held_out) for order in (planned, *drawn) for number in numbers]
+    steps, found = results(after, calls, given.jobs), list[dict[str, float]]()
+    for name in ("plan", *(f"random-{seed}" for seed in range(given.draws))):
+        walked = pd.DataFrame([next(steps) for _ in numbers], numbers)
+        found.append(summary(walked, goal))
+        yield name, found[-1]
+    yield "random, medians", dict(pd.DataFrame(found[1:]).median())
+
+
+def after(learned: Folder, order: Sequence[str], number: int, held_out: Sequence[str]) -> dict[str, float]:
+    """With the map of so many slides: mean errors of the held-out ones, and as next_* those of the slide after."""
+    atlas = atlas_of(learned.sensor) if learned.sensor.measures_gravity else None
+    part, others = (
+        replace(learned, manifest=learned.manifest.loc[list(some)])
+        for some in (order[:number], [*held_out, *order[number : number + 1]])
+    )
+    found = errors(part, others, atlas)
+    following = found[found.index.isin(order)].mean().add_prefix("next_")
+    return {**found[found.index.isin(held_out)].mean(), **following}
+
+
+def summary(walked: pd.DataFrame, goal: dict[str, float]) -> dict[str, float]:
+    """needed, stops: numbers of slides, NaN where all were not enough; errors: of the held-out slides at the stop."""
+    asked = pd.Series(goal)
+    good = (walked[asked.index] <= asked).all(axis=1)
+    # For good: with no more slides it is not missed again.
+    lasting = good[::-1].cummin()[::-1]
+    newest = walked[[f"next_{name}" for name in asked.index]].rolling(NEWEST).mean().shift()
+    stop = (newest.to_numpy() <= asked.to_numpy()).all(axis=1)
+    stops = float(walked.index[stop][0]) if stop.any() else np.nan
+    at = walked.loc[stops if stop.any() else walked.index[-1], list(COLUMNS.values())]
+    return {"needed": float(walked.index[lasting][0]) if lasting.any() else np.nan, "stops": stops, **at}
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """The study."""
+    words = parser("slides_needed", __doc__)
+    recordings(words, "a folder of one sensor")
+    words.add_argument("--plan", type=Path, required=True, metavar="plan.csv", help="its order is walked too")
+    goal = ["0.4deg", "0.7%", "0.09mm"]
+    words.add_argument("--until", nargs="+", default=goal, metavar="ERROR", help="as of 'record'")
+    count(words, "--draws", 10, "orders drawn")
+    count(words, "--held-out", 40, "slides that errors are of")
+    count(words, "--jobs", 2, "orders at once")
+    return run(words, needed, argv)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
