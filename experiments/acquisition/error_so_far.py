@@ -4,7 +4,7 @@ No error is of a slide that its map has seen (prequential validation: A. P. Dawi
 """
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -62,29 +62,10 @@ def errors(part: Folder, scored: Folder, atlas: Atlas | None) -> pd.DataFrame:
 
 
 class ErrorSoFar:
-    """The errors of a growing folder's newest slides, until they are what was asked for.
+    """The errors of a growing folder's slides, each by the map of those before. rows: by recording, as `errors`."""
 
-    Raises:
-        InputError: as `read_goal`.
-    """
-
-    def __init__(self, until: Sequence[str]) -> None:
-        self._goal, self._rows = read_goal(until), dict[str, pd.Series]()
-
-    def is_enough(self, folder: Folder, say: Callable[[str], None]) -> bool:
-        """Whether NEWEST slides have errors that are in the mean no larger than asked for; says what they are."""
-        try:
-            newest = self.newest(folder)
-        except InputError as error:
-            say(f"the error so far is not known: {error}")
-            return False
-        if len(newest):
-            say(in_words(newest))
-        means = newest.mean()
-        reached = len(newest) == NEWEST and all(means[name] <= asked for name, asked in self._goal.items())
-        if reached:
-            say("that is what was asked for: no more slides to learn from")
-        return reached
+    def __init__(self) -> None:
+        self.rows = pd.DataFrame(columns=list(COLUMNS.values()), dtype=float)
 
     def newest(self, folder: Folder) -> pd.DataFrame:
         """Errors of the NEWEST slides to learn from, fewer at first, in the order in which they were recorded.
@@ -96,18 +77,15 @@ class ErrorSoFar:
         atlas = atlas_of(learned.sensor) if learned.sensor.measures_gravity else None
         names = [str(name) for name in learned.manifest.index]
         for place in range(max(FIRST, len(names) - NEWEST), len(names)):
-            if names[place] not in self._rows:
+            if names[place] not in self.rows.index:
                 before, this = (
                     replace(learned, manifest=learned.manifest.loc[some])
                     for some in (names[:place], names[place : place + 1])
                 )
-                self._rows[names[place]] = errors(before, this, atlas).iloc[0]
-        scored = [self._rows[name] for name in names[-NEWEST:] if name in self._rows]
-        return pd.DataFrame(scored, columns=list(COLUMNS.values()))
+                self.rows.loc[names[place]] = errors(before, this, atlas).iloc[0]
+        return self.rows.loc[[name for name in names[-NEWEST:] if name in self.rows.index]]
 
 
-def in_words(newest: pd.DataFrame) -> str:
-    """Means, each with the standard error that the slides' scatter gives it."""
-    of_mean = newest.std() / np.sqrt(max(len(newest), 1))
-    figures = (f"{newest[name].mean():.2g} +- {of_mean[name]:.1g} {unit}" for unit, name in COLUMNS.items())
-    return f"error so far, of the last {len(newest)}: {', '.join(figures)}"
+def mean_and_error(newest: pd.DataFrame) -> tuple[pd.Series, pd.Series]:
+    """Mean errors, and the standard errors that the slides' scatter gives them."""
+    return newest.mean(), newest.std() / np.sqrt(max(len(newest), 1))

@@ -37,7 +37,7 @@ from softslide.pipeline.sensor import Sensor, read_sensor
 from softslide.serve.stream.sources import open_live
 
 if TYPE_CHECKING:
-    from softslide.experiments.acquisition.error_so_far import ErrorSoFar
+    from softslide.experiments.acquisition.verdict import Verdict
 
 # What a stage is set to, and how long the motion takes.
 NEEDED = ("direction_deg", "speed_mm_s", "start_x_mm", "start_y_mm", "travel_mm")
@@ -143,6 +143,7 @@ def record(
     origin_mm: Sequence[float] | None = None,
     dry_run: bool = False,
     until: Sequence[str] = (),
+    page: str | Path | None = None,
 ) -> tuple[Folder, int]:
     """Records the slides of a plan that the folder `out` does not hold yet. Returns the folder, and how many are left.
 
@@ -150,7 +151,7 @@ def record(
     format: csv or f32, of the bytes that come in. rest_s, start_s, timeout_s, wait_s: as in `Times`. yes: asks nothing.
     stage: what moves the ball, and origin_mm, as in `Stage`; None: a person does. dry_run: drives the slides above the
     skin, and records nothing. until: errors ("0.3deg", "0.7%", "0.09mm") from which on no more slides to learn from are
-    recorded (error_so_far.py).
+    recorded; page: an HTML file to show slides and errors on meanwhile (verdict.py).
 
     Raises:
         InputError: the source, the plan, the sensor, the folder or the stage is wrong, the source did not come back, or
@@ -162,7 +163,7 @@ def record(
     out, times = Path(out), Times(rest_s, start_s, timeout_s, wait_s)
     folder = open_growing(out, None if sensor is None else read_sensor(sensor))
     slides = read_plan(Path(plan), folder.sensor)
-    operator, so_far, enough = Operator(yes), _error_so_far(until), False
+    operator, verdict = Operator(yes), _verdict(until, page, slides)
     if stage is not None:
         check_slides(slides, folder.sensor)
         if origin_mm is None and yes:
@@ -171,6 +172,7 @@ def record(
         raise InputError("is for a stage; name one", "dry_run" if dry_run else "origin")
     if done := int(slides.index.isin(folder.manifest.index).sum()):
         operator.say(f"{out}: {done} of {len(slides)} slides are recorded; going on")
+    enough = verdict is not None and verdict.is_enough(folder, operator.say)
     columns = len(folder.sensor.columns)
     with ExitStack() as stack:
         listener = stack.enter_context(closing(Listener(lambda: open_live(source, columns, format))))
@@ -199,8 +201,7 @@ def record(
             if slide is not None:
                 folder = add_recording(folder, slide, {str(k): v for k, v in labels.items()})
                 operator.say(f"kept: {folder.root}, {len(folder)} recordings")
-                if so_far is not None and _learned(labels):
-                    enough = so_far.is_enough(folder, operator.say)
+                enough = verdict is not None and verdict.is_enough(folder, operator.say)
     return folder, int((~slides.index.isin(folder.manifest.index)).sum())
 
 
@@ -209,13 +210,13 @@ def _learned(labels: pd.Series) -> bool:
     return str(labels["split"]).startswith(("calibration", "train"))
 
 
-def _error_so_far(until: Sequence[str]) -> "ErrorSoFar | None":
-    if not until:
+def _verdict(until: Sequence[str], page: str | Path | None, slides: pd.DataFrame) -> "Verdict | None":
+    if not until and page is None:
         return None
-    # What calibrates a map is of the train extra.
-    from softslide.experiments.acquisition.error_so_far import ErrorSoFar
+    # What calibrates a map and draws is of the train extra.
+    from softslide.experiments.acquisition.verdict import Verdict
 
-    return ErrorSoFar(until)
+    return Verdict(until, None if page is None else Path(page), slides)
 
 
 def _drive_in_the_air(stage: Stage, start: Sequence[float], end: Sequence[float]) -> None:

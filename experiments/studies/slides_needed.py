@@ -2,7 +2,8 @@
 
 Walks through calibration slides in the plan's order and in orders drawn: after each slide the map is calibrated on
 those so far. Prints, for each order, from how many slides on the errors of held-out calibration slides, which no order
-holds, are in the mean no more than the goal, after how many `--until` stops, and the errors there (deg, %, mm).
+holds, are in the mean no more than the goal, after how many `--until` stops, and the errors there, or with all slides
+(deg, %, mm); of the orders drawn, the share that reaches the goal and the medians of those errors.
 
     softslide plan --sensor my-recordings/sensor.toml --candidates my-recordings/manifest.csv --slides 24 --out plan.csv
     python -m softslide.experiments.studies.slides_needed --recordings my-recordings --plan plan.csv
@@ -29,7 +30,7 @@ from softslide.pipeline.workers import results
 
 
 def needed(given: argparse.Namespace) -> Iterator[Part]:
-    """The parts printed: of the plan, of each order drawn, and the medians of those drawn."""
+    """The parts printed: of the plan, of each order drawn, and of those drawn together."""
     learned, goal = (
         recordings_to_learn_from(without_base_motion(read_folder(given.recordings))),
         read_goal(given.until),
@@ -52,7 +53,8 @@ def needed(given: argparse.Namespace) -> Iterator[Part]:
         walked = pd.DataFrame([next(steps) for _ in numbers], numbers)
         found.append(summary(walked, goal))
         yield name, found[-1]
-    yield "random, medians", dict(pd.DataFrame(found[1:]).median())
+    random = pd.DataFrame(found[1:], columns=list(found[0]))
+    yield "random", {"reached": random["needed"].notna().mean(), **random[list(COLUMNS.values())].median()}
 
 
 def after(learned: Folder, order: Sequence[str], number: int, held_out: Sequence[str]) -> dict[str, float]:
@@ -74,9 +76,9 @@ def summary(walked: pd.DataFrame, goal: dict[str, float]) -> dict[str, float]:
     # For good: with no more slides it is not missed again.
     lasting = good[::-1].cummin()[::-1]
     newest = walked[[f"next_{name}" for name in asked.index]].rolling(NEWEST).mean().shift()
-    stop = (newest.to_numpy() <= asked.to_numpy()).all(axis=1)
-    stops = float(walked.index[stop][0]) if stop.any() else np.nan
-    at = walked.loc[stops if stop.any() else walked.index[-1], list(COLUMNS.values())]
+    stop = walked.index[np.all(newest.to_numpy() <= asked.to_numpy(), axis=1).tolist()]
+    stops = float(stop[0]) if len(stop) else np.nan
+    at = walked.loc[stop[0] if len(stop) else walked.index[-1], list(COLUMNS.values())]
     return {"needed": float(walked.index[lasting][0]) if lasting.any() else np.nan, "stops": stops, **at}
 
 

@@ -99,7 +99,7 @@ def record(parser: Parser) -> Run:
         softslide record --source udp://:9000 --plan plan.csv --out my-recordings
         softslide record --source udp://:9000 --plan plan.csv --out my-recordings --yes \\
             --stage "serial:///dev/ttyUSB0?firmware=marlin" --origin 110 95 31.5 \\
-            --until 0.4deg 0.7% 0.09mm
+            --until 0.4deg 0.7% 0.09mm --page progress.html
         softslide check my-recordings
     """
     parser.add_argument(
@@ -139,6 +139,8 @@ def record(parser: Parser) -> Run:
         "map of those before, no more slides to learn from (needs the train extra; default: the whole plan)"
     )
     parser.add_argument("--until", nargs="+", default=[], metavar="ERROR", help=enough)
+    meanwhile = "show slides done and to come and the error so far, in a browser (needs the train extra)"
+    parser.add_argument("--page", type=Path, metavar="FILE.html", help=meanwhile)
 
     def run(given: argparse.Namespace) -> None:
         from softslide.experiments.acquisition.record import record

@@ -70,6 +70,8 @@ def lab(given: argparse.Namespace) -> Iterator[Part]:
             yes=True,
             stage=stage,
             origin_mm=ORIGIN_MM,
+            until=given.until,
+            page=out / "progress.html",
         )
     yield "record", {"minutes": (time.monotonic() - begun_s) / 60}
     report = softslide.check(out / "printer")
@@ -166,6 +168,7 @@ def main() -> int:
     count(options, "--tests", 12, "kept apart")
     count(options, "--seed", 0, "of the skin", least=0)
     options.add_argument("--haste", type=float, default=6.0, metavar="X", help="times real time (default: 6)")
+    options.add_argument("--until", nargs="+", default=[], metavar="ERROR", help="as of 'record'")
     options.add_argument("--fault", choices=FAULTS, default="none", help="what is wrong (default: none)")
     try:
         return run(options, lab)
