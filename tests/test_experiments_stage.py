@@ -17,6 +17,7 @@ from sender import PLAN, free_port
 from streams import a_sensor
 
 import softslide
+from softslide.experiments.acquisition import approach
 from softslide.experiments.acquisition import record as recording
 from softslide.experiments.acquisition import stage as module
 from softslide.experiments.acquisition.gcode import CLEAR_MM
@@ -46,8 +47,8 @@ def lab(tmp_path: Path) -> Path:
 
 
 @contextmanager
-def skin(printer: Printer, touched_v: float = 0.1, late_s: float = 0.0) -> Iterator[str]:
-    """Sends what a sensor would, 1 kHz, that is pressed while the ball is below its height; V_y as the ball goes on."""
+def skin(printer: Printer, touched_v: float = 0.1, late_s: float = 0.0, still: bool = False) -> Iterator[str]:
+    """Sends what a sensor would, 1 kHz, that is pressed while the ball is below its height and moves, or is still."""
     port, ended = free_port(), threading.Event()
     pressed = deque([0.0], maxlen=round(late_s / 0.02) + 1)
     noise = np.random.default_rng(0)
@@ -57,7 +58,9 @@ def skin(printer: Printer, touched_v: float = 0.1, late_s: float = 0.0) -> Itera
         with socket.socket(type=socket.SOCK_DGRAM) as mouth:
             while not ended.is_set():
                 x, y, z = printer.place - np.array(ORIGIN)
-                pressed.append(touched_v * (z < 0 and printer.moving and max(abs(x), abs(y)) < 28.9))
+                pressed.append(
+                    touched_v * (z < 0 and (printer.moving or still) and max(abs(x), abs(y)) < 28.9)
+                )
                 on = pressed[0]
                 volts = np.array([1.65 + on, 1.65 - on, 2.45]) + noise.normal(0, 1e-3, (20, 3))
                 rows = (
@@ -153,6 +156,37 @@ def test_a_slide_whose_samples_come_late_is_not_kept(lab: Path, monkeypatch: pyt
             recorded(lab, source, printer)
         assert printer.place[2] == ORIGIN[2] + CLEAR_MM
     assert not list((lab / "out").glob("slides/*"))
+
+
+def test_a_slow_approach_finds_the_height(lab: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "stdin", io.StringIO("\n\nq\n"))
+    above_mm = 1.02
+    with Printer() as printer, skin(printer, still=True) as source:
+        too_high = (*ORIGIN[:2], ORIGIN[2] + above_mm)
+        assert recorded(lab, source, printer, yes=False, origin_mm=too_high, approach_mm=2.0) == 2
+        lowest = min(end[2] for _, end, _ in printer.moves[1:])
+        assert -2 * approach.STEP_MM < lowest - ORIGIN[2] < 0.0
+        assert printer.place[2] - lowest == pytest.approx(CLEAR_MM, abs=1e-6)
+
+
+def test_an_approach_that_finds_nothing_ends_and_goes_no_deeper(
+    lab: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "stdin", io.StringIO("\n"))
+    with Printer() as printer, skin(printer) as source:
+        high = (*ORIGIN[:2], ORIGIN[2] + 3.0)
+        with pytest.raises(InputError, match="no output changes"):
+            recorded(lab, source, printer, yes=False, origin_mm=high, approach_mm=0.5)
+        assert min(end[2] for _, end, _ in printer.moves[1:]) == pytest.approx(high[2] - 0.5)
+        assert printer.stopped
+    wrong = (
+        ({"yes": True}, "needs an origin"),
+        ({"origin_mm": None}, "needs an origin"),
+        ({"approach_mm": 9.0}, "at most 5"),
+    )
+    for given, says in wrong:
+        with pytest.raises(InputError, match=says):
+            recorded(lab, "udp://:1", printer, **({"yes": False, "approach_mm": 1.0} | given))
 
 
 @pytest.mark.parametrize("answers", ["q\n", ""])

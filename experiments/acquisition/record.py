@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 
 import pandas as pd
 
+from softslide.experiments.acquisition.approach import MOST_MM, approach
 from softslide.experiments.acquisition.capture import (
     POLL_S,
     Level,
@@ -50,6 +51,7 @@ REDRAW_S = 0.1
 ON_THE_MIDDLE = (
     "Pressure off: put the ball over the chamber's middle, just touching the skin. Enter lifts it, q stops:"
 )
+ABOVE = "Pressure off. Enter lowers the ball over the chamber's middle until an output changes, q stops:"
 INFLATED = "Turn the pressure on and let it settle. Enter begins, q stops:"
 # A skin is never tilted so far, by 49 degrees: a stage is stopped there.
 LARGEST_TILT_G = 0.75
@@ -144,13 +146,15 @@ def record(
     dry_run: bool = False,
     until: Sequence[str] = (),
     page: str | Path | None = None,
+    approach_mm: float | None = None,
 ) -> tuple[Folder, int]:
     """Records the slides of a plan that the folder `out` does not hold yet. Returns the folder, and how many are left.
 
     source: serial://, udp:// or ros2://, as in serve/stream/sources.py. sensor: a sensor.toml; None: the folder's own.
     format: csv or f32, of the bytes that come in. rest_s, start_s, timeout_s, wait_s: as in `Times`. yes: asks nothing.
     stage: what moves the ball, and origin_mm, as in `Stage`; None: a person does. dry_run: drives the slides above the
-    skin, and records nothing. until: errors ("0.3deg", "0.7%", "0.09mm") from which on no more slides to learn from are
+    skin, and records nothing. approach_mm: the stage is above the skin at first, and finds its height by going down so
+    far at most (approach.py). until: errors ("0.3deg", "0.7%", "0.09mm") from which on no more slides to learn from are
     recorded; page: an HTML file to show slides and errors on meanwhile (verdict.py).
 
     Raises:
@@ -168,8 +172,13 @@ def record(
         check_slides(slides, folder.sensor)
         if origin_mm is None and yes:
             raise InputError("is needed where nobody is there to put the ball on the skin's middle", "origin")
-    elif dry_run or origin_mm is not None:
-        raise InputError("is for a stage; name one", "dry_run" if dry_run else "origin")
+        if approach_mm is not None and not 0 < approach_mm <= MOST_MM:
+            raise InputError(f"{approach_mm:g} mm; the ball is lowered by at most {MOST_MM:g}", "approach_mm")
+        if approach_mm is not None and (yes or origin_mm is None):
+            raise InputError("needs an origin, and somebody who turns the pressure on after it", "approach_mm")
+    elif dry_run or origin_mm is not None or approach_mm is not None:
+        named = "dry_run" if dry_run else "origin" if origin_mm is not None else "approach_mm"
+        raise InputError("is for a stage; name one", named)
     if done := int(slides.index.isin(folder.manifest.index).sum()):
         operator.say(f"{out}: {done} of {len(slides)} slides are recorded; going on")
     enough = verdict is not None and verdict.is_enough(folder, operator.say)
@@ -181,8 +190,7 @@ def record(
             if origin_mm is None and operator.ask(ON_THE_MIDDLE, str) == "q":
                 return folder, len(slides) - done
             driven = stack.enter_context(Stage(stage, origin_mm))
-            driven.lift()
-            if origin_mm is None and operator.ask(INFLATED, str) == "q":
+            if not _is_set_up(driven, bench, origin_mm is None, approach_mm):
                 return folder, len(slides) - done
             bench = replace(bench, stage=driven)
         if dry_run and bench.stage:
@@ -203,6 +211,18 @@ def record(
                 operator.say(f"kept: {folder.root}, {len(folder)} recordings")
                 enough = verdict is not None and verdict.is_enough(folder, operator.say)
     return folder, int((~slides.index.isin(folder.manifest.index)).sum())
+
+
+def _is_set_up(stage: Stage, bench: Bench, by_hand: bool, approach_mm: float | None) -> bool:
+    """Lifts the ball, after its height was found if that is asked for; whether the operator goes on."""
+    operator = bench.operator
+    if approach_mm is not None:
+        if operator.ask(ABOVE, str) == "q":
+            return False
+        found_mm = approach(stage, bench.listener, bench.sensor, approach_mm, bench.times.timeout)
+        operator.say(f"the flat skin's face is {found_mm:g} mm below the origin")
+    stage.lift()
+    return (not by_hand and approach_mm is None) or operator.ask(INFLATED, str) != "q"
 
 
 def _learned(labels: pd.Series) -> bool:

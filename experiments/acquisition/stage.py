@@ -92,6 +92,15 @@ class Stage:
         self._to(DOWN_MM_S, z=-depth_mm)
         self.finish()
 
+    def lower(self, by_mm: float) -> None:
+        """Carries the ball to so far below the flat skin's face, where it is; waits for it."""
+        self._to(DOWN_MM_S, z=-by_mm)
+        self.finish()
+
+    def count_from(self, by_mm: float) -> None:
+        """Takes the height so far below for the flat skin's face."""
+        self._origin[2] -= by_mm
+
     def slide(self, end: Sequence[float], speed_mm_s: float) -> None:
         """Begins to move the ball to (x, y); returns once the stage has taken the line."""
         self._to(speed_mm_s, *end)

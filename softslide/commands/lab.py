@@ -132,6 +132,10 @@ def record(parser: Parser) -> Run:
     parser.add_argument("--stage", metavar="URL", help=f"{moves} (default: a person)")
     origin = "where, after homing, the ball just touches the skin over the chamber's middle (default: where it is now)"
     arguments.number(parser, "--origin", "MM", origin, nargs=3)
+    height = (
+        "with --origin above the skin and the pressure off: find its height, by lowering so far at most, mm"
+    )
+    arguments.number(parser, "--approach", "MM", height)
     in_the_air = "with --stage: drive the slides above the skin, and record nothing"
     parser.add_argument("--dry-run", action="store_true", help=in_the_air)
     enough = (
