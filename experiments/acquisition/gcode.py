@@ -13,6 +13,8 @@ import pandas as pd
 from softslide.features.errors import InputError
 from softslide.pipeline.sensor import Sensor
 
+# What a stage is set to, and how long the motion takes.
+NEEDED = ("direction_deg", "speed_mm_s", "start_x_mm", "start_y_mm", "travel_mm")
 CLEAR_MM = 20.0  # above the flat skin's face, between slides
 HIGHEST_MM = 15.0  # no skin that stands higher, inflated, is driven over
 TRAVEL_MM_S, DOWN_MM_S = 40.0, 2.0

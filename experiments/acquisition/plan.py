@@ -10,10 +10,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from softslide.experiments.acquisition.gcode import check_height
+from softslide.experiments.acquisition.gcode import NEEDED, check_height
 from softslide.experiments.acquisition.gcode import gcode as program_of
 from softslide.experiments.acquisition.pictures import draw_plan
-from softslide.experiments.acquisition.record import NEEDED
 from softslide.features.errors import InputError
 from softslide.models.design.plan import Plan, plan_slides
 from softslide.models.response_map.from_atlas import SensorSpread

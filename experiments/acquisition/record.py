@@ -27,7 +27,7 @@ from softslide.experiments.acquisition.capture import (
     remarks,
     stray,
 )
-from softslide.experiments.acquisition.gcode import CLEAR_MM, TRAVEL_MM_S, ends
+from softslide.experiments.acquisition.gcode import CLEAR_MM, NEEDED, TRAVEL_MM_S, ends
 from softslide.experiments.acquisition.stage import Stage, check_slides
 from softslide.features.errors import CheckFailed, InputError
 from softslide.pipeline.recordings.base_motion import BASE_SPLIT
@@ -40,8 +40,6 @@ from softslide.serve.stream.sources import open_live
 if TYPE_CHECKING:
     from softslide.experiments.acquisition.verdict import Verdict
 
-# What a stage is set to, and how long the motion takes.
-NEEDED = ("direction_deg", "speed_mm_s", "start_x_mm", "start_y_mm", "travel_mm")
 LIVE = ("serial://", "udp://", "ros2://")
 BASE_S = 60.0  # of a robot that moves while nothing touches, where the plan gives no travel and speed
 ATTEMPTS = 3  # at a slide that fails with nobody to ask
@@ -175,7 +173,9 @@ def record(
         if approach_mm is not None and not 0 < approach_mm <= MOST_MM:
             raise InputError(f"{approach_mm:g} mm; the ball is lowered by at most {MOST_MM:g}", "approach_mm")
         if approach_mm is not None and (yes or origin_mm is None):
-            raise InputError("needs an origin, and somebody who turns the pressure on after it", "approach_mm")
+            raise InputError(
+                "needs an origin, and somebody who turns the pressure on after it", "approach_mm"
+            )
     elif dry_run or origin_mm is not None or approach_mm is not None:
         named = "dry_run" if dry_run else "origin" if origin_mm is not None else "approach_mm"
         raise InputError("is for a stage; name one", named)
