@@ -3,7 +3,8 @@
 Prints times of a decision (20 ms of samples in, an estimate out) in us, median and 99th percentile, at rest, in a slide
 and of the graph alone; p99_ratio is the latter over the former. Each is measured in alternation with a call of a graph
 of one node, so that a busy computer slows both alike; ratio is the median over that call's. Then s to the first
-estimate, MB above numpy with ONNX Runtime, and the bundle's kB. Needs the base install alone.
+estimate; MB above numpy with ONNX Runtime as they are imported, and above these once a graph of one node has run; and
+the bundle's kB. Needs the base install alone.
 
     python -m softslide.experiments.studies.decision_time --model my-model --json device.json
 """
@@ -21,7 +22,7 @@ from timeit import timeit
 
 import numpy as np
 
-from softslide.experiments.one_node import one_node
+from softslide.experiments.one_node import ONE_NODE, one_node
 from softslide.experiments.studies.script import Part, bundle, count, parser, run
 from softslide.features.errors import InputError
 from softslide.features.stream.tracker import SlideState
@@ -35,11 +36,15 @@ begun = time.perf_counter()
 import numpy, onnxruntime
 resident = lambda: int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
 bare = resident()
+# What ONNX Runtime itself takes once it runs any graph.
+onnxruntime.InferenceSession(bytes.fromhex(sys.argv[2])).run(None, {"x": numpy.zeros(1, "f4")})
+running = resident()
 from softslide.serve.localizer import Localizer
 localizer = Localizer.load(Path(sys.argv[1]))
 localizer.push(numpy.zeros((localizer.card.samples_per_block, len(localizer.card.columns))))
 took_s = time.perf_counter() - begun
-print(json.dumps({"first_estimate_s": took_s, "memory_above_libraries_mb": resident() - bare}))
+above = {"memory_above_libraries_mb": resident() - bare, "memory_above_running_mb": resident() - running}
+print(json.dumps({"first_estimate_s": took_s, **above}))
 """
 
 
@@ -51,7 +56,10 @@ def costs(bundle: Path, decisions: int) -> Iterator[Part]:
     yield "decision_at_rest", _us(*at_rest)
     yield "decision_in_a_slide", _us(in_slides[0], in_slides[2])
     yield "inference_alone", _us(in_slides[1], in_slides[2])
-    words, one_thread = [sys.executable, "-c", START, str(bundle.resolve())], {"OMP_NUM_THREADS": "1"}
+    words, one_thread = (
+        [sys.executable, "-c", START, str(bundle.resolve()), ONE_NODE.hex()],
+        {"OMP_NUM_THREADS": "1"},
+    )
     root, env = Path(__file__).parents[2], os.environ | one_thread
     done = subprocess.run(words, cwd=root, env=env, capture_output=True, text=True)
     if done.returncode:
