@@ -5,8 +5,6 @@ earlier one stopped. A slide during which the source was gone or lost samples is
 """
 
 import math
-import select
-import sys
 import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack, closing
@@ -27,6 +25,7 @@ from softslide.experiments.acquisition.capture import (
     remarks,
     stray,
 )
+from softslide.experiments.acquisition.dialogue import Operator, level_bar
 from softslide.experiments.acquisition.gcode import CLEAR_MM, NEEDED, TRAVEL_MM_S, ends
 from softslide.experiments.acquisition.stage import Stage, check_slides
 from softslide.features.errors import CheckFailed, InputError
@@ -44,8 +43,6 @@ LIVE = ("serial://", "udp://", "ros2://")
 BASE_S = 60.0  # of a robot that moves while nothing touches, where the plan gives no travel and speed
 ATTEMPTS = 3  # at a slide that fails with nobody to ask
 RAMP_S = 1.0  # a stage's ramps come on top of way over speed; `softslide check` allows as much
-BAR = 30  # characters
-REDRAW_S = 0.1
 ON_THE_MIDDLE = (
     "Pressure off: put the ball over the chamber's middle, just touching the skin. Enter lifts it, q stops:"
 )
@@ -53,7 +50,6 @@ ABOVE = "Pressure off. Enter lowers the ball over the chamber's middle until an 
 INFLATED = "Turn the pressure on and let it settle. Enter begins, q stops:"
 # A skin is never tilted so far, by 49 degrees: a stage is stopped there.
 LARGEST_TILT_G = 0.75
-LOWEST_V, HIGHEST_V = 1e-3, 0.3  # the bar's ends: about a block's noise, and the article's largest outputs
 
 
 @dataclass(frozen=True)
@@ -70,46 +66,6 @@ class Times:
         for field in fields(self):
             if not getattr(self, field.name) > 0:
                 raise InputError(f"{getattr(self, field.name):g}: give a positive time in s", field.name)
-
-
-class Operator:
-    """Asks on standard error and reads answers from standard input; where `absent`, every default is taken."""
-
-    def __init__(self, absent: bool) -> None:
-        self.absent, self._watched = absent, sys.stderr.isatty()
-
-    def say(self, text: str) -> None:
-        """One line."""
-        print(f"{self._clear()}{text}", file=sys.stderr, flush=True)
-
-    def ask(self, question: str, live: Callable[[], str]) -> str:
-        """The first letter of the answer, in lower case; "" for the default, "q" at the input's end.
-
-        live: what to show next to the question while a person thinks.
-        """
-        if self.absent:
-            return ""
-        self.say(question)
-        if self._watched and sys.stdin.isatty():
-            while not select.select([sys.stdin], [], [], REDRAW_S)[0]:
-                self.show(live())
-        answer = sys.stdin.readline()
-        return answer.strip().lower()[:1] if answer else "q"
-
-    def show(self, text: str) -> None:
-        """A line that the next one replaces; only where a person watches."""
-        if self._watched:
-            print(f"{self._clear()}{text}", end="", file=sys.stderr, flush=True)
-
-    def _clear(self) -> str:
-        return "\r\x1b[K" if self._watched else ""
-
-
-def level_bar(volts: float) -> str:
-    """A deviation in V as a bar on a logarithmic scale, and in mV."""
-    share = math.log(max(volts, LOWEST_V) / LOWEST_V) / math.log(HIGHEST_V / LOWEST_V)
-    full = round(BAR * min(share, 1.0))
-    return f"|{'#' * full}{' ' * (BAR - full)}| {1e3 * volts:6.1f} mV"
 
 
 class _Stopped(Exception):
@@ -166,19 +122,9 @@ def record(
     folder = open_growing(out, None if sensor is None else read_sensor(sensor))
     slides = read_plan(Path(plan), folder.sensor)
     operator, verdict = Operator(yes), _verdict(until, page, slides)
+    _check_options(stage, origin_mm, approach_mm, dry_run, yes)
     if stage is not None:
         check_slides(slides, folder.sensor)
-        if origin_mm is None and yes:
-            raise InputError("is needed where nobody is there to put the ball on the skin's middle", "origin")
-        if approach_mm is not None and not 0 < approach_mm <= MOST_MM:
-            raise InputError(f"{approach_mm:g} mm; the ball is lowered by at most {MOST_MM:g}", "approach_mm")
-        if approach_mm is not None and (yes or origin_mm is None):
-            raise InputError(
-                "needs an origin, and somebody who turns the pressure on after it", "approach_mm"
-            )
-    elif dry_run or origin_mm is not None or approach_mm is not None:
-        named = "dry_run" if dry_run else "origin" if origin_mm is not None else "approach_mm"
-        raise InputError("is for a stage; name one", named)
     if done := int(slides.index.isin(folder.manifest.index).sum()):
         operator.say(f"{out}: {done} of {len(slides)} slides are recorded; going on")
     enough = verdict is not None and verdict.is_enough(folder, operator.say)
@@ -198,19 +144,50 @@ def record(
                 operator.say(f"{name}: {CLEAR_MM:g} mm above the flat skin's face")
                 _drive_in_the_air(bench.stage, *ends(labels))
             return folder, len(slides) - done
-        for place, (name, labels) in enumerate(slides.iterrows(), 1):
-            if name in folder.manifest.index or (enough and _learned(labels)):
-                continue
-            operator.say(f"[{place}/{len(slides)}] {name}: {_described(labels)}")
-            try:
-                slide = _slide(str(name), labels, bench)
-            except _Stopped:
-                break
-            if slide is not None:
-                folder = add_recording(folder, slide, {str(k): v for k, v in labels.items()})
-                operator.say(f"kept: {folder.root}, {len(folder)} recordings")
-                enough = verdict is not None and verdict.is_enough(folder, operator.say)
+        folder = _all_slides(slides, folder, bench, verdict, enough)
     return folder, int((~slides.index.isin(folder.manifest.index)).sum())
+
+
+def _check_options(
+    stage: str | None, origin_mm: Sequence[float] | None, approach_mm: float | None, dry_run: bool, yes: bool
+) -> None:
+    """Raises InputError where options of `record` do not go together."""
+    given = {"dry_run": dry_run, "origin": origin_mm is not None, "approach_mm": approach_mm is not None}
+    if stage is None and any(given.values()):
+        raise InputError(
+            "is for a stage; name one", next(name for name, is_given in given.items() if is_given)
+        )
+    if stage is not None and origin_mm is None and yes:
+        raise InputError("is needed where nobody is there to put the ball on the skin's middle", "origin")
+    if approach_mm is None:
+        return
+    if not 0 < approach_mm <= MOST_MM:
+        raise InputError(f"{approach_mm:g} mm; the ball is lowered by at most {MOST_MM:g}", "approach_mm")
+    if yes or origin_mm is None:
+        raise InputError("needs an origin, and somebody who turns the pressure on after it", "approach_mm")
+
+
+def _all_slides(
+    slides: pd.DataFrame, folder: Folder, bench: Bench, verdict: "Verdict | None", enough: bool
+) -> Folder:
+    """The folder with every slide of the plan that it has not, until the operator stops.
+
+    enough: whether the slides to learn from are left out, as the verdict may say later too.
+    """
+    say = bench.operator.say
+    for place, (name, labels) in enumerate(slides.iterrows(), 1):
+        if name in folder.manifest.index or (enough and _learned(labels)):
+            continue
+        say(f"[{place}/{len(slides)}] {name}: {_described(labels)}")
+        try:
+            slide = _slide(str(name), labels, bench)
+        except _Stopped:
+            break
+        if slide is not None:
+            folder = add_recording(folder, slide, {str(k): v for k, v in labels.items()})
+            say(f"kept: {folder.root}, {len(folder)} recordings")
+            enough = verdict is not None and verdict.is_enough(folder, say)
+    return folder
 
 
 def _is_set_up(stage: Stage, bench: Bench, by_hand: bool, approach_mm: float | None) -> bool:
