@@ -65,6 +65,17 @@ def test_enough_is_a_mean_of_enough_slides(sample: Folder, soon: None, tmp_path:
     assert not Verdict([], page, plan).is_enough(first(sample, 5), said.append)
 
 
+def test_slides_that_go_another_way_are_said(sample: Folder, soon: None) -> None:
+    """As of an axis that stalls or a wire in the wrong place: the labels of two slides are another's."""
+    folder, said = first(sample, 6), list[str]()
+    names = list(folder.manifest.index)
+    turned = folder.manifest.copy()
+    turned.loc[names[4:], "direction_deg"] = (turned.loc[names[4:], "direction_deg"] + 90.0) % 360.0
+    turned.loc[names[4:], ["offset_mm", "motion_start_s", "motion_end_s"]] = float("nan")
+    assert not Verdict(["1mm"], None, turned).is_enough(replace(folder, manifest=turned), said.append)
+    assert "2 of them go another way than planned" in said[-1]
+
+
 @pytest.mark.parametrize("word", ["0.3", "deg", "-1deg", "0mm", "1.2.3%", "nandeg", "0.3 deg"])
 def test_a_goal_without_number_or_unit_is_refused(word: str) -> None:
     with pytest.raises(InputError, match="give an error to reach"):

@@ -84,8 +84,3 @@ class ErrorSoFar:
                 )
                 self.rows.loc[names[place]] = errors(before, this, atlas).iloc[0]
         return self.rows.loc[[name for name in names[-NEWEST:] if name in self.rows.index]]
-
-
-def mean_and_error(newest: pd.DataFrame) -> tuple[pd.Series, pd.Series]:
-    """Mean errors, and the standard errors that the slides' scatter gives them."""
-    return newest.mean(), newest.std() / np.sqrt(max(len(newest), 1))

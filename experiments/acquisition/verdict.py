@@ -10,7 +10,6 @@ from softslide.experiments.acquisition.error_so_far import (
     COLUMNS,
     NEWEST,
     ErrorSoFar,
-    mean_and_error,
     read_goal,
 )
 from softslide.experiments.evaluation.figures import slide_lines
@@ -21,6 +20,7 @@ from softslide.pipeline.recordings.folder import Folder
 from softslide.pipeline.staging import writing
 
 REFRESH_S = 5
+GROSS_DEG = 20.0  # an error that shows another slide than planned, or none
 TITLES = {"direction_deg": "direction, deg", "speed_percent": "speed, %", "offset_mm": "offset, mm"}
 
 
@@ -49,9 +49,7 @@ class Verdict:
         except InputError as error:
             text = f"the error so far is not known: {error}"
         else:
-            mean, of_mean = mean_and_error(newest)
-            figures = (f"{mean[name]:.2g} ± {of_mean[name]:.1g} {unit}" for unit, name in COLUMNS.items())
-            text = f"error so far, of the last {len(newest)}: {', '.join(figures)}" if len(newest) else ""
+            text, mean = _in_words(newest), newest.mean()
             reached = all(mean[name] <= asked for name, asked in self._goal.items())
             if enough := bool(self._goal) and len(newest) == NEWEST and reached:
                 text += "; that is enough, no more slides to learn from"
@@ -119,3 +117,20 @@ class Verdict:
             below=2,
             ylim=(0, None),
         )
+
+
+def _in_words(newest: pd.DataFrame) -> str:
+    """Mean errors, with the standard errors that the slides' scatter gives them; empty where there are none."""
+    count = len(newest)
+    if not count:
+        return ""
+    mean, of_mean = newest.mean(), newest.std() / count**0.5
+    figures = (
+        f"{mean[name]:.2g}" + (f" ± {of_mean[name]:.1g} {unit}" if count > 1 else f" {unit}")
+        for unit, name in COLUMNS.items()
+    )
+    text = f"error so far, of the last {count}: {', '.join(figures)}"
+    lost = int((newest["direction_deg"] > GROSS_DEG).sum())
+    if lost > 1:
+        text += f"; {lost} of them go another way than planned: see wiring, drift and where the stage is"
+    return text
