@@ -19,30 +19,39 @@ HARDWARE = Path(__file__).parents[1] / "docs" / "hardware"
 BOARD = """
 #include <cstdint>
 #include <cstdio>
+#include <cstring>
 const int A0 = 14, A1 = 15, A2 = 16;
 static uint32_t now_us = 4294000000U;  // overflows after a second
 static int bits = 10;
 unsigned long micros() { return now_us += 3; }
 void analogReadResolution(int wanted) { bits = wanted; }
 int analogRead(int pin) { now_us += LATE_US; return (int)((pin - 13) * 0.75 / 3.3 * (1 << bits)); }
-struct { void begin(unsigned long) {} void println(const char *line) { std::puts(line); } } Serial;
+struct {
+  void begin(unsigned long) {}
+  void println(const char *line) { std::puts(line); }
+  void write(const uint8_t *data, size_t size) { std::fwrite(data, 1, size, stdout); }
+} Serial;
 #include "stream.ino"
 int main() { setup(); for (long n = 0; n < 2000000 && sample < 3000; n++) loop(); }
 """
 
 
-def run_firmware(folder: Path, late_us: int) -> bytes:
+def run_firmware(folder: Path, late_us: int, form: str = "csv") -> bytes:
     """Its output over three seconds of a board whose converter takes `late_us`."""
     (folder / "board.cpp").write_text(BOARD)
-    (folder / "stream.ino").write_text((HARDWARE / "stream.ino").read_text())
+    sketch = (HARDWARE / "stream.ino").read_text()
+    assert "FRAMES = false;" in sketch
+    framed = sketch.replace("FRAMES = false;", "FRAMES = true;")
+    (folder / "stream.ino").write_text(framed if form == "cobs" else sketch)
     compiler = ["g++", "-std=c++17", "-Wall", "-Wextra", "-Werror", f"-DLATE_US={late_us}"]
     subprocess.run([*compiler, "-o", str(folder / "board"), str(folder / "board.cpp")], check=True)
     return subprocess.run([str(folder / "board")], capture_output=True, check=True, timeout=60).stdout
 
 
 @pytest.mark.skipif(shutil.which("g++") is None, reason="no compiler for the host")
-def test_the_firmware_sends_samples_at_its_rate(tmp_path: Path) -> None:
-    chunks = list(framing_of("csv", 3).read(run_firmware(tmp_path, late_us=10)))
+@pytest.mark.parametrize("form", ["csv", "cobs"])
+def test_the_firmware_sends_samples_at_its_rate(tmp_path: Path, form: str) -> None:
+    chunks = list(framing_of(form, 3).read(run_firmware(tmp_path, 10, form)))
     volts = np.concatenate([volts for volts, _ in chunks])
     time_s = np.concatenate([time_s for _, time_s in chunks if time_s is not None])
     assert len(volts) == len(time_s) == 3000

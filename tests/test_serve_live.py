@@ -15,6 +15,7 @@ from subprocess import PIPE
 
 import numpy as np
 import pytest
+from frames import frame
 from sender import free_port
 from streams import RATE_HZ, pass_over, still, stream
 
@@ -89,9 +90,10 @@ def test_smoothed_estimates_are_those_of_the_track_filter(
     assert lines(capsys.readouterr().out) == [record(track.update(estimate)) for estimate in estimates]
 
 
-@pytest.mark.parametrize(("form", "within_mm"), [("csv", 0.0), ("f32", 1e-4)])
+@pytest.mark.parametrize(("form", "within_mm"), [("csv", 0.0), ("f32", 1e-4), ("cobs", 1e-4)])
 def test_standard_input(bundle: Path, wanted: list[dict], form: str, within_mm: float) -> None:
-    data = CSV.encode() if form == "csv" else VOLTS.astype("<f4").tobytes()
+    frames = b"".join(frame([t, *row]) for t, row in zip(TIME_S, VOLTS, strict=True))
+    data = {"csv": CSV.encode(), "f32": VOLTS.astype("<f4").tobytes(), "cobs": frames}[form]
     out, _ = started(bundle, "-", "--format", form).communicate(data, timeout=60)
     found = lines(out.decode())
     assert len(found) == len(wanted)

@@ -1,5 +1,6 @@
-"""From bytes to samples: lines of numbers, or frames of float32."""
+"""From bytes to samples: lines of numbers, or frames, with a mark between them or without."""
 
+import binascii
 import math
 from collections.abc import Iterator
 from typing import Protocol
@@ -17,10 +18,12 @@ def framing_of(form: str, channels: int, strict: bool = True, midway: bool = Fal
     """A reader of bytes in pieces of any size; it keeps an unfinished sample for the next piece.
 
     form: csv, lines of the channels' volts with or without a time in s before them, where a first line of names and
-    empty lines are skipped; or f32, little-endian float32, one for each channel. strict, midway: as in `Lines`; frames
-    have no mark of where they begin, so that a stream of them must be read from its beginning.
+    empty lines are skipped; f32, little-endian float32, one for each channel, whose stream must be read from its
+    beginning; or cobs, as in `MarkedFrames`. strict, midway: as in `Lines`.
     """
-    return Lines(channels, strict, midway) if form == "csv" else Frames(channels)
+    if form == "csv":
+        return Lines(channels, strict, midway)
+    return MarkedFrames(channels) if form == "cobs" else Frames(channels)
 
 
 class Framing(Protocol):
@@ -48,6 +51,54 @@ class Frames:
 
     def end(self) -> Iterator[Chunk]:
         yield from ()
+
+
+class MarkedFrames:
+    """Frames with zeros between them, each a sample, in bytes without zeros (COBS: S. Cheshire and M. Baker, 1999).
+
+    A frame holds, little-endian, time_s as float64, the channels' volts as float32 and the CRC-16 of these (XMODEM). It
+    can be joined anywhere; a frame that arrives damaged is skipped, as a lost sample.
+    """
+
+    def __init__(self, channels: int) -> None:
+        self._sample = np.dtype([("time_s", "<f8"), ("volts", "<f4", (channels,)), ("crc", "<u2")])
+        self._rest = b""
+
+    def read(self, data: bytes) -> Iterator[Chunk]:
+        *frames, self._rest = (self._rest + data).split(b"\0")
+        if len(self._rest) > _LINE_BYTES:
+            raise InputError("a frame does not end; send COBS frames with a zero after each")
+        whole = [sample for frame in frames if (sample := self._checked(frame))]
+        if whole:
+            samples = np.frombuffer(b"".join(whole), self._sample)
+            yield samples["volts"], samples["time_s"]
+
+    def end(self) -> Iterator[Chunk]:
+        yield from self.read(b"\0")
+
+    def _checked(self, frame: bytes) -> bytes:
+        """The sample in a frame; empty if it is none."""
+        sample = _unstuffed(frame)
+        right = len(sample) == self._sample.itemsize and math.isfinite(np.frombuffer(sample[:8], "<f8")[0])
+        return (
+            sample
+            if right and binascii.crc_hqx(sample[:-2], 0) == int.from_bytes(sample[-2:], "little")
+            else b""
+        )
+
+
+def _unstuffed(frame: bytes) -> bytes:
+    """What COBS made a frame of; empty if it is not one."""
+    found, at = bytearray(), 0
+    while at < len(frame):
+        count = frame[at]
+        if at + count > len(frame):
+            return b""
+        found += frame[at + 1 : at + count]
+        at += count
+        if count < 255 and at < len(frame):
+            found.append(0)
+    return bytes(found)
 
 
 class Lines:

@@ -130,10 +130,11 @@ def serve(parser: Parser) -> Run:
     )
     parser.add_argument(
         "--format",
-        choices=("csv", "f32"),
+        choices=("csv", "f32", "cobs"),
         default="csv",
         help="of bytes from outside: csv, lines of volts (V) with or without a time (s) before them; f32, "
-        "little-endian float32 frames, one number a channel (default: %(default)s)",
+        "little-endian float32 frames, one number a channel; cobs, frames with a checksum that can be joined anywhere "
+        "(default: %(default)s)",
     )
     smooth = (
         "pass place, direction and speed through a Kalman filter: a fifth of the jitter, no further accuracy"

@@ -113,10 +113,11 @@ def record(parser: Parser) -> Run:
     arguments.out(parser, "the folder to write or to go on with")
     parser.add_argument(
         "--format",
-        choices=("csv", "f32"),
+        choices=("csv", "f32", "cobs"),
         default="csv",
         help="of the source's bytes, as in 'serve': csv, lines of volts (V) with or without a time (s) before them; "
-        "f32, little-endian float32 frames (default: %(default)s; over a serial port take csv)",
+        "f32, little-endian float32 frames; cobs, frames with a checksum (default: %(default)s; over a serial port "
+        "take csv or cobs)",
     )
     for name, default, text in (
         ("--rest", 3.0, "rest before and after each motion"),
