@@ -77,14 +77,19 @@ def test_a_bad_design_is_one_line(tmp_path, places, extra, words):
 
 
 def test_a_pressure_beyond_the_skin_s_limit_is_refused(tmp_path, capsys):
-    coarse_mesh, out = "[mesh]\nsize_mm = 5.0\n", tmp_path / "a.npz"
-    path = design(tmp_path, (5.0, 0.0), extra=f"[skin]\neffective_pressure_mpa = [0.035]\n{coarse_mesh}")
+    out = tmp_path / "a.npz"
+
+    def small(skin: str) -> Path:
+        path = design(tmp_path, (0.0, 0.0), extra=f"[skin]\n{skin}\n[mesh]\nsize_mm = 5.0\n")
+        path.write_text(path.read_text().replace("[50.0, 50.0]", "[30.0, 30.0]"))
+        return path
+
+    path = small("effective_pressure_mpa = [0.1]")
     line = refused(capsys, "simulate", "--sensor", path, "--out", out)
-    assert "effective_pressure_mpa 0.035 is beyond the skin's limit" in line
+    assert "effective_pressure_mpa 0.1 is beyond the skin's limit" in line
     assert not out.exists()
-    path = design(tmp_path, (5.0, 0.0), extra=f"[skin]\nheight_mm = [30.0]\n{coarse_mesh}")
     with pytest.raises(InputError, match=r"height_mm 30 is beyond"):
-        solve_atlas(read_sensor(path))
+        solve_atlas(read_sensor(small("height_mm = [30.0]")))
 
 
 def test_coarse_is_the_same_design_of_larger_elements():
