@@ -29,7 +29,8 @@ QUICK = Grid(depth_mm=(0.5,), line_mm=6.0, steps_per_line=5)
 
 def quick_sensor(height_mm: float = 6.0):
     sensor = read_sensor(DEFAULT_SENSOR)
-    return replace(sensor, mesh=MeshSize(5.0), skin=replace(sensor.skin, height_mm=(height_mm,)))
+    skin = replace(sensor.skin, height_mm=(height_mm,))
+    return replace(sensor, chamber_mm=(35.0, 35.0), mesh=MeshSize(5.0), skin=skin)
 
 
 @pytest.fixture(scope="module")
