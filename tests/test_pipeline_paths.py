@@ -210,7 +210,7 @@ def test_partial_contact_is_near_the_skins_own_solver() -> None:
 def test_a_path_read_from_the_atlas_is_near_the_solved_one(kind: str, rms: float, largest: float) -> None:
     """Apart by some thousandths of the largest tilt; touch-downs, whose atlas is a law, by a few times that."""
     path = drawn(kind, 1)
-    time_s = np.arange(0, path.duration_s, 0.04)
+    time_s = np.arange(0, path.duration_s, 0.08)
     solved, speed = solved_response(SENSOR, path, ATLAS, time_s)
     read, same = path_response(path, ATLAS, time_s)
     assert np.array_equal(speed, same)
