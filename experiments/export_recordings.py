@@ -18,6 +18,7 @@ import pyarrow.parquet as pq
 from softslide.experiments.evaluation.readout import check_fits, samples_for
 from softslide.features.errors import InputError
 from softslide.features.stream.conditioning import Conditioning, block_means
+from softslide.models.export.hub_card import NOT_STATED
 from softslide.pipeline.progress import progress_bar
 from softslide.pipeline.recordings.folder import Folder, Recording, read_folder
 from softslide.pipeline.staging import staged
@@ -117,7 +118,7 @@ def _page(folder: Folder, info: dict[str, Any]) -> str:
         episodes=info["total_episodes"],
         frames=info["total_frames"],
         fps=info["fps"],
-        origin=sensor.origin or "not stated whether measured or simulated",
+        origin=sensor.origin or NOT_STATED,
         channels=", ".join(info["features"][VOLTS]["names"]),
         unit=sensor.accelerometers[0].unit,
         estimate="" if estimate is None else f"; `{ESTIMATE}` has {', '.join(estimate['names'])}",

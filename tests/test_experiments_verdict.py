@@ -38,7 +38,7 @@ def first(folder: Folder, learned: int, others: int = 0) -> Folder:
 
 
 def test_each_slide_is_scored_by_the_map_of_those_before(sample: Folder, soon: None) -> None:
-    so_far = ErrorSoFar()
+    so_far = ErrorSoFar(atlas_of(sample.sensor))
     assert len(so_far.newest(first(sample, 3))) == 0
     newest = so_far.newest(first(sample, 5, others=1))
     names = list(first(sample, 5).manifest.index)
@@ -51,7 +51,8 @@ def test_each_slide_is_scored_by_the_map_of_those_before(sample: Folder, soon: N
 
 def test_enough_is_a_mean_of_enough_slides(sample: Folder, soon: None, tmp_path: Path) -> None:
     plan, page, said = first(sample, 8).manifest, tmp_path / "page.html", list[str]()
-    loose = Verdict(["90deg", "900%"], page, plan)
+    atlas = atlas_of(sample.sensor)
+    loose = Verdict(["90deg", "900%"], page, plan, atlas)
     assert not loose.is_enough(first(sample, 0), said.append)
     assert not loose.is_enough(first(sample, 4), said.append)
     assert "http-equiv" in page.read_text()
@@ -61,8 +62,8 @@ def test_enough_is_a_mean_of_enough_slides(sample: Folder, soon: None, tmp_path:
     spoken = len(said)
     assert loose.is_enough(first(sample, 5, others=1), said.append)
     assert len(said) == spoken
-    assert not Verdict(["90deg", "0.001mm"], None, plan).is_enough(first(sample, 5), said.append)
-    assert not Verdict([], page, plan).is_enough(first(sample, 5), said.append)
+    assert not Verdict(["90deg", "0.001mm"], None, plan, atlas).is_enough(first(sample, 5), said.append)
+    assert not Verdict([], page, plan, atlas).is_enough(first(sample, 5), said.append)
 
 
 def test_slides_that_go_another_way_are_said(sample: Folder, soon: None) -> None:
@@ -72,7 +73,9 @@ def test_slides_that_go_another_way_are_said(sample: Folder, soon: None) -> None
     turned = folder.manifest.copy()
     turned.loc[names[4:], "direction_deg"] = (turned.loc[names[4:], "direction_deg"] + 90.0) % 360.0
     turned.loc[names[4:], ["offset_mm", "motion_start_s", "motion_end_s"]] = float("nan")
-    assert not Verdict(["1mm"], None, turned).is_enough(replace(folder, manifest=turned), said.append)
+    assert not Verdict(["1mm"], None, turned, atlas_of(sample.sensor)).is_enough(
+        replace(folder, manifest=turned), said.append
+    )
     assert "2 of them go another way than planned" in said[-1]
 
 

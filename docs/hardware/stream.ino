@@ -1,5 +1,5 @@
-// Streams accelerometers at 1 kHz over USB, a line for each sample: time_s,a0_vx,a0_vy,a0_vz (s, V); or frames of a
-// third of the bytes, with a checksum, for `--format cobs`.
+// Streams accelerometers at 1 kHz over USB, a line for each sample: time_s,a0_vx,a0_vy,a0_vz (s, V); or
+// shorter frames, with a checksum, for `--format cobs`.
 // For boards with the Arduino functions, a 12-bit converter and a crystal (Teensy 4.0 and its like).
 
 const int PINS[] = {A0, A1, A2};  // x, y, z of a0; three more for each further accelerometer

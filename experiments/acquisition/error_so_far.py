@@ -21,6 +21,7 @@ from softslide.pipeline.recordings.at_rest import conditioning_for
 from softslide.pipeline.recordings.derived_labels import recordings_to_learn_from
 from softslide.pipeline.recordings.folder import Folder
 from softslide.pipeline.recordings.windows import labelled_windows
+from softslide.pipeline.sensor import Sensor
 
 # Slides that the first map is calibrated on, and the newest ones that an error is the mean of (experiments/LOG.md).
 FIRST, NEWEST = 6, 8
@@ -35,11 +36,16 @@ def read_goal(words: Sequence[str]) -> dict[str, float]:
     """
     goal = {}
     for word in words:
-        found = re.fullmatch(r"([0-9.]+)(deg|%|mm)", word)
-        if not found or not found[1].replace(".", "", 1).isdigit() or float(found[1]) == 0.0:
+        found = re.fullmatch(r"(\d+\.?\d*|\.\d+)(deg|%|mm)", word)
+        if not found or float(found[1]) == 0.0:
             raise InputError(f"{word}: give an error to reach, as 0.3deg, 0.7% or 0.09mm", "until")
         goal[COLUMNS[found[2]]] = float(found[1])
     return goal
+
+
+def atlas_to_calibrate(sensor: Sensor) -> Atlas | None:
+    """The design's atlas; None of other elements than accelerometers, whose maps come from recordings alone."""
+    return atlas_of(sensor) if sensor.measures_gravity else None
 
 
 def errors(part: Folder, scored: Folder, atlas: Atlas | None) -> pd.DataFrame:
@@ -62,9 +68,13 @@ def errors(part: Folder, scored: Folder, atlas: Atlas | None) -> pd.DataFrame:
 
 
 class ErrorSoFar:
-    """The errors of a growing folder's slides, each by the map of those before. rows: by recording, as `errors`."""
+    """The errors of a growing folder's slides, each by the map of those before. rows: by recording, as `errors`.
 
-    def __init__(self) -> None:
+    atlas: of the folder's design, as `atlas_to_calibrate` gives it.
+    """
+
+    def __init__(self, atlas: Atlas | None) -> None:
+        self._atlas = atlas
         self.rows = pd.DataFrame(columns=list(COLUMNS.values()), dtype=float)
 
     def newest(self, folder: Folder) -> pd.DataFrame:
@@ -74,7 +84,6 @@ class ErrorSoFar:
             InputError: a slide cannot be read, or no map be calibrated.
         """
         learned = recordings_to_learn_from(folder)
-        atlas = atlas_of(learned.sensor) if learned.sensor.measures_gravity else None
         names = [str(name) for name in learned.manifest.index]
         for place in range(max(FIRST, len(names) - NEWEST), len(names)):
             if names[place] not in self.rows.index:
@@ -82,5 +91,5 @@ class ErrorSoFar:
                     replace(learned, manifest=learned.manifest.loc[some])
                     for some in (names[:place], names[place : place + 1])
                 )
-                self.rows.loc[names[place]] = errors(before, this, atlas).iloc[0]
+                self.rows.loc[names[place]] = errors(before, this, self._atlas).iloc[0]
         return self.rows.loc[[name for name in names[-NEWEST:] if name in self.rows.index]]

@@ -121,7 +121,7 @@ def record(
     out, times = Path(out), Times(rest_s, start_s, timeout_s, wait_s)
     folder = open_growing(out, None if sensor is None else read_sensor(sensor))
     slides = read_plan(Path(plan), folder.sensor)
-    operator, verdict = Operator(yes), _verdict(until, page, slides)
+    operator, verdict = Operator(yes), _verdict(until, page, slides, folder.sensor)
     _check_options(stage, origin_mm, approach_mm, dry_run, yes)
     if stage is not None:
         check_slides(slides, folder.sensor)
@@ -207,13 +207,17 @@ def _learned(labels: pd.Series) -> bool:
     return str(labels["split"]).startswith(("calibration", "train"))
 
 
-def _verdict(until: Sequence[str], page: str | Path | None, slides: pd.DataFrame) -> "Verdict | None":
+def _verdict(
+    until: Sequence[str], page: str | Path | None, slides: pd.DataFrame, sensor: Sensor
+) -> "Verdict | None":
     if not until and page is None:
         return None
     # What calibrates a map and draws is of the train extra.
+    from softslide.experiments.acquisition.error_so_far import atlas_to_calibrate
     from softslide.experiments.acquisition.verdict import Verdict
 
-    return Verdict(until, None if page is None else Path(page), slides)
+    # Before anything is recorded: where none is at hand it takes minutes.
+    return Verdict(until, None if page is None else Path(page), slides, atlas_to_calibrate(sensor))
 
 
 def _drive_in_the_air(stage: Stage, start: Sequence[float], end: Sequence[float]) -> None:

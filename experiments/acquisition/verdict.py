@@ -16,6 +16,7 @@ from softslide.experiments.evaluation.figures import slide_lines
 from softslide.experiments.pages.figures import COLOURS, EDGE, Panel, chart, on_skin
 from softslide.experiments.pages.page import panels_page
 from softslide.features.errors import InputError
+from softslide.pipeline.atlas.atlas import Atlas
 from softslide.pipeline.recordings.folder import Folder
 from softslide.pipeline.staging import writing
 
@@ -28,15 +29,17 @@ class Verdict:
     """Of a plan that is recorded into a growing folder.
 
     until: errors that are enough, as `read_goal` takes them; empty: none is. page: an HTML file that shows all of it
-    and loads itself anew; None: none. slides: the plan, by recording.
+    and loads itself anew; None: none. slides: the plan, by recording. atlas: of the sensor's design, if it has one.
 
     Raises:
         InputError: as `read_goal`.
     """
 
-    def __init__(self, until: Sequence[str], page: Path | None, slides: pd.DataFrame) -> None:
+    def __init__(
+        self, until: Sequence[str], page: Path | None, slides: pd.DataFrame, atlas: Atlas | None
+    ) -> None:
         self._goal, self._page, self._slides = read_goal(until), page, slides
-        self._errors, self._said = ErrorSoFar(), ""
+        self._errors, self._said = ErrorSoFar(atlas), ""
 
     def is_enough(self, folder: Folder, say: Callable[[str], None]) -> bool:
         """Whether the NEWEST slides to learn from have errors that are in the mean no larger than asked for.

@@ -17,10 +17,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from softslide.experiments.acquisition.error_so_far import errors
+from softslide.experiments.acquisition.error_so_far import atlas_to_calibrate, errors
 from softslide.experiments.studies.script import Part, count, parser, recordings, run
 from softslide.features.errors import InputError
-from softslide.pipeline.atlas.library import atlas_of
 from softslide.pipeline.recordings.base_motion import without_base_motion
 from softslide.pipeline.recordings.derived_labels import recordings_to_learn_from
 from softslide.pipeline.recordings.folder import Folder, read_folder
@@ -41,8 +40,7 @@ def few(
     scored = folder.select(*splits).labelled()
     if not len(scored):
         raise InputError(f"{folder.root}: no labelled slide of a split {' or '.join(splits)}*; name another")
-    # Sensors other than accelerometers have no such atlas: their maps come from the recordings alone.
-    atlas = atlas_of(folder.sensor) if folder.sensor.measures_gravity else None
+    atlas = atlas_to_calibrate(folder.sensor)
     names = list(learned.manifest.index)
     chosen = _drawn(names, slides, draws) if plan is None else [_planned(folder, names, plan)]
     for label, choices in chosen:

@@ -18,10 +18,16 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from softslide.experiments.acquisition.error_so_far import COLUMNS, FIRST, NEWEST, errors, read_goal
+from softslide.experiments.acquisition.error_so_far import (
+    COLUMNS,
+    FIRST,
+    NEWEST,
+    atlas_to_calibrate,
+    errors,
+    read_goal,
+)
 from softslide.experiments.studies.script import Part, count, parser, recordings, run
 from softslide.features.errors import InputError
-from softslide.pipeline.atlas.library import atlas_of
 from softslide.pipeline.recordings.base_motion import without_base_motion
 from softslide.pipeline.recordings.derived_labels import recordings_to_learn_from
 from softslide.pipeline.recordings.folder import Folder, read_folder
@@ -59,7 +65,7 @@ def needed(given: argparse.Namespace) -> Iterator[Part]:
 
 def after(learned: Folder, order: Sequence[str], number: int, held_out: Sequence[str]) -> dict[str, float]:
     """With the map of so many slides: mean errors of the held-out ones, and as next_* those of the slide after."""
-    atlas = atlas_of(learned.sensor) if learned.sensor.measures_gravity else None
+    atlas = atlas_to_calibrate(learned.sensor)
     part, others = (
         replace(learned, manifest=learned.manifest.loc[list(some)])
         for some in (order[:number], [*held_out, *order[number : number + 1]])

@@ -2,6 +2,7 @@
 
 from softslide.features.card import Card
 
+NOT_STATED = "not stated whether measured or simulated"  # of recordings
 PAGE = """---
 library_name: softslide
 pipeline_tag: robotics
@@ -46,7 +47,7 @@ def page(card: Card) -> str:
         columns=", ".join(card.columns),
         rate_hz=card.sample_rate_hz,
         model=card.model,
-        origin=sensor.get("origin") or "not stated whether measured or simulated",
+        origin=sensor.get("origin") or NOT_STATED,
         skin="{:g} x {:g} mm".format(*sensor["chamber_mm"]),
         elements=", ".join(places),
         count=len(card.columns),

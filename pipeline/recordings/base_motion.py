@@ -74,7 +74,7 @@ def _fitted(folder: Folder, moving: list[str]) -> BaseMotion:
     volts, base = _about_their_means(blocks)
     least = LEAST_MOTION_G * sensor.base.sensitivity_v_per_g
     if not sensor.base.measures_gravity:
-        least = LEAST_CHANGE_SD * max(_noise(folder, name) for name in moving)
+        least = LEAST_CHANGE_SD * max(_noise(each[:, -3:]) for each in blocks)
     if _principal_rms(base)[-1] < least:
         raise InputError(
             f"{folder.root}: in the recordings of the split '{BASE_SPLIT}' the base hardly moves; tilt it by 10 "
@@ -121,11 +121,10 @@ def _blocks(folder: Folder, name: str) -> np.ndarray:
     return blocks
 
 
-def _noise(folder: Folder, name: str) -> float:
-    """The largest standard deviation of a block's noise in a recording's outputs of the base."""
-    blocks = _blocks(folder, name)[:, -3:]
+def _noise(base: np.ndarray) -> float:
+    """The largest standard deviation of a block's noise in the base's outputs (m, 3), in their unit."""
     # Second differences of what changes evenly are noise alone.
-    return float(np.sqrt(np.mean(np.diff(blocks, 2, axis=0) ** 2, axis=0) / 6.0).max(initial=0.0))
+    return float(np.sqrt(np.mean(np.diff(base, 2, axis=0) ** 2, axis=0) / 6.0).max(initial=0.0))
 
 
 def _principal_rms(base: np.ndarray) -> np.ndarray:

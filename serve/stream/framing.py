@@ -79,12 +79,12 @@ class MarkedFrames:
     def _checked(self, frame: bytes) -> bytes:
         """The sample in a frame; empty if it is none."""
         sample = _unstuffed(frame)
-        right = len(sample) == self._sample.itemsize and math.isfinite(np.frombuffer(sample[:8], "<f8")[0])
-        return (
-            sample
-            if right and binascii.crc_hqx(sample[:-2], 0) == int.from_bytes(sample[-2:], "little")
-            else b""
+        right = (
+            len(sample) == self._sample.itemsize
+            and binascii.crc_hqx(sample[:-2], 0) == int.from_bytes(sample[-2:], "little")
+            and math.isfinite(np.frombuffer(sample[:8], "<f8")[0])
         )
+        return sample if right else b""
 
 
 def _unstuffed(frame: bytes) -> bytes:
