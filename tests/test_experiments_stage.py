@@ -23,9 +23,14 @@ from softslide.experiments.acquisition import stage as module
 from softslide.experiments.acquisition.gcode import CLEAR_MM
 from softslide.experiments.acquisition.record import read_plan
 from softslide.experiments.acquisition.stage import check_slides, numbered
+from softslide.experiments.acquisition.waypoints import STEP_S, of_path, read_waypoints, write_waypoints
 from softslide.features.errors import CheckFailed, InputError
+from softslide.pipeline.atlas.atlas import DEFAULT_SENSOR, read_atlas
 from softslide.pipeline.recordings.folder import read_folder
 from softslide.pipeline.sensor import write_sensor
+from softslide.pipeline.synthesis.distribution import Distribution
+from softslide.pipeline.synthesis.paths.draw import KINDS
+from softslide.pipeline.synthesis.synthesize import path_plan
 
 ORIGIN = (110.0, 95.0, 31.5)
 REST_S = 0.6
@@ -48,7 +53,10 @@ def lab(tmp_path: Path) -> Path:
 
 @contextmanager
 def skin(printer: Printer, touched_v: float = 0.1, late_s: float = 0.0, still: bool = False) -> Iterator[str]:
-    """Sends what a sensor would, 1 kHz, that is pressed while the ball is below its height and moves, or is still."""
+    """Sends what a sensor would, 1 kHz, that is pressed while the ball is below its height and moves, or is still.
+
+    V_z is when it was sent, by the monotonic clock, a tenth of a volt a second.
+    """
     port, ended = free_port(), threading.Event()
     pressed = deque([0.0], maxlen=round(late_s / 0.02) + 1)
     noise = np.random.default_rng(0)
@@ -62,7 +70,8 @@ def skin(printer: Printer, touched_v: float = 0.1, late_s: float = 0.0, still: b
                     touched_v * (z < 0 and (printer.moving or still) and max(abs(x), abs(y)) < 28.9)
                 )
                 on = pressed[0]
-                volts = np.array([1.65 + on, 1.65 - on, 2.45]) + noise.normal(0, 1e-3, (20, 3))
+                volts = np.array([1.65 + on, 1.65 - on, 2.0]) + noise.normal(0, 1e-3, (20, 3))
+                volts[:, 2] = 2.0 + 0.1 * ((begun_s + (n + np.arange(20)) / 1000) % 10.0)
                 rows = (
                     f"{(n + k) / 1000:.3f}," + ",".join(f"{v:.4f}" for v in row)
                     for k, row in enumerate(volts)
@@ -105,6 +114,8 @@ def test_a_plan_is_recorded_with_nobody_there(lab: Path, firmware: str) -> None:
         assert speed == pytest.approx(row.speed_mm_s)
         recording = folder.load(row.Index)
         pressed_s = recording.time_s[recording.volts[:, 0] > 1.7]
+        assert row.motion_start_s == pytest.approx(pressed_s[0], abs=0.04)
+        assert row.motion_end_s == pytest.approx(pressed_s[-1], abs=0.04)
         assert pressed_s[0] == pytest.approx(REST_S, abs=0.3)
         assert np.ptp(pressed_s) == pytest.approx(row.travel_mm / row.speed_mm_s / printer.haste, abs=0.1)
     # Above the skin between slides, and at the end.
@@ -122,6 +133,89 @@ def test_a_dry_run_touches_nothing_and_records_nothing(lab: Path) -> None:
     assert min(end[2] for _, end, _ in printer.moves) >= ORIGIN[2] + CLEAR_MM
     assert len(printer.moves) >= 2
     assert not list((lab / "out").glob("slides/*"))
+
+
+WAYS = {
+    "bends": [(0, -29, 0, 0.5), (4, -5, 3, 0.5), (6, 5, 12, 0.2), (9, 5, 28.9, 0.5)],
+    "rests": [(0, -29, 0, 0.5), (4, 0, 0, 0.5), (5, 0, 0, 0.5), (9, 0, 28.9, 0.5)],
+    "presses": [(0, 3, 0, -8), (1, 3, 0, 0.4), (2, 3, 0, 0.4), (4, 3, 0, -8)],
+}
+
+
+@pytest.mark.parametrize("firmware", ["marlin", "grbl"])
+@pytest.mark.parametrize("way", WAYS)
+def test_the_truth_of_a_path_is_where_the_stage_was(lab: Path, firmware: str, way: str) -> None:
+    """At each moment, to the way within the 20 ms of a packet, though the stage goes five times as fast as planned."""
+    (lab / "sensor.toml").write_bytes(DEFAULT_SENSOR.read_bytes())  # its atlas is at hand
+    write_waypoints(lab / "way.csv", np.array(WAYS[way], float))
+    (lab / "plan.csv").write_text("recording,split,waypoints\nw,track-way,way.csv\n")
+    with Printer(firmware) as printer, skin(printer) as source:
+        assert recorded(lab, source, printer) == 0
+    folder = read_folder(lab / "out")
+    recording, row = folder.load("w"), folder.manifest.loc["w"]
+    truth = recording.truth
+    assert truth is not None
+    sent_s = np.unwrap(10 * (recording.volts[:, 2] - 2.0), period=10.0)
+    at_s = np.interp(truth["time_s"], recording.time_s, sent_s)
+    # V_z leaves out whole tens of seconds.
+    at_s += 10 * np.round((printer.began[-1] - at_s[-1]) / 10)
+    truth, at_s = truth[5:], at_s[5:]  # a packet that was on its way as the ball arrived
+    wanted = printer.place_at(at_s) - ORIGIN
+    found = truth[["x_mm", "y_mm", "depth_mm"]].to_numpy() * [1, 1, -1]
+    fastest = np.hypot(*np.diff(wanted[:, :2], axis=0).T).max() / 0.01 + 40.0 * (way == "presses")
+    assert np.abs(found - wanted).max() < 0.1 + 0.03 * fastest
+    assert np.abs(found - wanted).mean() < 0.1 + 0.005 * fastest
+    inside = np.abs(found[:, :2]).max(axis=1) < 20
+    assert truth["contact"].to_numpy()[inside & (found[:, 2] < 0)].all()
+    assert not truth["contact"].to_numpy()[np.abs(found[:, :2]).max(axis=1) > 28.5].any()
+    moving = truth["time_s"][np.abs(np.diff(found, axis=0, prepend=found[:1])).max(axis=1) > 1e-6]
+    assert moving.iloc[0] == pytest.approx(row["motion_start_s"], abs=0.02)
+    assert moving.iloc[-1] == pytest.approx(row["motion_end_s"], abs=0.02)
+
+
+def test_a_path_without_a_stage_and_broken_waypoints_are_refused(lab: Path) -> None:
+    (lab / "plan.csv").write_text("recording,split,waypoints\nw,track-way,way.csv\n")
+    good = np.array(WAYS["rests"], float)
+    for rows, says in (
+        (good, "takes a stage"),
+        (good[:1], "at least two"),
+        (good + np.array([1, 0, 0, 0]), "the first at time_s 0"),
+        (good[[0, 2, 1]], "row 3, time_s does not go on"),
+        (good * [1, np.nan, 1, 1], "row 1, a cell is not a finite number"),
+    ):
+        write_waypoints(lab / "way.csv", rows)
+        with pytest.raises(InputError, match=says):
+            softslide.record("udp://:1", lab / "plan.csv", lab / "out", sensor=lab / "sensor.toml", yes=True)
+    (lab / "way.csv").unlink()
+    with pytest.raises(InputError, match="name the file of waypoints"):
+        read_plan(lab / "plan.csv", a_sensor())
+    for change, says in (
+        ((1, 0, 0, 2), "depth 2.5 mm"),
+        ((1, 0, 0, -25), "goes up by more than 20 mm"),
+        ((1, 50, 0, 0), "leaves the 90 x 90 mm"),
+        ((0.01, 0, 0, 0), "a stage is driven at most at 40"),
+    ):
+        changed = good * np.array([change[0], 1, 1, 1]) + np.array([0, *change[1:]])
+        write_waypoints(lab / "way.csv", changed)
+        with pytest.raises(InputError, match=says):
+            check_slides(read_plan(lab / "plan.csv", a_sensor()), a_sensor())
+
+
+def test_a_planned_path_goes_through_the_drawn_one(tmp_path: Path) -> None:
+    """At every moment to what a ramp or a kink between two waypoints leaves; rests to the moment."""
+    distribution, atlas = Distribution(), read_atlas()
+    for number in range(len(KINDS)):
+        path = path_plan(number, 1, atlas, a_sensor(), distribution)
+        write_waypoints(tmp_path / "way.csv", of_path(path))
+        way = read_waypoints(tmp_path / "way.csv")
+        at_s = np.linspace(0, way[-1, 0], 1000)
+        moments = path.at(at_s + path.motion_start_s)
+        place = np.column_stack([np.interp(at_s, way[:, 0], column) for column in way[:, 1:].T])
+        true = np.column_stack([moments.place_mm, moments.depth_mm])
+        off = np.abs(place - true)
+        assert off.max() < 0.1 * path.quickest_mm_s * STEP_S + 0.2, path.kind
+        assert off.mean() < 0.02, path.kind
+        assert way[-1, 0] == pytest.approx(path.motion_end_s - path.motion_start_s, abs=1e-3)
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,6 @@ import pytest
 
 from softslide.experiments.studies.changed_slides import LATE, changed_slides
 from softslide.models.cnn.fit import CnnConfig, fit_cnn
-from softslide.models.cnn.training import TrainingConfig
 from softslide.models.export.bundle import write_bundle
 from softslide.pipeline.recordings.folder import read_folder
 from softslide.pipeline.recordings.windows import labelled_windows
@@ -30,11 +29,10 @@ UNNOTICED |= {
 def test_it_abstains_or_its_intervals_hold(tmp_path: Path) -> None:
     folder = read_folder(BENCH)
     learning = folder.select("calibration")
-    config = CnnConfig(training=TrainingConfig(steps=1500, batch=192))
-    fitted = fit_cnn(learning, config)
+    fitted = fit_cnn(learning, CnnConfig())
     windows = labelled_windows(learning, fitted.conditioning)
     write_bundle(fitted, folder.sensor, windows, {}, tmp_path / "bundle")
-    found = dict(changed_slides(tmp_path / "bundle", folder, every=8, jobs=2))
+    found = dict(changed_slides(tmp_path / "bundle", folder, every=4, jobs=2))
     for name, figures in found.items():
         if name in UNNOTICED:
             assert figures["valid"] <= UNNOTICED[name], name

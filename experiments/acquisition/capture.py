@@ -115,8 +115,9 @@ def capture(
     phases: Phases,
     timeout_s: float,
     show: Callable[[float, float], None],
-) -> Recording:
-    """Records for `phases.whole_s` from now on.
+) -> tuple[Recording, np.ndarray]:
+    """Records for `phases.whole_s` from now on. Returns the recording, and its clock's line over the monotonic one:
+    slope and intercept (2,), s, by the samples that came most promptly.
 
     timeout_s: silence that counts as a pulled cable. show: is given the s recorded and the present level (V).
 
@@ -126,6 +127,7 @@ def capture(
     listener.take()
     begun_s, opened, chunks, count = time.monotonic(), listener.opened, list[Chunk](), 0
     rate, level = sensor.sample_rate_hz, Level(phases.rest_s * sensor.sample_rate_hz)
+    arrived = list[tuple[float, int]]()
     wanted = round(phases.whole_s * rate)
     while count < wanted:
         time.sleep(POLL_S)
@@ -134,6 +136,8 @@ def capture(
             raise Lost(listener.trouble or f"nothing has come for {timeout_s:g} s")
         chunks += new
         count += sum(len(volts) for volts, _ in new)
+        if new:
+            arrived.append((time.monotonic(), count))
         show(count / rate, level.of(new))
     took_s = time.monotonic() - begun_s
     volts, time_s = joined(chunks, len(sensor.columns))
@@ -152,8 +156,15 @@ def capture(
             check_clock(Path(name), time_s, rate)
         except InputError as error:
             raise Lost(str(error).removeprefix(f"{name}: ")) from None
+    line = _clock_line(np.array([at for at, _ in arrived]), time_s[[n - 1 for _, n in arrived]])
     volts, base_v = np.split(volts[:wanted], [len(sensor.channels)], axis=1)
-    return Recording(name, time_s[:wanted], volts, base_v=None if sensor.base is None else base_v)
+    return Recording(name, time_s[:wanted], volts, base_v=None if sensor.base is None else base_v), line
+
+
+def _clock_line(arrived_s: np.ndarray, sampled_s: np.ndarray) -> np.ndarray:
+    """Slope and intercept (2,) of moments at which samples were taken over those at which they came, the earliest."""
+    slope, intercept = np.polyfit(arrived_s, sampled_s, 1)
+    return np.array([slope, intercept + (sampled_s - slope * arrived_s - intercept).max()])
 
 
 class Level:

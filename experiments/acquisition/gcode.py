@@ -20,8 +20,7 @@ HIGHEST_MM = 15.0  # no skin that stands higher, inflated, is driven over
 TRAVEL_MM_S, DOWN_MM_S = 40.0, 2.0
 REST_S = 3.0  # before and after each motion: the static output is read there
 DEEPEST_MM = 2.0  # no plan goes deeper: half of the article's skin
-# A pause in each dialect: seconds are S in Marlin (its P counts milliseconds), P in GRBL.
-PAUSES = {"marlin": "G4 S{:g}", "grbl": "G4 P{:g}"}
+FIRMWARE = ("marlin", "grbl")
 WAIT = "M0"  # until the operator goes on, in both
 
 
@@ -33,9 +32,9 @@ def gcode(slides: pd.DataFrame, firmware: str = "marlin") -> str:
     Raises:
         InputError: an unknown firmware, or a slide without a depth or deeper than DEEPEST_MM.
     """
-    if firmware not in PAUSES:
-        raise InputError(f"{firmware}: name one of {', '.join(PAUSES)}", "firmware")
-    rest = PAUSES[firmware].format(REST_S)
+    if firmware not in FIRMWARE:
+        raise InputError(f"{firmware}: name one of {', '.join(FIRMWARE)}", "firmware")
+    rest = pause(firmware, REST_S)
     lines = [
         "; Pressure off: put the ball over the chamber's middle, just touching the skin, then start.",
         "; It lifts the ball and waits: turn the pressure on and let it settle, then go on. Never tried on hardware.",
@@ -81,6 +80,11 @@ def ends(slide: Any) -> tuple[tuple[float, float], tuple[float, float]]:
     """Where a slide, a row of a plan by name, begins and ends: x and y in mm."""
     x, y, angle = slide["start_x_mm"], slide["start_y_mm"], math.radians(slide["direction_deg"])
     return (x, y), (x + slide["travel_mm"] * math.cos(angle), y + slide["travel_mm"] * math.sin(angle))
+
+
+def pause(firmware: str, seconds: float) -> str:
+    """A rest once all motion before it has ended; Marlin counts milliseconds."""
+    return f"G4 P{1000 * seconds:.0f}" if firmware == "marlin" else f"G4 P{seconds:g}"
 
 
 def move(speed_mm_s: float, x: float | None = None, y: float | None = None, z: float | None = None) -> str:

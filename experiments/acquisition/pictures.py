@@ -3,6 +3,7 @@
 Each is written as the kind that the name's ending says (.svg, .png, .pdf).
 """
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import matplotlib as mpl
@@ -20,13 +21,15 @@ NUMBER_MM = 1.5  # from a line's start back to its number
 MM = {"xlabel": "x, mm", "ylabel": "y, mm"}
 
 
-def draw_plan(plan: pd.DataFrame, sensor: Sensor, out: Path) -> None:
-    """Each slide's line, direction, speed and number."""
+def draw_plan(plan: pd.DataFrame, paths: Sequence[np.ndarray], sensor: Sensor, out: Path) -> None:
+    """Each slide's line, direction, speed and number; paths are places (n, 2) mm each."""
     figure = Figure(figsize=(7, 7), layout="constrained")
     axes = figure.subplots()
     draw_sensor(axes, sensor, width=1.0, label="")
     for part in sensor.accelerometers:
         axes.annotate(part.name, (part.x_mm, part.y_mm), (6, 6), textcoords="offset points")
+    for number, places in enumerate(paths):
+        axes.plot(*places.T, ".-", color=EDGE, markevery=[0], label="" if number else f"{len(paths)} paths")
     speeds = sorted(set(plan["speed_mm_s"]))
     colour = dict(zip(speeds, mpl.colormaps["viridis"](np.linspace(0.1, 0.8, len(speeds))), strict=True))
     for number, (start, end) in enumerate(slide_lines(plan), 1):

@@ -2,8 +2,8 @@
 
 import math
 import sys
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from itertools import cycle, islice
 from pathlib import Path
 
@@ -13,17 +13,22 @@ import pandas as pd
 from softslide.experiments.acquisition.gcode import NEEDED, check_height
 from softslide.experiments.acquisition.gcode import gcode as program_of
 from softslide.experiments.acquisition.pictures import draw_plan
+from softslide.experiments.acquisition.waypoints import of_path, write_waypoints
 from softslide.features.errors import InputError
 from softslide.models.design.plan import Plan, plan_slides
 from softslide.models.response_map.from_atlas import SensorSpread
 from softslide.models.response_map.slide_fit import CalibrationConfig
+from softslide.pipeline.atlas.atlas import Atlas
 from softslide.pipeline.atlas.library import atlas_of
 from softslide.pipeline.progress import progress_bar
 from softslide.pipeline.recordings.at_rest import REFERENCE_V_PER_G
 from softslide.pipeline.recordings.manifest import check_manifest, read_table
 from softslide.pipeline.sensor import Sensor, check_design, read_sensor
 from softslide.pipeline.staging import writing
+from softslide.pipeline.synthesis.distribution import Distribution
+from softslide.pipeline.synthesis.paths.contact_path import ContactPath
 from softslide.pipeline.synthesis.slide_plan import crossing
+from softslide.pipeline.synthesis.synthesize import path_plan
 
 OFFSET_STEP_MM = 2.5  # between candidate lines of one direction, the map's own resolution
 # What most stages can do.
@@ -38,19 +43,40 @@ COLUMNS = (
 
 @dataclass(frozen=True)
 class SlidePlan:
-    """slides: the most useful first, in the manifest's columns. figures: what is expected of them. sensor: theirs."""
+    """slides: the most useful first, in the manifest's columns. figures: what is expected of them. sensor: theirs.
+    paths: contacts along any path, of splits that are for reporting alone."""
 
     slides: pd.DataFrame
     figures: Plan
     sensor: Sensor
+    paths: tuple[ContactPath, ...] = ()
 
     def to_frame(self) -> pd.DataFrame:
         """The slides."""
         return self.slides
 
     def plot(self, path: str | Path) -> None:
-        """Draws the slides from above, as the kind that the file's ending says."""
-        draw_plan(self.slides, self.sensor, Path(path))
+        """Draws the slides and paths from above, as the kind that the file's ending says."""
+        draw_plan(self.slides, [path.course.places() for path in self.paths], self.sensor, Path(path))
+
+    def write(self, out: str | Path) -> None:
+        """Writes the CSV, and each path's waypoints (`waypoints.py`) into a folder next to it, which it names.
+
+        Raises:
+            InputError: they cannot be written.
+        """
+        out = Path(out)
+        folder = out.with_name(f"{out.stem}-waypoints")
+        rows = [
+            {"recording": path.name, "split": path.split, "waypoints": f"{folder.name}/{path.name}.csv"}
+            for path in self.paths
+        ]
+        with writing(out, "name another file"):
+            for path, row in zip(self.paths, rows, strict=True):
+                folder.mkdir(exist_ok=True)
+                write_waypoints(out.parent / row["waypoints"], of_path(path))
+            table = pd.concat([self.slides, pd.DataFrame(rows)]) if rows else self.slides
+            table.to_csv(out, index=False, lineterminator="\n")
 
     def lines(self) -> list[str]:
         """What the map is expected to add to the errors, without any slide and with these."""
@@ -70,6 +96,7 @@ def plan(
     directions_deg: Sequence[float] | None = None,
     speeds_mm_s: Sequence[float] | None = None,
     depth_mm: float = 0.5,
+    paths: int = 0,
     out: str | Path | None = None,
     picture: str | Path | None = None,
     gcode: str | Path | None = None,
@@ -80,7 +107,8 @@ def plan(
     and take the speeds in turn: slides of one speed do not show the skin's lag (experiments/LOG.md).
 
     atlas: of the design; None: as `pipeline.atlas.library.atlas_of` finds it. candidates: a manifest, of which the
-    slides of calibration and train splits may be chosen; None: lines in all directions over the chamber.
+    slides of calibration and train splits may be chosen; None: lines in all directions over the chamber. paths: how
+    many contacts of other kinds, that stop, press, bend, are put down or lifted, for a stage to follow.
 
     Raises:
         InputError: the sensor, the atlas or the candidates are wrong, or these are fewer than `slides`.
@@ -89,6 +117,8 @@ def plan(
     check_design(design, str(sensor))
     if slides < 1:
         raise InputError(f"{slides}: plan at least one", "slides")
+    if paths < 0:
+        raise InputError(f"{paths}: it must not be negative", "paths")
     speeds = sorted(speeds_mm_s or SPEEDS_MM_S)
     table = (
         _lines(design, directions_deg or DIRECTIONS_DEG, speeds[len(speeds) // 2], depth_mm)
@@ -100,12 +130,13 @@ def plan(
     print(f"{len(table)} candidates", file=sys.stderr)
     # The map is calibrated in volts of this sensitivity (pipeline/recordings/at_rest.py).
     sensitivity = float(np.median([a.sensitivity_v_per_g for a in design.accelerometers]))
+    solved = atlas_of(design, atlas)
     # At one speed: slow slides say the most of the map, and nothing of the lag.
     chosen = plan_slides(
         table.assign(speed_mm_s=table["speed_mm_s"].median()),
         slides,
         design.scaled(REFERENCE_V_PER_G / sensitivity),
-        atlas_of(design, atlas),
+        solved,
         depth_mm,
         CalibrationConfig(),
         SensorSpread(),
@@ -115,10 +146,10 @@ def plan(
     if candidates is None:
         in_turn = list(islice(cycle(speeds), slides))
         picked = picked.assign(recording=[f"p{n:02d}" for n in range(1, slides + 1)], speed_mm_s=in_turn)
-    planned = SlidePlan(picked[list(COLUMNS)], chosen, design)
+    drawn = tuple(_paths(paths, design, solved, depth_mm))
+    planned = SlidePlan(picked[list(COLUMNS)], chosen, design, drawn)
     if out:
-        with writing(Path(out), "name another file"):
-            planned.slides.to_csv(out, index=False, lineterminator="\n")
+        planned.write(out)
     if picture:
         planned.plot(picture)
     if gcode:
@@ -144,6 +175,14 @@ def _lines(
             (x, y), travel, _ = line
             rows.append(("", "calibration", direction % 360.0, speed_mm_s, offset, x, y, travel, depth_mm))
     return pd.DataFrame(rows, columns=list(COLUMNS)).round(3)
+
+
+def _paths(count: int, sensor: Sensor, atlas: Atlas, depth_mm: float) -> Iterator[ContactPath]:
+    """Paths of all kinds in turn, the same for the same design."""
+    distribution = Distribution(depth_mm=depth_mm, uneven=0.0, pressure_share=(1.0, 1.0))
+    for number in range(count):
+        path = path_plan(number, 0, atlas, sensor, distribution)
+        yield replace(path, name=f"track{number + 1:02d}")
 
 
 def _recorded(path: Path, sensor: Sensor) -> pd.DataFrame:

@@ -23,12 +23,15 @@ from softslide.experiments.acquisition.capture import (
     Phases,
     capture,
     remarks,
-    stray,
 )
 from softslide.experiments.acquisition.dialogue import Operator, level_bar
-from softslide.experiments.acquisition.gcode import CLEAR_MM, NEEDED, TRAVEL_MM_S, ends
+from softslide.experiments.acquisition.driven import drive_in_the_air, driven
+from softslide.experiments.acquisition.gcode import CLEAR_MM, NEEDED
 from softslide.experiments.acquisition.stage import Stage, check_slides
+from softslide.experiments.acquisition.waypoints import read_waypoints, truth_of, waypoints_of
 from softslide.features.errors import CheckFailed, InputError
+from softslide.pipeline.atlas.atlas import Atlas
+from softslide.pipeline.atlas.library import atlas_of
 from softslide.pipeline.recordings.base_motion import BASE_SPLIT
 from softslide.pipeline.recordings.folder import Folder, Recording
 from softslide.pipeline.recordings.growing_folder import add_recording, open_growing
@@ -48,8 +51,6 @@ ON_THE_MIDDLE = (
 )
 ABOVE = "Pressure off. Enter lowers the ball over the chamber's middle until an output changes, q stops:"
 INFLATED = "Turn the pressure on and let it settle. Enter begins, q stops:"
-# A skin is never tilted so far, by 49 degrees: a stage is stopped there.
-LARGEST_TILT_G = 0.75
 
 
 @dataclass(frozen=True)
@@ -74,7 +75,7 @@ class _Stopped(Exception):
 
 @dataclass(frozen=True)
 class Bench:
-    """What a slide is recorded with."""
+    """What a slide is recorded with. atlas: of the design, where the plan has paths: by it the skin is touched."""
 
     listener: Listener
     sensor: Sensor
@@ -82,6 +83,7 @@ class Bench:
     times: Times
     source: str
     stage: Stage | None = None
+    atlas: Atlas | None = None
 
 
 def record(
@@ -123,15 +125,21 @@ def record(
     slides = read_plan(Path(plan), folder.sensor)
     operator, verdict = Operator(yes), _verdict(until, page, slides, folder.sensor)
     _check_options(stage, origin_mm, approach_mm, dry_run, yes)
+    paths = slides["waypoints"].notna()
     if stage is not None:
         check_slides(slides, folder.sensor)
+    elif paths.any():
+        raise InputError(
+            f"{plan}: {slides.index[paths][0]} follows waypoints, which takes a stage; name one", "stage"
+        )
+    atlas = atlas_of(folder.sensor) if paths.any() else None
     if done := int(slides.index.isin(folder.manifest.index).sum()):
         operator.say(f"{out}: {done} of {len(slides)} slides are recorded; going on")
     enough = verdict is not None and verdict.is_enough(folder, operator.say)
     columns = len(folder.sensor.columns)
     with ExitStack() as stack:
         listener = stack.enter_context(closing(Listener(lambda: open_live(source, columns, format))))
-        bench = Bench(listener, folder.sensor, operator, times, source)
+        bench = Bench(listener, folder.sensor, operator, times, source, atlas=atlas)
         if stage is not None:
             if origin_mm is None and operator.ask(ON_THE_MIDDLE, str) == "q":
                 return folder, len(slides) - done
@@ -142,7 +150,7 @@ def record(
         if dry_run and bench.stage:
             for name, labels in slides.iterrows():
                 operator.say(f"{name}: {CLEAR_MM:g} mm above the flat skin's face")
-                _drive_in_the_air(bench.stage, *ends(labels))
+                drive_in_the_air(bench.stage, waypoints_of(labels))
             return folder, len(slides) - done
         folder = _all_slides(slides, folder, bench, verdict, enough)
     return folder, int((~slides.index.isin(folder.manifest.index)).sum())
@@ -184,7 +192,10 @@ def _all_slides(
         except _Stopped:
             break
         if slide is not None:
-            folder = add_recording(folder, slide, {str(k): v for k, v in labels.items()})
+            recording, moved = slide
+            folder = add_recording(
+                folder, recording, {str(k): v for k, v in labels.items() if k != "waypoints"} | moved
+            )
             say(f"kept: {folder.root}, {len(folder)} recordings")
             enough = verdict is not None and verdict.is_enough(folder, say)
     return folder
@@ -220,16 +231,12 @@ def _verdict(
     return Verdict(until, None if page is None else Path(page), slides, atlas_to_calibrate(sensor))
 
 
-def _drive_in_the_air(stage: Stage, start: Sequence[float], end: Sequence[float]) -> None:
-    stage.place(start, -CLEAR_MM)
-    stage.slide(end, TRAVEL_MM_S)
-    stage.finish()
-
-
 def _described(labels: pd.Series) -> str:
     """A slide in words: what the stage is set to."""
     if labels["split"] == BASE_SPLIT:
         return f"lean the robot over in all directions for {_motion_s(labels):g} s, nothing touches"
+    if labels["waypoints"] is not None:
+        return f"{len(labels['waypoints'])} waypoints, {_motion_s(labels) - RAMP_S:.1f} s"
     text = (
         f"from x {labels.start_x_mm:g}, y {labels.start_y_mm:g} mm, direction {labels.direction_deg:g} deg, "
         f"{labels.travel_mm:g} mm at {labels.speed_mm_s:g} mm/s"
@@ -239,12 +246,14 @@ def _described(labels: pd.Series) -> str:
 
 def _motion_s(labels: pd.Series) -> float:
     """How long the motion takes, s."""
+    if labels["waypoints"] is not None:
+        return float(labels["waypoints"][-1, 0]) + RAMP_S
     moves_s = labels.travel_mm / labels.speed_mm_s + RAMP_S
     return BASE_S if labels["split"] == BASE_SPLIT and math.isnan(moves_s) else moves_s
 
 
-def _slide(name: str, labels: pd.Series, bench: Bench) -> Recording | None:
-    """One slide that the operator keeps; None if it is skipped.
+def _slide(name: str, labels: pd.Series, bench: Bench) -> tuple[Recording, dict[str, float]] | None:
+    """One slide that the operator keeps, and its moments of motion where a stage knows them; None if it is skipped.
 
     Raises:
         _Stopped: the operator stops.
@@ -261,7 +270,7 @@ def _slide(name: str, labels: pd.Series, bench: Bench) -> Recording | None:
         if _answer(bench, f"{begin}. Enter records, s skips, q stops:") == "s":
             return None
         try:
-            slide = _captured(name, labels, phases, bench)
+            slide, moved = _captured(name, labels, phases, bench)
         except Lost as reason:
             failed += 1
             operator.say(f"{name} is not kept: {reason}")
@@ -272,44 +281,26 @@ def _slide(name: str, labels: pd.Series, bench: Bench) -> Recording | None:
             operator.say(f"  {remark}")
         answer = _answer(bench, "Keep it? Enter keeps, a records again, s skips, q stops:")
         if answer != "a":
-            return None if answer == "s" else slide
+            return None if answer == "s" else (slide, moved)
 
 
-def _captured(name: str, labels: pd.Series, phases: Phases, bench: Bench) -> Recording:
-    """The slide, driven by the stage if there is one.
+def _captured(
+    name: str, labels: pd.Series, phases: Phases, bench: Bench
+) -> tuple[Recording, dict[str, float]]:
+    """The slide, driven by the stage if there is one, which then knows its moments of motion.
 
     Raises:
-        Lost: as `capture`, or the output is not of the stage's motion; the ball is lifted before.
-        InputError: as the methods of `Stage`, or the output left its range.
+        Lost, InputError: as `capture`, or as `driven`.
     """
-    show, stage = _shower(bench.operator, phases, bench.stage is not None), bench.stage
-    if stage is None:
-        return capture(bench.listener, bench.sensor, name, phases, bench.times.timeout, show)
-    start, end = ends(labels)
-    most_v = LARGEST_TILT_G * max(each.sensitivity_v_per_g for each in bench.sensor.accelerometers)
-    waiting = [True]
-
-    def show_and_drive(recorded_s: float, level_v: float) -> None:
-        show(recorded_s, level_v)
-        if level_v > most_v:
-            raise InputError(
-                f"{name}: the output is {level_v:.2f} V off its rest, more than {most_v:.2f} V: the stage was stopped; "
-                "see what it touches"
-            )
-        if waiting and recorded_s >= phases.rest_s:
-            waiting.clear()
-            stage.slide(end, labels["speed_mm_s"])
-
-    stage.place(start, labels["depth_mm"])
-    try:
-        slide = capture(bench.listener, bench.sensor, name, phases, bench.times.timeout, show_and_drive)
-        if reason := stray(slide, bench.sensor, phases):
-            raise Lost(reason)
-    except Lost:
-        stage.lift()
-        raise
-    stage.lift()
-    return slide
+    show, timeout_s = _shower(bench.operator, phases, bench.stage is not None), bench.times.timeout
+    if bench.stage is None:
+        return capture(bench.listener, bench.sensor, name, phases, timeout_s, show)[0], {}
+    way = waypoints_of(labels)
+    slide, moments_s = driven(name, way, phases, bench.stage, bench.listener, bench.sensor, timeout_s, show)
+    if labels["waypoints"] is not None and bench.atlas is not None:
+        slide = replace(slide, truth=truth_of(way, moments_s, slide.time_s[-1], bench.atlas))
+    start_s, end_s = moments_s[[0, -1], 1].round(4).tolist()
+    return slide, {"motion_start_s": start_s, "motion_end_s": end_s}
 
 
 def _answer(bench: Bench, question: str) -> str:
@@ -364,12 +355,13 @@ def _shower(operator: Operator, phases: Phases, driven: bool) -> Callable[[float
 def read_plan(path: Path, sensor: Sensor) -> pd.DataFrame:
     """The slides by name, with `split` and the manifest's labels as columns; those not given are NaN.
 
+    And `waypoints`, as in waypoints.py, of rows that name a file of them, from the plan's folder; None of others.
     Slides without a name are called p01, p02, ...; without a split they are `calibration`. Rows of the split `base`, of
     a robot that moves, need no label.
 
     Raises:
-        InputError: no such file, no rows, a label that a stage needs is missing, a cell is wrong, or a row is of a base
-            that the sensor has not.
+        InputError: no such file, also of waypoints, no rows, a label that a stage needs is missing, a cell is wrong, or
+            a row is of a base that the sensor has not.
     """
     table = read_table(path)
     if "recording" not in table:
@@ -381,10 +373,13 @@ def read_plan(path: Path, sensor: Sensor) -> pd.DataFrame:
         raise InputError(
             f"{path}: {plan.index[of_base][0]} is of the split '{BASE_SPLIT}', and sensor.toml has no [base]"
         )
+    table_of = plan.get("waypoints", pd.Series("", plan.index)).fillna("").astype(str)
     for column in NEEDED:
-        if (empty := plan[column].isna() & ~of_base).any():
+        if (empty := plan[column].isna() & ~of_base & (table_of == "")).any():
             row = int(empty.to_numpy().argmax())
             raise InputError(
                 f"{path}: row {row + 1} ({plan.index[row]}), {column} is empty; a stage needs it, write it"
             )
-    return plan[["split", *LABELS]]
+    plan = plan[["split", *LABELS]]
+    tables = [read_waypoints(path.parent / file) if file else None for file in table_of]
+    return plan.assign(waypoints=pd.Series(tables, plan.index, object))

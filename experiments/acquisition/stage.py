@@ -19,22 +19,25 @@ import pandas as pd
 from softslide.experiments.acquisition.gcode import (
     CLEAR_MM,
     DOWN_MM_S,
+    FIRMWARE,
     TRAVEL_MM_S,
     check_depth,
     check_height,
-    ends,
     move,
+    pause,
 )
+from softslide.experiments.acquisition.waypoints import rests, speeds_mm_s, waypoints_of
 from softslide.features.errors import InputError
 from softslide.pipeline.sensor import Sensor
 
-FIRMWARE = ("marlin", "grbl")
 BEYOND_MM = 20.0  # past the chamber's edge: nothing is driven farther out
 REPLY_S = 10.0  # within which a stage acknowledges a line, unless it says that it is busy
 MOTION_S = 600.0  # the longest motion, homing included
 WAKE_S = 3.0  # opening the port restarts most boards
 OFF_MM = 0.05  # between where the stage is and where it was sent: more is a limit of its own
 AGAIN = 5  # times that a damaged line is sent again
+# Acknowledged once all motion before it has ended.
+ENDED = {"marlin": "M400", "grbl": "G4 P0.01"}
 
 
 class Stage:
@@ -59,6 +62,7 @@ class Stage:
             form = "serial:///dev/ttyUSB0?firmware=marlin&baud=115200 (or firmware=grbl)"
             raise InputError(f"{url}: write {form}", "stage")
         self.name, self._number, self._errors = parts.path, 0, (serial.SerialException, OSError)
+        self._stopped = False
         try:
             self._port = serial.Serial(parts.path, int(baud), timeout=0.1)
         except self._errors as error:
@@ -101,27 +105,36 @@ class Stage:
         """Takes the height so far below for the flat skin's face."""
         self._origin[2] -= by_mm
 
-    def slide(self, end: Sequence[float], speed_mm_s: float) -> None:
-        """Begins to move the ball to (x, y); returns once the stage has taken the line."""
-        self._to(speed_mm_s, *end)
+    def follow(self, waypoints: np.ndarray) -> np.ndarray:
+        """Carries the ball along waypoints (n, 4), as in waypoints.py, from the first, where it is, to the end.
+
+        Returns (m, 2): s of the waypoints' time, and of the monotonic clock at which the stage was there. Each stretch
+        between two rests is timed by the acknowledgement of its end: a firmware may wait before it begins.
+        """
+        moments, resting = list[tuple[float, float]](), rests(waypoints)
+        begun_s, begun_at = waypoints[0, 0], time.monotonic()
+        for n, (row, speed) in enumerate(zip(waypoints[1:], speeds_mm_s(waypoints), strict=True)):
+            if not resting[n]:
+                self._to(speed, row[1], row[2], -row[3])
+                if n + 1 < len(resting) and not resting[n + 1]:
+                    continue
+                self.send(ENDED[self.firmware], MOTION_S)
+                ended_at = time.monotonic()
+                moments += [(begun_s, max(begun_at, ended_at - (row[0] - begun_s))), (row[0], ended_at)]
+            else:
+                self.send(pause(self.firmware, row[0] - waypoints[n, 0]), MOTION_S)
+            begun_s, begun_at = row[0], time.monotonic()
+        return np.array(moments)
 
     def lift(self) -> None:
-        """Waits for the end of the slide, and lifts the ball clear of the skin."""
+        """Waits for the end of all motion, and lifts the ball clear of the skin."""
         self.finish()
         self._to(DOWN_MM_S, z=CLEAR_MM)
         self.finish()
 
     def finish(self) -> None:
         """Waits until nothing moves, and sees that the stage is where it was sent: it may have limits of its own."""
-        until = time.monotonic() + MOTION_S
-        if self.firmware == "marlin":
-            self.send("M400", MOTION_S)
-        while self.firmware == "grbl" and not self._status().startswith("<Idle"):
-            if time.monotonic() > until:
-                raise InputError(
-                    f"{self.name}: the stage still moves after {MOTION_S:g} s; switch it off and look"
-                )
-            time.sleep(0.05)
+        self.send(ENDED[self.firmware], MOTION_S)
         at, sent = self.position(), self._sent
         if at is not None and (np.abs(at - sent) > OFF_MM).any():
             raise InputError(
@@ -140,7 +153,8 @@ class Stage:
         return None if found is None else np.array([float(word) for word in found.groups()])
 
     def stop(self) -> None:
-        """Emergency stop: the stage holds where it is and takes nothing until it is reset."""
+        """Emergency stop: the stage holds where it is and takes nothing until it is reset; nor is anything sent."""
+        self._stopped = True
         try:
             self._port.write(b"M112\n" if self.firmware == "marlin" else b"!\x18")
             self._port.flush()
@@ -156,6 +170,8 @@ class Stage:
         until = time.monotonic() + patience_s
         while time.monotonic() < until:
             reply = self._read()
+            if self._stopped:
+                raise InputError(f"{self.name}: the stage was stopped")
             if reply.startswith("ok"):
                 if not damaged:
                     return [*replies, reply]
@@ -242,7 +258,7 @@ def numbered(line: str, number: int) -> str:
 
 
 def check_slides(slides: pd.DataFrame, sensor: Sensor) -> None:
-    """Sees that no skin is too high, no slide too deep (`gcode`), and none goes BEYOND_MM past the chamber's edge.
+    """Sees that no skin is too high, no slide or path too deep (`gcode`), and none goes BEYOND_MM past the chamber.
 
     Raises:
         InputError: one does, is of a moving robot, or has no depth; or the skin is.
@@ -250,16 +266,19 @@ def check_slides(slides: pd.DataFrame, sensor: Sensor) -> None:
     check_height(sensor, "stage")
     reach = np.array(sensor.chamber_mm) / 2 + BEYOND_MM
     for name, row in slides.iterrows():
-        check_depth(name, row["depth_mm"], "stage")
-        if not (np.abs(ends(row)) <= reach).all():
+        waypoints = waypoints_of(row)
+        if row["waypoints"] is None:
+            check_depth(name, row["depth_mm"], "stage")
+        check_depth(name, max(waypoints[:, 3].max(), 0.0), "stage")
+        if waypoints[:, 3].min() < -CLEAR_MM:
+            raise InputError(f"{name}: goes up by more than {CLEAR_MM:g} mm", "stage")
+        if not (np.abs(waypoints[:, 1:3]) <= reach).all():
             raise InputError(
                 f"{name}: leaves the {2 * reach[0]:g} x {2 * reach[1]:g} mm that a stage is driven over",
                 "stage",
             )
-        if not 0 < row["speed_mm_s"] <= TRAVEL_MM_S:
-            raise InputError(
-                f"{name}: {row['speed_mm_s']:g} mm/s; a stage is driven at most at {TRAVEL_MM_S:g}", "stage"
-            )
+        if not 0 < (speed := speeds_mm_s(waypoints).max()) <= TRAVEL_MM_S:
+            raise InputError(f"{name}: {speed:g} mm/s; a stage is driven at most at {TRAVEL_MM_S:g}", "stage")
 
 
 def _asks_again(reply: str) -> bool:

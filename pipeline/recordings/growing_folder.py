@@ -8,6 +8,7 @@ from softslide.features.errors import InputError
 from softslide.pipeline.recordings.folder import Folder, Recording, read_folder
 from softslide.pipeline.recordings.manifest import LABELS, REQUIRED, check_manifest, write_manifest
 from softslide.pipeline.recordings.slide_file import write_slide
+from softslide.pipeline.recordings.truth import truth_path, write_truth
 from softslide.pipeline.sensor import Sensor, read_sensor, write_sensor
 from softslide.pipeline.staging import whole, writing
 
@@ -39,7 +40,8 @@ def open_growing(root: Path, sensor: Sensor | None) -> Folder:
 
 
 def add_recording(folder: Folder, recording: Recording, labels: dict[str, object]) -> Folder:
-    """The folder with one more recording, written: its slide first, whole or not at all, then the manifest likewise.
+    """The folder with one more recording, written: its slide and truth first, each whole or not at all, then the
+    manifest likewise.
 
     labels: `split` and any of the manifest's columns.
 
@@ -55,6 +57,9 @@ def add_recording(folder: Folder, recording: Recording, labels: dict[str, object
     slide = folder.root / str(row["file"])
     with whole(slide) as scratch:
         write_slide(scratch, recording.time_s, recording.samples, folder.sensor.columns)
+    if recording.truth is not None:
+        with whole(truth_path(slide)) as scratch:
+            write_truth(scratch, recording.truth)
     with whole(path) as scratch:
         write_manifest(scratch, manifest)
     return Folder(folder.root, folder.sensor, manifest)

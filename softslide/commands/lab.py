@@ -53,6 +53,7 @@ def plan(parser: Parser) -> Run:
 
         softslide plan --sensor sensor.toml --slides 12 --out plan.csv --picture plan.svg
         softslide plan --sensor sensor.toml --slides 12 --out plan.csv --gcode plan.gcode
+        softslide plan --sensor sensor.toml --slides 24 --paths 18 --out plan.csv
         softslide plan --sensor my-recordings/sensor.toml --slides 12 --out plan.csv \\
             --candidates my-recordings/manifest.csv
     """
@@ -66,6 +67,8 @@ def plan(parser: Parser) -> Run:
     arguments.number(parser, "--directions", "DEG", directions, nargs="+")
     arguments.number(parser, "--speeds", "MM_S", speeds, nargs="+")
     arguments.number(parser, "--depth", "MM", "contact depth, mm", 0.5)
+    others = "contacts too that bend, stop, turn back, press, are put down or lifted, for a stage to follow"
+    arguments.number(parser, "--paths", "N", others, 0)
     arguments.out(parser, "the CSV to write", metavar="plan.csv")
     arguments.picture(parser, "plan.svg", "draw the plan too")
     program = "G-code too, for a printer or a small CNC machine that moves the ball (docs/printer.md)"
@@ -92,7 +95,8 @@ def record(parser: Parser) -> Run:
     is back. A recording is rest, the time to start the stage in, the motion
     (travel over speed and 1 s) and rest; the moments of motion stay empty.
     Answers may be piped in, a line each. With --stage a 3-D printer or a small
-    CNC machine moves the ball, as docs/printer.md says.
+    CNC machine moves the ball, also along waypoints, and its acknowledgements
+    give the moments of motion, as docs/printer.md says.
 
         softslide record --source serial:///dev/ttyACM0?115200 --sensor sensor.toml \\
             --plan plan.csv --out my-recordings

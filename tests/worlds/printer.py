@@ -18,7 +18,7 @@ class Printer:
     """firmware: marlin or grbl. haste: times real time. damaged: numbers of lines that arrive damaged once. fails: the
     line that it answers with an error; highest_mm: soft limit of x; pulled: after so many lines nothing is answered.
 
-    moves: (from, to) mm and mm/s of each; stopped: whether an emergency stop came.
+    moves: (from, to) mm and mm/s of each; began: when, s of the monotonic clock; stopped: by an emergency stop.
     """
 
     firmware: str = "marlin"
@@ -28,7 +28,15 @@ class Printer:
     highest_mm: float = np.inf
     pulled: float = np.inf
     moves: list[tuple[np.ndarray, np.ndarray, float]] = field(default_factory=list)
+    began: list[float] = field(default_factory=list)
     stopped: bool = False
+
+    def place_at(self, moment_s: np.ndarray) -> np.ndarray:
+        """(n, 3) mm where it was at (n,) s of the monotonic clock."""
+        took = [np.linalg.norm(end - begin) / speed / self.haste for begin, end, speed in self.moves]
+        known = np.column_stack([self.began, np.add(self.began, took)]).ravel()
+        places = np.array([place for begin, end, _ in self.moves for place in (begin, end)])
+        return np.column_stack([np.interp(moment_s, known, column) for column in places.T])
 
     def __enter__(self) -> "Printer":
         self._own, self._theirs = os.openpty()
@@ -92,8 +100,9 @@ class Printer:
             self.place = np.zeros(3)
         elif line.startswith("G1 "):
             self._move(words)
-        elif line == "M400":
+        elif line.startswith(("M400", "G4 ")):
             self._motion.join()
+            time.sleep(words.get("P", 0.0) / (1000 if self.firmware == "marlin" else 1) / self.haste)
         elif line == "M114":
             self._say("X:{:.2f} Y:{:.2f} Z:{:.2f} E:0.00 Count X:0 Y:0 Z:0".format(*self.place))
         self._say("ok")
@@ -105,6 +114,7 @@ class Printer:
         to[0] = min(to[0], self.highest_mm)
         begin, speed = self.place, words["F"] / 60
         self.moves.append((begin, to, speed))
+        self.began.append(time.monotonic())
         seconds = float(np.linalg.norm(to - begin)) / speed / self.haste
         self.moving, self._motion = True, threading.Thread(target=self._carry, args=(begin, to, seconds))
         self._motion.start()

@@ -12,7 +12,7 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -29,6 +29,7 @@ from softslide.pipeline.atlas.atlas import DEFAULT_SENSOR, read_atlas
 from softslide.pipeline.sensor import Sensor, read_sensor
 from softslide.pipeline.synthesis.distribution import Distribution
 from softslide.pipeline.synthesis.motion import Stroke
+from softslide.pipeline.synthesis.paths.contact_path import ContactPath
 from softslide.pipeline.synthesis.slide_plan import Slide, crossing
 from softslide.pipeline.synthesis.specimen import draw_specimen
 from softslide.pipeline.synthesis.synthesize import record
@@ -55,8 +56,11 @@ def lab(given: argparse.Namespace) -> Iterator[Part]:
     sensor = out / "sensor.toml"
     sensor.write_bytes(DEFAULT_SENSOR.read_bytes())
     begun_s = time.monotonic()
-    plan = softslide.plan(sensor, given.slides, speeds_mm_s=SPEEDS_MM_S).to_frame()
-    # Slides of both kinds are spread over the hour: the outputs at rest drift meanwhile.
+    planned = softslide.plan(
+        sensor, given.slides, speeds_mm_s=SPEEDS_MM_S, paths=given.paths, out=out / "plan.csv"
+    )
+    plan = pd.read_csv(out / "plan.csv")
+    # All kinds are spread over the hour: the outputs at rest drift meanwhile.
     plan = pd.concat([plan, kept_apart(read_sensor(sensor), given.tests, seed)]).sample(
         frac=1.0, random_state=seed
     )
@@ -81,15 +85,20 @@ def lab(given: argparse.Namespace) -> Iterator[Part]:
     # What a fault costs shows next to the figures without it.
     others = () if given.fault != "none" else ("by-hand",)
     if others and not (out / "by-hand").exists():
-        by_hand(plan, read_sensor(sensor), out / "by-hand", seed)
+        by_hand(plan, planned.paths, read_sensor(sensor), out / "by-hand", seed)
     for name in ("printer", *others):
         begun_s = time.monotonic()
         bundle = softslide.train(out / name, out / name / "bundle", change=shortened, track=False).bundle
-        found = softslide.evaluate(bundle, out / name, ["test"], out / name / "evaluation", track=False)
+        found = softslide.evaluate(
+            bundle, out / name, ["test", "track"], out / name / "evaluation", track=False
+        )
         end = found.metrics["splits"]["test"]["1.0"]
         errors = {f"{q}_{kind}": end[q].get(kind, np.nan) for q in QUANTITIES for kind in ("mean", "max")}
         valid = {"valid": end["valid_share"], "minutes": (time.monotonic() - begun_s) / 60}
         yield name, errors | valid
+        for split, track in found.metrics.get("tracks", {}).items():
+            shares = {"valid": track["valid_share"], "wrong": track["wrong_share"]}
+            yield f"{name}, {split}", shares | {"place_mm": track["position"].get("median", np.nan)}
     print(f"report: {out / 'printer' / 'evaluation' / 'report.html'}", file=sys.stderr)
 
 
@@ -132,8 +141,8 @@ def simulated(given: argparse.Namespace) -> Iterator[tuple[str, str]]:
             printer.kill()
 
 
-def by_hand(plan: pd.DataFrame, sensor: Sensor, out: Path, seed: int) -> None:
-    """The same slides of the same specimen, synthesized with exact labels."""
+def by_hand(plan: pd.DataFrame, paths: Sequence[ContactPath], sensor: Sensor, out: Path, seed: int) -> None:
+    """The same slides and paths of the same specimen, synthesized with exact labels."""
     distribution, atlas = Distribution(height_mm=HEIGHT_MM), read_atlas()
     specimen, random = draw_specimen(sensor, distribution, seed), np.random.default_rng([seed, 8])
     slides = [
@@ -149,10 +158,11 @@ def by_hand(plan: pd.DataFrame, sensor: Sensor, out: Path, seed: int) -> None:
             split=row["split"],
             gain=1 + distribution.repeatability * random.standard_normal(),
         )
-        for row in plan.to_dict("records")
+        for row in plan[plan["travel_mm"].notna()].to_dict("records")
     ]
-    manifest = pd.DataFrame([slide.labels() for slide in slides])
-    softslide.write_folder(out, sensor, manifest, (record(s, specimen, atlas, random) for s in slides))
+    contacts: list[Slide | ContactPath] = [*slides, *paths]
+    manifest = pd.DataFrame([contact.labels() for contact in contacts])
+    softslide.write_folder(out, sensor, manifest, (record(c, specimen, atlas, random) for c in contacts))
 
 
 def main() -> int:
@@ -166,6 +176,7 @@ def main() -> int:
     )
     count(options, "--slides", 24, "to calibrate with")
     count(options, "--tests", 12, "kept apart")
+    count(options, "--paths", 9, "that bend, stop, press, are put down or lifted", least=0)
     count(options, "--seed", 0, "of the skin", least=0)
     options.add_argument("--haste", type=float, default=6.0, metavar="X", help="times real time (default: 6)")
     options.add_argument("--until", nargs="+", default=[], metavar="ERROR", help="as of 'record'")

@@ -20,6 +20,7 @@ from octoprint.plugins.virtual_printer.virtual import VirtualPrinter
 from octoprint.printer.profile import PrinterProfileManager
 
 FOLDER, HASTE, ERRORS = sys.argv[1], float(sys.argv[2]), sys.argv[3:]
+LATE_S = 0.02  # of a process on a busy machine; a move that begins so late was waiting for the one before
 
 
 class Settings:
@@ -49,7 +50,10 @@ class Profiles:
 
 
 class Timed(VirtualPrinter):
-    """Its own moves last a tenth of their time in one direction, and none in the other: they are made instant here."""
+    """Its own moves last a tenth of their time in one direction, and none in the other: they are made instant here, and
+    one begins when the one before ends. A pause waits for the moves before it, as Marlin's does."""
+
+    free_s = 0.0
 
     def _performMove(self, line):
         self._feedrate_multiplier = 1e12
@@ -57,8 +61,15 @@ class Timed(VirtualPrinter):
         super()._performMove(line)
         end = self._lastX, self._lastY, self._lastZ
         took_s = math.dist(begin, end) / max(self._lastF / 60, 1e-9) / HASTE
-        print(json.dumps({"at_s": time.monotonic(), "from": begin, "to": end, "took_s": took_s}), flush=True)
-        time.sleep(took_s)
+        now_s = time.monotonic()
+        at_s = self.free_s if now_s < self.free_s + LATE_S else now_s
+        self.free_s = at_s + took_s
+        print(json.dumps({"at_s": at_s, "from": begin, "to": end, "took_s": took_s}), flush=True)
+        time.sleep(max(0.0, self.free_s - time.monotonic()))
+
+    def _gcode_G4(self, data):
+        self.buffered.join()
+        time.sleep(float(data.partition("P")[2]) / 1000 / HASTE)
 
 
 def main():
