@@ -25,7 +25,7 @@ PLAN = _lines(SENSOR, DIRECTIONS_DEG, 1.0, 0.5).sample(40, random_state=0)
 PLAN = PLAN.assign(recording=[f"p{n}" for n in range(len(PLAN))], speed_mm_s=20 * [1.0, 4.0])[list(COLUMNS)]
 
 
-def driven(program: str) -> Iterator[tuple[np.ndarray, np.ndarray, float]]:
+def driven(program: str, firmware: str) -> Iterator[tuple[np.ndarray, np.ndarray, float]]:
     """Moves (from, to, mm/s) and rests (same place, s), as a machine reads them."""
     place = np.zeros(3)
     for line in program.splitlines():
@@ -37,14 +37,14 @@ def driven(program: str) -> Iterator[tuple[np.ndarray, np.ndarray, float]]:
             yield place, to, float(words["F"]) / 60
             place = to
         elif words.get("G") == "4":
-            yield place, place, float(words.get("S") or words["P"])
+            yield place, place, float(words["P"]) / (1000 if firmware == "marlin" else 1)
 
 
 @pytest.mark.parametrize("firmware", ["marlin", "grbl"])
 def test_each_slide_is_driven_as_planned_and_nothing_else_touches(firmware: str) -> None:
     slides, rests, lowest = [], [], 0.0
     reach = np.array(SENSOR.chamber_mm) / 2 + SENSOR.indenter_diameter_mm / 2
-    for start, end, speed in driven(gcode(PLAN, firmware)):
+    for start, end, speed in driven(gcode(PLAN, firmware), firmware):
         lowest = min(lowest, end[2])
         if (start == end).all():
             rests.append(speed)

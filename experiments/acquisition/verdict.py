@@ -12,7 +12,7 @@ from softslide.experiments.acquisition.error_so_far import (
     ErrorSoFar,
     read_goal,
 )
-from softslide.experiments.evaluation.figures import slide_lines
+from softslide.experiments.acquisition.waypoints import waypoints_of
 from softslide.experiments.pages.figures import COLOURS, EDGE, Panel, chart, on_skin
 from softslide.experiments.pages.page import panels_page
 from softslide.features.errors import InputError
@@ -80,7 +80,8 @@ class Verdict:
 
         def draw(ax: Axes) -> None:
             for chosen, colour, name in ((~done, EDGE, "to come"), (done, COLOURS[2], "done")):
-                ax.plot(*slide_lines(self._slides[chosen]).T, color=colour, linewidth=1.0)
+                for _, row in self._slides[chosen].iterrows():
+                    ax.plot(*waypoints_of(row)[:, 1:3].T, color=colour, linewidth=1.0)
                 ax.plot([], [], color=colour, label=f"{name} ({chosen.sum()})")
 
         caption = "The plan's slides on the skin, from above: those recorded and those to come."

@@ -89,16 +89,16 @@ def lab(given: argparse.Namespace) -> Iterator[Part]:
     for name in ("printer", *others):
         begun_s = time.monotonic()
         bundle = softslide.train(out / name, out / name / "bundle", change=shortened, track=False).bundle
-        found = softslide.evaluate(
-            bundle, out / name, ["test", "track"], out / name / "evaluation", track=False
-        )
-        end = found.metrics["splits"]["test"]["1.0"]
+        splits = sorted(set(plan["split"]) - {"calibration"})
+        scored = softslide.evaluate(bundle, out / name, splits, out / name / "evaluation", track=False)
+        end = scored.metrics["splits"]["test"]["1.0"]
         errors = {f"{q}_{kind}": end[q].get(kind, np.nan) for q in QUANTITIES for kind in ("mean", "max")}
         valid = {"valid": end["valid_share"], "minutes": (time.monotonic() - begun_s) / 60}
         yield name, errors | valid
-        for split, track in found.metrics.get("tracks", {}).items():
-            shares = {"valid": track["valid_share"], "wrong": track["wrong_share"]}
-            yield f"{name}, {split}", shares | {"place_mm": track["position"].get("median", np.nan)}
+        for split, track in scored.metrics.get("tracks", {}).items():
+            found = {"valid": track["valid_share"], "wrong": track["wrong_share"]}
+            found["place_mm"] = track["position"]["median"]
+            yield f"{name}, {split}", {key: np.nan if v is None else v for key, v in found.items()}
     print(f"report: {out / 'printer' / 'evaluation' / 'report.html'}", file=sys.stderr)
 
 
