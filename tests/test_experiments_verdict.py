@@ -50,7 +50,8 @@ def test_each_slide_is_scored_by_the_map_of_those_before(sample: Folder, soon: N
 
 
 def test_enough_is_a_mean_of_enough_slides(sample: Folder, soon: None, tmp_path: Path) -> None:
-    plan, page, said = first(sample, 8).manifest, tmp_path / "page.html", list[str]()
+    plan = first(sample, 8).manifest.assign(waypoints=None)
+    page, said = tmp_path / "page.html", list[str]()
     atlas = atlas_of(sample.sensor)
     loose = Verdict(["90deg", "900%"], page, plan, atlas)
     assert not loose.is_enough(first(sample, 0), said.append)
@@ -92,6 +93,7 @@ def test_what_is_enough_leaves_the_slides_to_learn_from_and_goes_on_with_others(
     rows = ("one,calibration,0", "two,calibration,90", "three,test,0", "four,calibration,0")
     (tmp_path / "plan.csv").write_text(PLAN + "".join(f"{row},40,-5,-29,-5,8,0.5\n" for row in rows))
     monkeypatch.setattr(Verdict, "is_enough", lambda self, folder, say: len(folder) > 0)
+    monkeypatch.setattr(error_so_far, "atlas_to_calibrate", lambda sensor: None)  # a solver's minutes
     port = free_port()
     with sending(port):
         times = {"rest_s": 0.6, "start_s": 0.2, "timeout_s": 0.5}
