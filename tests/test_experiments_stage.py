@@ -7,6 +7,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -22,7 +23,7 @@ from softslide.experiments.acquisition import record as recording
 from softslide.experiments.acquisition import stage as module
 from softslide.experiments.acquisition.gcode import CLEAR_MM
 from softslide.experiments.acquisition.record import read_plan
-from softslide.experiments.acquisition.stage import check_slides, numbered
+from softslide.experiments.acquisition.stage import Stage, check_slides, numbered
 from softslide.experiments.acquisition.waypoints import STEP_S, of_path, read_waypoints, write_waypoints
 from softslide.features.errors import CheckFailed, InputError
 from softslide.pipeline.atlas.atlas import DEFAULT_SENSOR, read_atlas
@@ -239,7 +240,32 @@ def test_what_goes_wrong_stops_the_stage(
             recorded(lab, source, printer)
         time.sleep(0.2)
         assert printer.stopped
+        assert not printer.after
     assert not list((lab / "out").glob("slides/*"))
+
+
+@pytest.mark.parametrize("firmware", ["marlin", "grbl"])
+def test_nothing_is_sent_after_a_stop_in_the_middle_of_a_path(lab: Path, firmware: str) -> None:
+    """At any moment: the thread that drives ends, too."""
+    way = np.column_stack(
+        [np.linspace(0, 20, 401), np.linspace(-20, 20, 401), np.zeros(401), np.full(401, 0.5)]
+    )
+    for after_s in (0.02, 0.11, 0.23):
+        with Printer(firmware, haste=1.0) as printer:
+            with Stage(printer.url, ORIGIN) as stage:
+                stage.place((-20.0, 0.0), 0.5)
+                with ThreadPoolExecutor(1) as driver:
+                    motion = driver.submit(stage.follow, way)
+                    time.sleep(after_s)
+                    stage.stop()
+                with pytest.raises(InputError, match="the stage was stopped"):
+                    motion.result()
+                with pytest.raises(InputError, match="the stage was stopped"):
+                    stage.send("G1 X0")
+            time.sleep(0.2)
+            assert printer.stopped
+            assert not printer.after
+            assert len(printer.moves) < 100
 
 
 def test_a_slide_whose_samples_come_late_is_not_kept(lab: Path, monkeypatch: pytest.MonkeyPatch) -> None:

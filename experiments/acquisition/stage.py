@@ -5,6 +5,7 @@ damaged one is sent again. Places are in mm from the chamber's middle; the stage
 """
 
 import re
+import threading
 import time
 from collections.abc import Sequence
 from functools import reduce
@@ -33,6 +34,7 @@ from softslide.pipeline.sensor import Sensor
 BEYOND_MM = 20.0  # past the chamber's edge: nothing is driven farther out
 REPLY_S = 10.0  # within which a stage acknowledges a line, unless it says that it is busy
 MOTION_S = 600.0  # the longest motion, homing included
+WRITE_S = 1.0  # within which a line is written
 WAKE_S = 3.0  # opening the port restarts most boards
 OFF_MM = 0.05  # between where the stage is and where it was sent: more is a limit of its own
 AGAIN = 5  # times that a damaged line is sent again
@@ -62,7 +64,7 @@ class Stage:
             form = "serial:///dev/ttyUSB0?firmware=marlin&baud=115200 (or firmware=grbl)"
             raise InputError(f"{url}: write {form}", "stage")
         self.name, self._number, self._errors = parts.path, 0, (serial.SerialException, OSError)
-        self._stopped = False
+        self._stopped, self._writing = False, threading.Lock()
         try:
             self._port = serial.Serial(parts.path, int(baud), timeout=0.1)
         except self._errors as error:
@@ -154,12 +156,17 @@ class Stage:
 
     def stop(self) -> None:
         """Emergency stop: the stage holds where it is and takes nothing until it is reset; nor is anything sent."""
+        # From another thread than the one that drives: not in the middle of its line, unless that hangs.
+        free = self._writing.acquire(timeout=WRITE_S)
         self._stopped = True
         try:
             self._port.write(b"M112\n" if self.firmware == "marlin" else b"!\x18")
             self._port.flush()
         except self._errors:
             pass
+        finally:
+            if free:
+                self._writing.release()
 
     def send(self, line: str, patience_s: float = REPLY_S) -> list[str]:
         """Sends a line, again where it arrived damaged, and waits for its acknowledgement; what came before that."""
@@ -171,7 +178,7 @@ class Stage:
         while time.monotonic() < until:
             reply = self._read()
             if self._stopped:
-                raise InputError(f"{self.name}: the stage was stopped")
+                raise self._halted()
             if reply.startswith("ok"):
                 if not damaged:
                     return [*replies, reply]
@@ -233,10 +240,13 @@ class Stage:
         raise InputError(f"{self.name}: no answer to '?' in {REPLY_S:g} s; see firmware, baud rate and cable")
 
     def _write(self, data: str) -> None:
-        try:
-            self._port.write(data.encode("ascii"))
-        except self._errors as error:
-            raise self._gone(error) from None
+        with self._writing:
+            if self._stopped:
+                raise self._halted()
+            try:
+                self._port.write(data.encode("ascii"))
+            except self._errors as error:
+                raise self._gone(error) from None
 
     def _read(self) -> str:
         """The next line; empty if none came in a tenth of a second."""
@@ -244,6 +254,9 @@ class Stage:
             return self._port.readline().decode("ascii", "replace").strip()
         except self._errors as error:
             raise self._gone(error) from None
+
+    def _halted(self) -> InputError:
+        return InputError(f"{self.name}: the stage was stopped; see to it and begin again")
 
     def _gone(self, error: Any) -> InputError:
         return InputError(

@@ -18,7 +18,8 @@ class Printer:
     """firmware: marlin or grbl. haste: times real time. damaged: numbers of lines that arrive damaged once. fails: the
     line that it answers with an error; highest_mm: soft limit of x; pulled: after so many lines nothing is answered.
 
-    moves: (from, to) mm and mm/s of each; began: when, s of the monotonic clock; stopped: by an emergency stop.
+    moves: (from, to) mm and mm/s of each; began: when, s of the monotonic clock; stopped: by an emergency stop; after:
+    lines that came after it.
     """
 
     firmware: str = "marlin"
@@ -30,6 +31,7 @@ class Printer:
     moves: list[tuple[np.ndarray, np.ndarray, float]] = field(default_factory=list)
     began: list[float] = field(default_factory=list)
     stopped: bool = False
+    after: list[str] = field(default_factory=list)
 
     def place_at(self, moment_s: np.ndarray) -> np.ndarray:
         """(n, 3) mm where it was at (n,) s of the monotonic clock."""
@@ -61,8 +63,7 @@ class Printer:
             except OSError:
                 return
             if "\x18" in text:
-                self.stopped = True
-                return
+                self.stopped, text = True, text.rpartition("\x18")[2]
             while "?" in text:
                 text = text.replace("?", "", 1)
                 state = "Run" if self.moving else "Idle"
@@ -81,6 +82,9 @@ class Printer:
     def _take(self, line: str) -> None:
         if line == "M112":
             self.stopped = True
+            return
+        if self.stopped:
+            self.after.append(line)
             return
         if self.firmware == "marlin":
             text, _, checksum = line.rpartition("*")
