@@ -152,6 +152,23 @@ def test_the_truth_of_a_path_is_where_the_stage_was(lab: Path, firmware: str, wa
     (lab / "plan.csv").write_text("recording,split,waypoints\nw,track-way,way.csv\n")
     with Printer(firmware, haste=3.0) as printer, skin(printer) as source:
         assert recorded(lab, source, printer) == 0
+    check_truth(lab, printer)
+
+
+@pytest.mark.parametrize("firmware", ["marlin", "grbl"])
+def test_a_slow_acceleration_is_in_the_truth(lab: Path, firmware: str) -> None:
+    """GRBL's machines begin with 10 mm/s2: ramps of 2.5 mm at 7 mm/s."""
+    (lab / "sensor.toml").write_bytes(DEFAULT_SENSOR.read_bytes())
+    way = [(0, -30, 0, 0.5), (2, -16, 0, 0.5), (3, -16, 0, 0.5), (5, -16, 14, 0.5)]
+    write_waypoints(lab / "way.csv", np.array(way, float))
+    (lab / "plan.csv").write_text("recording,split,waypoints\nw,track-way,way.csv\n")
+    with Printer(firmware, haste=1.0, acceleration=10.0) as printer, skin(printer) as source:
+        assert recorded(lab, source, printer) == 0
+    check_truth(lab, printer)
+
+
+def check_truth(lab: Path, printer: Printer) -> None:
+    """Of the recording "w": where the printer was."""
     folder = read_folder(lab / "out")
     recording, row = folder.load("w"), folder.manifest.loc["w"]
     truth = recording.truth
@@ -159,7 +176,7 @@ def test_the_truth_of_a_path_is_where_the_stage_was(lab: Path, firmware: str, wa
     sent_s = np.unwrap(10 * (recording.volts[:, 2] - 2.0), period=10.0)
     at_s = np.interp(truth["time_s"], recording.time_s, sent_s)
     # V_z leaves out whole tens of seconds.
-    at_s += 10 * np.round((printer.began[-1] - at_s[-1]) / 10)
+    at_s += 10 * np.round((printer.log[-1][0] - at_s[-1]) / 10)
     truth, at_s = truth[5:], at_s[5:]  # a packet that was on its way as the ball arrived
     wanted = printer.place_at(at_s) - ORIGIN
     found = truth[["x_mm", "y_mm", "depth_mm"]].to_numpy() * [1, 1, -1]
@@ -273,6 +290,16 @@ def test_a_slide_whose_samples_come_late_is_not_kept(lab: Path, monkeypatch: pyt
     monkeypatch.setattr(recording, "ATTEMPTS", 1)
     with Printer() as printer, skin(printer, late_s=3.0) as source:
         with pytest.raises(CheckFailed, match="its samples come late"):
+            recorded(lab, source, printer)
+        assert printer.place[2] == ORIGIN[2] + CLEAR_MM
+    assert not list((lab / "out").glob("slides/*"))
+
+
+def test_a_stage_that_is_slower_than_the_plan_is_said(lab: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its ramps are long, or it limits its own speed: the labels would be another slide's."""
+    monkeypatch.setattr(recording, "ATTEMPTS", 1)
+    with Printer(haste=0.5) as printer, skin(printer) as source:
+        with pytest.raises(CheckFailed, match=r"the stage took 1\.[45] s longer than planned"):
             recorded(lab, source, printer)
         assert printer.place[2] == ORIGIN[2] + CLEAR_MM
     assert not list((lab / "out").glob("slides/*"))

@@ -15,6 +15,8 @@ from softslide.pipeline.sensor import Sensor
 
 # A skin is never tilted so far, by 49 degrees: a stage is stopped there.
 LARGEST_TILT_G = 0.75
+# That a stretch of a plan may take longer: Marlin waits up to 0.1 s before it begins, and lines take their time.
+LONGER_S = 0.3
 
 
 def driven(
@@ -32,11 +34,11 @@ def driven(
     waypoints: (n, 4), as in waypoints.py. timeout_s, show: as of `capture`.
 
     Raises:
-        Lost: as `capture`, or the output is not of the stage's motion, or this takes longer than the recording.
+        Lost: as `capture`, or the output is not of the stage's motion, or this takes longer than planned.
         InputError: as the methods of `Stage`, or the output left its range: the stage was stopped.
     """
     most_v = LARGEST_TILT_G * max(each.sensitivity_v_per_g for each in sensor.accelerometers)
-    motion = list[Future[np.ndarray]]()
+    motion = list[Future[tuple[np.ndarray, float]]]()
 
     def show_and_drive(recorded_s: float, level_v: float) -> None:
         show(recorded_s, level_v)
@@ -60,10 +62,12 @@ def driven(
             except BaseException:
                 stage.stop()
                 raise
-        moments_s = motion[0].result()
+        moments_s, longer_s = motion[0].result()
         moments_s[:, 1] = np.polyval(clock, moments_s[:, 1])
-        if moments_s[-1, 1] > slide.time_s[-1]:
-            raise Lost("the stage moves longer than the recording; it is slower than the plan")
+        if longer_s > LONGER_S or moments_s[-1, 1] > slide.time_s[-1]:
+            raise Lost(
+                f"the stage took {longer_s:.1f} s longer than planned; see its limits of speed and acceleration"
+            )
         if reason := stray(slide, sensor, phases):
             raise Lost(reason)
     except Lost:

@@ -260,7 +260,8 @@ def _slide(name: str, labels: pd.Series, bench: Bench) -> tuple[Recording, dict[
         InputError, CheckFailed: as `record`.
     """
     operator, times, sensor = bench.operator, bench.times, bench.sensor
-    phases = Phases(times.rest, times.start, _motion_s(labels))
+    lost_s = 0.0 if bench.stage is None else bench.stage.lost_s(waypoints_of(labels))
+    phases = Phases(times.rest, times.start, _motion_s(labels) + lost_s)
     of_base, failed = labels["split"] == BASE_SPLIT, 0
     begin = (
         "Let the robot begin" if of_base else "Set the stage" if bench.stage is None else "The stage is set"

@@ -27,7 +27,7 @@ from softslide.experiments.acquisition.gcode import (
     move,
     pause,
 )
-from softslide.experiments.acquisition.waypoints import rests, speeds_mm_s, waypoints_of
+from softslide.experiments.acquisition.waypoints import ramped, speeds_mm_s, stretches, waypoints_of
 from softslide.features.errors import InputError
 from softslide.pipeline.sensor import Sensor
 
@@ -107,26 +107,34 @@ class Stage:
         """Takes the height so far below for the flat skin's face."""
         self._origin[2] -= by_mm
 
-    def follow(self, waypoints: np.ndarray) -> np.ndarray:
+    def follow(self, waypoints: np.ndarray) -> tuple[np.ndarray, float]:
         """Carries the ball along waypoints (n, 4), as in waypoints.py, from the first, where it is, to the end.
 
-        Returns (m, 2): s of the waypoints' time, and of the monotonic clock at which the stage was there. Each stretch
-        between two rests is timed by the acknowledgement of its end: a firmware may wait before it begins.
+        Returns (m, 2): s of the waypoints' time, and of the monotonic clock at which the stage was there; and how much
+        longer (s) than planned a stretch between two rests took at most. Each is timed by the acknowledgement of its
+        end, since a firmware may wait before it begins, with the ramps of the stage's acceleration at both ends.
         """
-        moments, resting = list[tuple[float, float]](), rests(waypoints)
-        begun_s, begun_at = waypoints[0, 0], time.monotonic()
-        for n, (row, speed) in enumerate(zip(waypoints[1:], speeds_mm_s(waypoints), strict=True)):
-            if not resting[n]:
-                self._to(speed, row[1], row[2], -row[3])
-                if n + 1 < len(resting) and not resting[n + 1]:
-                    continue
-                self.send(ENDED[self.firmware], MOTION_S)
-                ended_at = time.monotonic()
-                moments += [(begun_s, max(begun_at, ended_at - (row[0] - begun_s))), (row[0], ended_at)]
-            else:
-                self.send(pause(self.firmware, row[0] - waypoints[n, 0]), MOTION_S)
-            begun_s, begun_at = row[0], time.monotonic()
-        return np.array(moments)
+        moments, longer_s, at = list[np.ndarray](), 0.0, 0
+        speeds = speeds_mm_s(waypoints)
+        for first, last in stretches(waypoints):
+            if first > at:
+                self.send(pause(self.firmware, waypoints[first, 0] - waypoints[at, 0]), MOTION_S)
+            begun_s, at = time.monotonic(), last
+            for n in range(first, last):
+                _, x, y, depth = waypoints[n + 1]
+                self._to(speeds[n], x, y, -depth)
+            self.send(ENDED[self.firmware], MOTION_S)
+            own_s, s = ramped(waypoints[first, 0], waypoints[last, 0], self._ramps_s(waypoints, first, last))
+            s += time.monotonic() - s[-1]
+            longer_s = max(longer_s, s[0] - begun_s)
+            moments.append(np.column_stack([own_s, np.maximum(s, begun_s)]))
+        if at < len(waypoints) - 1:
+            self.send(pause(self.firmware, waypoints[-1, 0] - waypoints[at, 0]), MOTION_S)
+        return np.concatenate(moments), longer_s
+
+    def lost_s(self, waypoints: np.ndarray) -> float:
+        """How much longer its ramps make a way along waypoints."""
+        return sum(self._ramps_s(waypoints, *ends).sum() / 2 for ends in stretches(waypoints))
 
     def lift(self) -> None:
         """Waits for the end of all motion, and lifts the ball clear of the skin."""
@@ -190,7 +198,7 @@ class Stage:
             elif asked := re.match(r"(?:resend|rs)\D*(\d+)", reply.lower()):
                 # Of the line after this one: it was taken, and its acknowledgement was lost.
                 damaged = int(asked[1]) <= self._number
-            elif re.match("(error|alarm|!!)", reply.lower()) and not _asks_again(reply):
+            elif re.match("(error|alarm|!!)", reply.lower()) and not _is_harmless(reply):
                 raise InputError(
                     f"{self.name}: the stage answers '{line}' with '{reply}'; see to it and begin again"
                 )
@@ -215,9 +223,25 @@ class Stage:
         else:
             self.send("G28" if self.firmware == "marlin" else "$H", MOTION_S)
         self._origin = np.zeros(3) if origin_mm is None else np.array(origin_mm, float)
+        self._accelerates = self._accelerations()
         # Where it was last sent; after homing, what is not sent yet is where it is.
         at = self.position()
         self._sent = np.zeros(3) if at is None else at
+
+    def _accelerations(self) -> np.ndarray:
+        """Of x, y and z (3,) mm/s2, as the stage says them; infinite where it does not."""
+        marlin = self.firmware == "marlin"
+        text = " ".join(self.send("M503" if marlin else "$$"))
+        words = [r"M201 X([\d.]+)", r"M201 .*?Y([\d.]+)", r"M201 .*?Z([\d.]+)"]
+        words = words if marlin else [r"\$120=([\d.]+)", r"\$121=([\d.]+)", r"\$122=([\d.]+)"]
+        found = [re.search(word, text) for word in [*words, r"M204 P([\d.]+)"]]
+        *axes, most = [float(match[1]) if match and float(match[1]) > 0 else np.inf for match in found]
+        return np.minimum(axes, most)
+
+    def _ramps_s(self, waypoints: np.ndarray, first: int, last: int) -> np.ndarray:
+        """How long it takes (2,) to the speed of a stretch's begin and from that of its end, by the slowest axis."""
+        steps = np.diff(waypoints[[first, first + 1, last - 1, last]], axis=0)[[0, 2]]
+        return (np.abs(steps[:, 1:]) / steps[:, :1] / self._accelerates).max(axis=1)
 
     def _to(
         self, speed_mm_s: float, x: float | None = None, y: float | None = None, z: float | None = None
@@ -294,9 +318,9 @@ def check_slides(slides: pd.DataFrame, sensor: Sensor) -> None:
             raise InputError(f"{name}: {speed:g} mm/s; a stage is driven at most at {TRAVEL_MM_S:g}", "stage")
 
 
-def _asks_again(reply: str) -> bool:
-    """Whether an error is one after which Marlin asks for the line again."""
-    return any(word in reply.lower() for word in ("checksum", "line number", "last line"))
+def _is_harmless(reply: str) -> bool:
+    """Whether an error is one after which Marlin asks for the line again, or goes on."""
+    return any(word in reply.lower() for word in ("checksum", "line number", "last line", "unknown command"))
 
 
 def _listed(place: np.ndarray) -> str:

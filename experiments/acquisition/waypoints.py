@@ -20,6 +20,7 @@ from softslide.pipeline.synthesis.paths.response import TRUTH_HZ
 COLUMNS = ("time_s", "x_mm", "y_mm", "depth_mm")
 # Between waypoints of a drawn path: at 8 mm/s on a radius of 12 mm the chord is 0.03 mm off, a ramp or a kink 0.3 mm.
 STEP_S = 0.2
+RAMP_POINTS = 9  # of a ramp: the chords of its parabola are 0.1 % of the way off
 
 
 def waypoints_of(slide: pd.Series) -> np.ndarray:
@@ -69,15 +70,30 @@ def write_waypoints(path: Path, waypoints: np.ndarray) -> None:
     pd.DataFrame(waypoints, columns=list(COLUMNS)).to_csv(path, index=False, lineterminator="\n")
 
 
-def rests(waypoints: np.ndarray) -> np.ndarray:
-    """(n - 1,) whether the ball rests between two waypoints."""
-    return (np.diff(waypoints[:, 1:], axis=0) == 0).all(axis=1)
+def stretches(waypoints: np.ndarray) -> list[tuple[int, int]]:
+    """First and last row of each stretch of motion; between two of them the ball rests."""
+    moves = np.concatenate([[False], (np.diff(waypoints[:, 1:], axis=0) != 0).any(axis=1), [False]])
+    edges = np.flatnonzero(np.diff(moves.astype(int)))
+    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
 
 
 def speeds_mm_s(waypoints: np.ndarray) -> np.ndarray:
     """(n - 1,) of the ball between two waypoints."""
     steps = np.diff(waypoints, axis=0)
     return np.linalg.norm(steps[:, 1:], axis=1) / steps[:, 0]
+
+
+def ramped(begin_s: float, end_s: float, ramps_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """How a stage that has to gain its speed goes through a stretch of waypoints: (m,) s of theirs, and of its own.
+
+    ramps_s: (2,) it takes to the speed of the stretch's begin, and from that of its end. Half of each is lost. A
+    stretch that is too short for them is taken as even.
+    """
+    up, down = ramps_s if ramps_s.sum() < 2 * (end_s - begin_s) else (0.0, 0.0)
+    share = np.linspace(0.0, 1.0, RAMP_POINTS)
+    own_s = np.concatenate([begin_s + up / 2 * share**2, end_s - down / 2 * (1 - share) ** 2])
+    takes_s = end_s - begin_s + (up + down) / 2
+    return own_s, np.concatenate([up * share, takes_s - down * (1 - share)])
 
 
 def truth_of(waypoints: np.ndarray, moments_s: np.ndarray, until_s: float, atlas: Atlas) -> pd.DataFrame:

@@ -17,9 +17,10 @@ import numpy as np
 class Printer:
     """firmware: marlin or grbl. haste: times real time. damaged: numbers of lines that arrive damaged once. fails: the
     line that it answers with an error; highest_mm: soft limit of x; pulled: after so many lines nothing is answered.
+    acceleration: mm/s2, to and from a stop in each move.
 
-    moves: (from, to) mm and mm/s of each; began: when, s of the monotonic clock; stopped: by an emergency stop; after:
-    lines that came after it.
+    moves: (from, to) mm and mm/s of each; log: s of the monotonic clock, and the place; stopped: by an emergency stop;
+    after: lines that came after it.
     """
 
     firmware: str = "marlin"
@@ -29,16 +30,15 @@ class Printer:
     highest_mm: float = np.inf
     pulled: float = np.inf
     moves: list[tuple[np.ndarray, np.ndarray, float]] = field(default_factory=list)
-    began: list[float] = field(default_factory=list)
+    acceleration: float = np.inf
+    log: list[tuple[float, ...]] = field(default_factory=list)
     stopped: bool = False
     after: list[str] = field(default_factory=list)
 
     def place_at(self, moment_s: np.ndarray) -> np.ndarray:
         """(n, 3) mm where it was at (n,) s of the monotonic clock."""
-        took = [np.linalg.norm(end - begin) / speed / self.haste for begin, end, speed in self.moves]
-        known = np.column_stack([self.began, np.add(self.began, took)]).ravel()
-        places = np.array([place for begin, end, _ in self.moves for place in (begin, end)])
-        return np.column_stack([np.interp(moment_s, known, column) for column in places.T])
+        known = np.array(self.log)
+        return np.column_stack([np.interp(moment_s, known[:, 0], column) for column in known[:, 1:].T])
 
     def __enter__(self) -> "Printer":
         self._own, self._theirs = os.openpty()
@@ -107,6 +107,12 @@ class Printer:
         elif line.startswith(("M400", "G4 ")):
             self._motion.join()
             time.sleep(words.get("P", 0.0) / (1000 if self.firmware == "marlin" else 1) / self.haste)
+        elif line == "M503" and self.acceleration < np.inf:
+            self._say(
+                f"echo:  M201 X3000.00 Y3000.00 Z3000.00 E9000\necho:  M204 P{self.acceleration:.2f} T500"
+            )
+        elif line == "$$" and self.acceleration < np.inf:
+            self._say("\n".join(f"${n}={self.acceleration:.3f}" for n in (120, 121, 122)))
         elif line == "M114":
             self._say("X:{:.2f} Y:{:.2f} Z:{:.2f} E:0.00 Count X:0 Y:0 Z:0".format(*self.place))
         self._say("ok")
@@ -118,14 +124,26 @@ class Printer:
         to[0] = min(to[0], self.highest_mm)
         begin, speed = self.place, words["F"] / 60
         self.moves.append((begin, to, speed))
-        self.began.append(time.monotonic())
-        seconds = float(np.linalg.norm(to - begin)) / speed / self.haste
-        self.moving, self._motion = True, threading.Thread(target=self._carry, args=(begin, to, seconds))
+        way = float(np.linalg.norm(to - begin))
+        self.moving = True
+        self._motion = threading.Thread(
+            target=self._carry, args=(begin, to, way, min(speed, (way * self.acceleration) ** 0.5))
+        )
         self._motion.start()
 
-    def _carry(self, begin: np.ndarray, to: np.ndarray, seconds: float) -> None:
+    def _carry(self, begin: np.ndarray, to: np.ndarray, way: float, speed: float) -> None:
+        ramp_s = speed / self.acceleration
+        seconds = way / speed + ramp_s if way else 0.0
         begun_s = time.monotonic()
-        while (share := (time.monotonic() - begun_s) / max(seconds, 1e-6)) < 1:
-            self.place = begin + share * (to - begin)
+        while (at_s := (time.monotonic() - begun_s) * self.haste) < seconds:
+            from_end_s = min(at_s, seconds - at_s)
+            gone = (
+                speed * (from_end_s - ramp_s / 2)
+                if from_end_s > ramp_s
+                else self.acceleration * from_end_s**2 / 2
+            )
+            self.place = begin + (gone if at_s < seconds / 2 else way - gone) / way * (to - begin)
+            self.log.append((time.monotonic(), *self.place))
             time.sleep(0.002)
         self.place, self.moving = to, False
+        self.log.append((time.monotonic(), *self.place))

@@ -26,7 +26,11 @@ LATE_S = 0.02  # of a process on a busy machine; a move that begins so late was 
 class Settings:
     """The plugin's defaults, without a server; errors that come once each, by line number."""
 
-    defaults = VirtualPrinterPlugin().get_settings_defaults() | {"simulated_errors": ERRORS}
+    # Its moves have no ramps: it is not to say that they have.
+    defaults = VirtualPrinterPlugin().get_settings_defaults() | {
+        "simulated_errors": ERRORS,
+        "support_M503": False,
+    }
 
     def get(self, path, merged=False):
         return self.defaults.get(path[0])
