@@ -21,6 +21,7 @@ import softslide
 from softslide.experiments.acquisition import approach
 from softslide.experiments.acquisition import record as recording
 from softslide.experiments.acquisition import stage as module
+from softslide.experiments.acquisition.capture import clock_line
 from softslide.experiments.acquisition.gcode import CLEAR_MM
 from softslide.experiments.acquisition.record import read_plan
 from softslide.experiments.acquisition.stage import Stage, check_slides, numbered
@@ -190,6 +191,19 @@ def check_truth(lab: Path, printer: Printer) -> None:
     moving = truth["time_s"][np.abs(np.diff(found, axis=0, prepend=found[:1])).max(axis=1) > 1e-6]
     assert moving.iloc[0] == pytest.approx(row["motion_start_s"], abs=0.02)
     assert moving.iloc[-1] == pytest.approx(row["motion_end_s"], abs=0.02)
+
+
+@pytest.mark.parametrize("rate", [1.0, 6.0])
+def test_the_clock_of_samples_is_found_through_the_waits_of_a_busy_machine(rate: float) -> None:
+    """Polls each 50 ms of packets each 20 ms; for a third of the time the process waits, up to 2 s."""
+    random = np.random.default_rng(1)
+    for _ in range(20):
+        polls = 7e4 + np.cumsum(0.05 + 0.01 * random.random(400))
+        waits = (random.random(400) < 0.05) * random.uniform(0, 2, 400)
+        newest = np.floor((polls - waits) / 0.02) * 0.02
+        newest = np.maximum.accumulate(newest) - 0.001
+        line = clock_line(polls, rate * (newest - 7e4))
+        assert np.abs(np.polyval(line, polls) - rate * (polls - 7e4)).max() < 0.01 * rate
 
 
 def test_a_path_without_a_stage_and_broken_waypoints_are_refused(lab: Path) -> None:

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.optimize import linprog
 
 from softslide.features.angles import tilt_channels
 from softslide.features.clock import RATE_TOLERANCE, check_clock
@@ -156,15 +157,22 @@ def capture(
             check_clock(Path(name), time_s, rate)
         except InputError as error:
             raise Lost(str(error).removeprefix(f"{name}: ")) from None
-    line = _clock_line(np.array([at for at, _ in arrived]), time_s[[n - 1 for _, n in arrived]])
+    line = clock_line(np.array([at for at, _ in arrived]), time_s[[n - 1 for _, n in arrived]])
     volts, base_v = np.split(volts[:wanted], [len(sensor.channels)], axis=1)
     return Recording(name, time_s[:wanted], volts, base_v=None if sensor.base is None else base_v), line
 
 
-def _clock_line(arrived_s: np.ndarray, sampled_s: np.ndarray) -> np.ndarray:
-    """Slope and intercept (2,) of moments at which samples were taken over those at which they came, the earliest."""
-    slope, intercept = np.polyfit(arrived_s, sampled_s, 1)
-    return np.array([slope, intercept + (sampled_s - slope * arrived_s - intercept).max()])
+def clock_line(arrived_s: np.ndarray, sampled_s: np.ndarray) -> np.ndarray:
+    """Slope and intercept (2,) of moments (n,) s at which samples were taken over those at which they came.
+
+    No sample comes before it is taken: of all lines that say so the nearest one, by linear programming (S. B. Moon, P.
+    Skelly, D. Towsley, 1999). Waits of a busy machine do not move it.
+    """
+    since_s = arrived_s - arrived_s[0]
+    rows = np.column_stack([since_s, np.ones_like(since_s)])
+    found = linprog(rows.mean(axis=0), A_ub=-rows, b_ub=-sampled_s, bounds=[(None, None)] * 2)
+    slope, intercept = found.x
+    return np.array([slope, intercept - slope * arrived_s[0]])
 
 
 class Level:
