@@ -193,9 +193,8 @@ def _all_slides(
             break
         if slide is not None:
             recording, moved = slide
-            folder = add_recording(
-                folder, recording, {str(k): v for k, v in labels.items() if k != "waypoints"} | moved
-            )
+            known = {str(k): v for k, v in labels.drop("waypoints").items()}
+            folder = add_recording(folder, recording, known | moved)
             say(f"kept: {folder.root}, {len(folder)} recordings")
             enough = verdict is not None and verdict.is_enough(folder, say)
     return folder
@@ -246,9 +245,7 @@ def _described(labels: pd.Series) -> str:
 
 def _motion_s(labels: pd.Series) -> float:
     """How long the motion takes, s."""
-    if labels["waypoints"] is not None:
-        return float(labels["waypoints"][-1, 0]) + RAMP_S
-    moves_s = labels.travel_mm / labels.speed_mm_s + RAMP_S
+    moves_s = float(waypoints_of(labels)[-1, 0]) + RAMP_S
     return BASE_S if labels["split"] == BASE_SPLIT and math.isnan(moves_s) else moves_s
 
 

@@ -164,9 +164,9 @@ class Stage:
 
     def stop(self) -> None:
         """Emergency stop: the stage holds where it is and takes nothing until it is reset; nor is anything sent."""
+        self._stopped = True
         # From another thread than the one that drives: not in the middle of its line, unless that hangs.
         free = self._writing.acquire(timeout=WRITE_S)
-        self._stopped = True
         try:
             self._port.write(b"M112\n" if self.firmware == "marlin" else b"!\x18")
             self._port.flush()
@@ -304,9 +304,9 @@ def check_slides(slides: pd.DataFrame, sensor: Sensor) -> None:
     reach = np.array(sensor.chamber_mm) / 2 + BEYOND_MM
     for name, row in slides.iterrows():
         waypoints = waypoints_of(row)
-        if row["waypoints"] is None:
-            check_depth(name, row["depth_mm"], "stage")
-        check_depth(name, max(waypoints[:, 3].max(), 0.0), "stage")
+        # A slide touches all the way; a path may be above the skin.
+        deepest_mm = waypoints[:, 3].max()
+        check_depth(name, deepest_mm if row["waypoints"] is None else max(deepest_mm, 0.0), "stage")
         if waypoints[:, 3].min() < -CLEAR_MM:
             raise InputError(f"{name}: goes up by more than {CLEAR_MM:g} mm", "stage")
         if not (np.abs(waypoints[:, 1:3]) <= reach).all():
