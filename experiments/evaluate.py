@@ -233,7 +233,10 @@ def to_score(folder: Folder, splits: Sequence[str] | None) -> Folder:
     if splits is None:
         chosen = folder.select("test")
         if not len(chosen):
-            raise InputError(f"is needed: {place}, none begins with 'test'; name one", "split")
+            raise InputError(
+                f"is needed: {place}, none begins with 'test'; name one, or record what 'plan --tests 12' plans",
+                "split",
+            )
         return chosen
     if unknown := [split for split in splits if split not in present]:
         raise InputError(f"{place}, not '{unknown[0]}'; name one of these")

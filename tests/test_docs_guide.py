@@ -131,6 +131,6 @@ def test_the_guide_s_slow_commands_run(bench: Path) -> None:
     lay_out(bench, FITTED)
     follow(bench, [c for c in commands() if not begins(c, ELSEWHERE)])
     assert len(read_sensor(bench / "design/sensor-2.toml").accelerometers) == 2
-    assert len(pd.read_csv(bench / "plan.csv")) == 12
+    assert len(pd.read_csv(bench / "plan.csv")) == 24 + 12
     assert (bench / "my-model-c/model.c").exists()
     assert (bench / "article/article.html").exists()

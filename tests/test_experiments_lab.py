@@ -62,10 +62,11 @@ def test_a_printer_records_what_a_model_learns_from(tmp_path: Path) -> None:
     python = tmp_path / "env/bin/python"
     subprocess.run([python, "-m", "pip", "install", "--quiet", "OctoPrint==1.11.8"], check=True, timeout=1800)
     call = [sys.executable, "-m", "softslide.experiments.studies.lab", "--printer", python]
-    call += ["--out", tmp_path / "lab", "--slides", "8", "--tests", "3", "--fault", "resend"]
+    call += ["--out", tmp_path / "lab", "--slides", "8", "--tests", "3", "--paths", "1", "--fault", "resend"]
     subprocess.run([*call, "--json", tmp_path / "found.json"], check=True, timeout=3600)
     folder = read_folder(tmp_path / "lab/printer")
-    assert len(folder) == 11
+    assert sorted(folder.manifest["split"].unique()) == ["calibration", "test", "track-line"]
+    assert len(folder) == 12
     bundle = tmp_path / "lab/printer/bundle"
     slide = [sys.executable, DOCS / "examples" / "mujoco_ball.py", "--model", bundle, "--seed", "0"]
     drawn = os.environ | {"MPLBACKEND": "svg"}
@@ -75,7 +76,6 @@ def test_a_printer_records_what_a_model_learns_from(tmp_path: Path) -> None:
     assert float(errors[1]) < 2.0
     assert float(errors[2]) < 4.0
     found = json.loads((tmp_path / "found.json").read_text())
-    for labels in ("printer", "by-hand"):
-        assert found[labels]["valid"] == 1.0
-        assert found[labels]["direction_deg_mean"] < 1.0
-        assert found[labels]["offset_mm_mean"] < 0.5
+    assert found["printer"]["valid"] == 1.0
+    assert found["printer"]["direction_deg_mean"] < 1.0
+    assert found["printer"]["offset_mm_mean"] < 0.5

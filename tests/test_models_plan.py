@@ -1,5 +1,6 @@
 """Planned slides: the errors that a map's own errors cause, and the slides that lessen them."""
 
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -9,7 +10,11 @@ import pytest
 from scipy.optimize import least_squares
 
 import softslide
+from softslide.experiments.acquisition.plan import COLUMNS, DIRECTIONS_DEG
 from softslide.experiments.acquisition.record import read_plan
+from softslide.experiments.acquisition.slides_to_test import draw_tests
+from softslide.experiments.evaluation.bounds import read_bounds
+from softslide.features.errors import InputError
 from softslide.models.design.line_information import GAIN_SD, LINE_SPEED_MM_S, Line, places
 from softslide.models.design.plan import (
     Unknowns,
@@ -24,6 +29,7 @@ from softslide.models.response_map.from_atlas import SensorSpread
 from softslide.models.response_map.slide_fit import CalibrationConfig
 from softslide.pipeline.atlas.atlas import Atlas, read_atlas
 from softslide.pipeline.recordings.folder import SAMPLE, read_folder
+from softslide.pipeline.recordings.learned import learned_lines
 from softslide.pipeline.sensor import Sensor
 
 CONFIG, SPREAD = CalibrationConfig(), SensorSpread()
@@ -139,22 +145,60 @@ def test_the_command_writes_what_record_reads(
     tmp_path: Path, sensor: Sensor, capsys: pytest.CaptureFixture
 ) -> None:
     out, picture = tmp_path / "plan.csv", tmp_path / "plan.svg"
-    given = ["plan", "--sensor", str(SAMPLE / "sensor.toml"), "--out", str(out), "--slides", "3"]
+    given = [
+        "plan",
+        "--sensor",
+        str(SAMPLE / "sensor.toml"),
+        "--out",
+        str(out),
+        "--slides",
+        "3",
+        "--tests",
+        "2",
+    ]
     status = softslide.main(
         [*given, "--picture", str(picture), "--directions", "0", "90", "180", "270", "--speeds", "8", "2"]
     )
     assert status == 0
     assert "mm expected from the map" in capsys.readouterr().out
     plan = read_plan(out, sensor)
-    assert list(plan.index) == ["p01", "p02", "p03"]
+    assert list(plan.index) == ["p01", "t01", "p02", "t02", "p03"]
     # Speeds in turn: where all slides have one, the skin's lag is not known.
-    assert list(plan["speed_mm_s"]) == [2.0, 8.0, 2.0]
+    assert list(plan.loc[plan["split"] == "calibration", "speed_mm_s"]) == [2.0, 8.0, 2.0]
     assert picture.read_text().lstrip().startswith("<?xml")
     x_ref, y_ref = sensor.reference_mm
     for row in plan.itertuples():
         angle = np.deg2rad(row.direction_deg)
         offset = -np.sin(angle) * (row.start_x_mm - x_ref) + np.cos(angle) * (row.start_y_mm - y_ref)
         assert offset == pytest.approx(row.offset_mm, abs=2e-3)
+
+
+def test_slides_to_test_with_are_of_every_bound_along_other_lines(
+    sensor: Sensor, candidates: pd.DataFrame
+) -> None:
+    tests = draw_tests(12, candidates.reset_index()[list(COLUMNS)], sensor, DIRECTIONS_DEG, (1.0, 4.0), 0.4)
+    for bound in read_bounds():
+        assert any(
+            (area := bound.area_mm(row.direction_deg)) is not None
+            and area[0] <= abs(row.offset_mm) <= area[1]
+            and bound.speed_mm_s[0] <= row.speed_mm_s <= bound.speed_mm_s[1]
+            for row in tests.itertuples()
+        ), bound.name
+    both = pd.concat([candidates, tests.set_index("recording")])
+    assert not learned_lines(both)[tests["recording"]].any()
+    assert tests["speed_mm_s"].between(1.0, 4.0).all()
+    assert set(tests["direction_deg"]) <= set(DIRECTIONS_DEG)
+    assert set(tests["depth_mm"]) == {0.4}
+
+
+def test_a_stage_that_moves_along_one_axis_has_tests_along_it(
+    sensor: Sensor, candidates: pd.DataFrame
+) -> None:
+    learned = candidates.reset_index()[list(COLUMNS)]
+    tests = draw_tests(6, learned, sensor, (0.0, 180.0), (1.0, 4.0), 0.5)
+    assert set(tests["direction_deg"]) <= {0.0, 180.0}
+    with pytest.raises(InputError, match="crosses the chamber"):
+        draw_tests(1, learned, replace(sensor, chamber_mm=(10.0, 10.0)), (0.0,), (1.0,), 0.5)
 
 
 def test_candidates_are_a_manifests_calibration_slides(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:

@@ -151,6 +151,17 @@ def test_an_injury_of_one_slide_is_found_there(sound, tmp_path: Path, change: Ch
     assert {f.recording for f in findings if f.level == "error"} <= {recordings[only].name}
 
 
+def test_a_zero_that_moves_in_most_slides_is_found(sound, tmp_path: Path) -> None:
+    def drifting(recording: Recording, row: pd.Series) -> None:
+        sign = (-1) ** int(recording.name[-1])  # either way, as a random walk
+        recording.volts[:, 1] += sign * np.linspace(0, 0.003, len(recording.time_s))
+
+    found = {(f.kind, f.channel) for f in injured(sound, tmp_path, drifting)} - {
+        (f.kind, f.channel) for f in examine(sound[0])
+    }
+    assert found == {("drift", "a0_vy")}
+
+
 def test_a_copy_is_found_wherever_it_begins(sound, tmp_path: Path) -> None:
     folder, recordings = sound
     first, second = recordings[0], recordings[1]

@@ -13,6 +13,7 @@ import pandas as pd
 from softslide.experiments.acquisition.gcode import NEEDED, check_height
 from softslide.experiments.acquisition.gcode import gcode as program_of
 from softslide.experiments.acquisition.pictures import draw_plan
+from softslide.experiments.acquisition.slides_to_test import LEAST_CHORD_MM, draw_tests
 from softslide.experiments.acquisition.waypoints import of_path, write_waypoints
 from softslide.features.errors import InputError
 from softslide.models.design.plan import Plan, plan_slides
@@ -34,7 +35,6 @@ OFFSET_STEP_MM = 2.5  # between candidate lines of one direction, the map's own 
 # What most stages can do.
 DIRECTIONS_DEG = tuple(15.0 * n for n in range(24))
 SPEEDS_MM_S = (1.0, 2.0, 4.0)
-LEAST_CHORD_MM = 20.0  # over the chamber
 COLUMNS = (
     *("recording", "split", "direction_deg", "speed_mm_s", "offset_mm"),
     *("start_x_mm", "start_y_mm", "travel_mm", "depth_mm"),
@@ -43,8 +43,9 @@ COLUMNS = (
 
 @dataclass(frozen=True)
 class SlidePlan:
-    """slides: the most useful first, in the manifest's columns. figures: what is expected of them. sensor: theirs.
-    paths: contacts along any path, of splits that are for reporting alone."""
+    """slides: in the manifest's columns, those to learn from with the most useful first, those to test with among them.
+    figures: what is expected of the former. sensor: theirs. paths: contacts along any path, of splits that are for
+    reporting alone."""
 
     slides: pd.DataFrame
     figures: Plan
@@ -75,8 +76,7 @@ class SlidePlan:
             for path, row in zip(self.paths, rows, strict=True):
                 folder.mkdir(exist_ok=True)
                 write_waypoints(out.parent / row["waypoints"], of_path(path))
-            table = pd.concat([self.slides, pd.DataFrame(rows)]) if rows else self.slides
-            table.to_csv(out, index=False, lineterminator="\n")
+            _in_turn(self.slides, pd.DataFrame(rows)).to_csv(out, index=False, lineterminator="\n")
 
     def lines(self) -> list[str]:
         """What the map is expected to add to the errors, without any slide and with these."""
@@ -96,6 +96,7 @@ def plan(
     directions_deg: Sequence[float] | None = None,
     speeds_mm_s: Sequence[float] | None = None,
     depth_mm: float = 0.5,
+    tests: int = 0,
     paths: int = 0,
     out: str | Path | None = None,
     picture: str | Path | None = None,
@@ -107,8 +108,9 @@ def plan(
     and take the speeds in turn: slides of one speed do not show the skin's lag (experiments/LOG.md).
 
     atlas: of the design; None: as `pipeline.atlas.library.atlas_of` finds it. candidates: a manifest, of which the
-    slides of calibration and train splits may be chosen; None: lines in all directions over the chamber. paths: how
-    many contacts of other kinds, that stop, press, bend, are put down or lifted, for a stage to follow.
+    slides of calibration and train splits may be chosen; None: lines in all directions over the chamber. tests: how
+    many slides of split `test` (slides_to_test.py). paths: how many contacts of other kinds, that stop, press, bend,
+    are put down or lifted, for a stage to follow. All kinds are spread evenly, since outputs at rest drift meanwhile.
 
     Raises:
         InputError: the sensor, the atlas or the candidates are wrong, or these are fewer than `slides`.
@@ -117,11 +119,12 @@ def plan(
     check_design(design, str(sensor))
     if slides < 1:
         raise InputError(f"{slides}: plan at least one", "slides")
-    if paths < 0:
-        raise InputError(f"{paths}: it must not be negative", "paths")
-    speeds = sorted(speeds_mm_s or SPEEDS_MM_S)
+    for count, name in ((tests, "tests"), (paths, "paths")):
+        if count < 0:
+            raise InputError(f"{count}: it must not be negative", name)
+    speeds, directions = sorted(speeds_mm_s or SPEEDS_MM_S), directions_deg or DIRECTIONS_DEG
     table = (
-        _lines(design, directions_deg or DIRECTIONS_DEG, speeds[len(speeds) // 2], depth_mm)
+        _lines(design, directions, speeds[len(speeds) // 2], depth_mm)
         if candidates is None
         else _recorded(Path(candidates), design)
     )
@@ -147,7 +150,9 @@ def plan(
         in_turn = list(islice(cycle(speeds), slides))
         picked = picked.assign(recording=[f"p{n:02d}" for n in range(1, slides + 1)], speed_mm_s=in_turn)
     drawn = tuple(_paths(paths, design, solved, depth_mm))
-    planned = SlidePlan(picked[list(COLUMNS)], chosen, design, drawn)
+    picked = picked[list(COLUMNS)]
+    kept_apart = draw_tests(tests, picked, design, directions, speeds, depth_mm)
+    planned = SlidePlan(_in_turn(picked, kept_apart), chosen, design, drawn)
     if out:
         planned.write(out)
     if picture:
@@ -158,6 +163,14 @@ def plan(
         with writing(Path(gcode), "name another file"):
             Path(gcode).write_text(program, encoding="ascii")
     return planned
+
+
+def _in_turn(first: pd.DataFrame, second: pd.DataFrame) -> pd.DataFrame:
+    """The rows of both, each table's spread evenly in its order."""
+    if second.empty:
+        return first
+    places = [(k + 0.5) / len(table) for table in (first, second) for k in range(len(table))]
+    return pd.concat([first, second]).iloc[np.argsort(places, kind="stable")]
 
 
 def _lines(

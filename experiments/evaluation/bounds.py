@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from softslide.experiments.evaluation.scoring import ESTIMATES, QUANTITIES, near_deg
+from softslide.experiments.evaluation.scoring import AXIS_TOLERANCE_DEG, ESTIMATES, QUANTITIES, near_deg
 from softslide.experiments.pages.page import number
 from softslide.pipeline.toml_tables import from_table, read_toml
 
@@ -44,6 +44,13 @@ class Bound:
             raise ValueError(f"limit is {self.limit}; it must be positive")
         if self.x_offset_mm is None and self.y_offset_mm is None:
             raise ValueError("neither x_offset_mm nor y_offset_mm is given; it would hold for no slide")
+
+    def area_mm(self, direction_deg: float) -> tuple[float, float] | None:
+        """Distances of the lines in a direction that it holds for; None: for no line in it."""
+        for axis, area in ((0.0, self.x_offset_mm), (90.0, self.y_offset_mm)):
+            if abs((direction_deg - axis + 90.0) % 180.0 - 90.0) < AXIS_TOLERANCE_DEG:
+                return area
+        return None
 
 
 @dataclass(frozen=True)
@@ -129,13 +136,15 @@ def _untested(bound: Bound, scored: pd.DataFrame, rows: pd.DataFrame) -> str | N
         return "this model does not estimate it"
     if len(rows):
         return None
-    each = scored.drop_duplicates("recording")
+    each = scored[~scored["split"].str.startswith(PATHS)].drop_duplicates("recording")
     lacking = {
         name: int(each[f"true_{name}"].isna().sum())
         for name in (NEEDED, NEEDED_ON_THE_WAY)[bool(bound.after_travel_mm)]
     }
     gaps = [f"{name} is missing in {count}" for name, count in lacking.items() if count]
-    return "no such recording" + (f": of {len(each)}, {', '.join(gaps)}" if gaps else "")
+    return "no such recording" + (
+        f": of {len(each)}, {', '.join(gaps)}" if gaps else "; 'plan --tests 12' plans some"
+    )
 
 
 def _within(bound: Bound, scored: pd.DataFrame, depths_mm: Sequence[float]) -> pd.Series:

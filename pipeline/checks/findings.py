@@ -28,6 +28,8 @@ from softslide.pipeline.recordings.folder import Folder
 from softslide.pipeline.recordings.learned import SAME_LINE_MM, learned_lines
 from softslide.pipeline.sensor import NOISE_G_RTHZ, Accelerometer, Sensor
 
+LEAST_SLIDES = 3  # that show what is usual
+
 
 @dataclass(frozen=True)
 class Limits:
@@ -41,6 +43,7 @@ class Limits:
     noise_low: float = 0.3  # times the data sheet
     mains_g: float = 0.01  # amplitude
     drift_g: float = 0.04  # rest after less rest before
+    usual_drift_g: float = 0.002  # the same of V_x and V_y, median over the slides
     rest_s: float = 0.5  # before the slide
     gravity_g: float = 0.3  # of the output at rest, from 1 g
     inverted: float = -0.4  # mean agreement with the zones
@@ -118,6 +121,7 @@ def compared(
     manifest = folder.manifest.loc[[one.name for one in measured]]
     findings = list(_wiring(measured, folder.sensor, limits))
     sound = not any(finding.level == "error" for finding in findings)
+    findings += _drifting(measured, folder.sensor, limits)
     units = list(_units(measured, folder, limits))
     if any(_is_wrong_speed(finding) for finding in units):
         # Where the object is, and so which sign is due, follows from the speed.
@@ -296,7 +300,7 @@ def _wiring(measured: Sequence[Measurements], sensor: Sensor, limits: Limits) ->
             yield Finding("error", "inverted", "", f"{part.name}_vz", z_g, -0.5, "g at rest, where +1 is due")
         agreement = np.array([one.agreement[k] for one in measured])
         known = ~np.isnan(agreement)
-        if (known.sum(axis=0).diagonal() < 3).any():
+        if (known.sum(axis=0).diagonal() < LEAST_SLIDES).any():
             continue
         mean = np.where(known, agreement, 0).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
         for i, axis in enumerate("xy"):
@@ -311,6 +315,21 @@ def _wiring(measured: Sequence[Measurements], sensor: Sensor, limits: Limits) ->
             elif mean[i, i] < limits.follows:
                 text = "mean agreement with the article's zones: it does not follow the slides"
                 yield Finding("error", "dead", "", channel, float(mean[i, i]), limits.follows, text)
+
+
+def _drifting(measured: Sequence[Measurements], sensor: Sensor, limits: Limits) -> Iterator[Finding]:
+    """Outputs along the skin's plane that drift in most slides: each is learned with a zero that moves."""
+    drift_v = np.array([np.abs(one.drift_v) for one in measured])
+    drift_v = drift_v[np.isfinite(drift_v).all(axis=1)]
+    if len(drift_v) < LEAST_SLIDES:
+        return
+    for k, part in enumerate(sensor.accelerometers):
+        for n in (0, 1) if part.measures_gravity else ():
+            drift_g = float(np.median(drift_v[:, 3 * k + n])) / part.sensitivity_v_per_g
+            if drift_g > limits.usual_drift_g:
+                text = f"g between rest before and after, median of {len(drift_v)} slides: a warm-up may help"
+                channel = sensor.channels[3 * k + n]
+                yield Finding("warning", "drift", "", channel, drift_g, limits.usual_drift_g, text)
 
 
 def _duplicates(measured: Sequence[Measurements], limits: Limits) -> Iterator[Finding]:

@@ -67,6 +67,10 @@ def plan(parser: Parser) -> Run:
     arguments.number(parser, "--directions", "DEG", directions, nargs="+")
     arguments.number(parser, "--speeds", "MM_S", speeds, nargs="+")
     arguments.number(parser, "--depth", "MM", "contact depth, mm", 0.5)
+    apart = (
+        "slides too to test with, along lines between those, on which each of the article's bounds is tested"
+    )
+    arguments.number(parser, "--tests", "N", apart, 0)
     others = "contacts too that bend, stop, turn back, press, are put down or lifted, for a stage to follow"
     arguments.number(parser, "--paths", "N", others, 0)
     arguments.out(parser, "the CSV to write", metavar="plan.csv")

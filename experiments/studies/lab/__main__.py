@@ -14,29 +14,29 @@ import sys
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
 import softslide
-from softslide.experiments.acquisition.plan import COLUMNS
 from softslide.experiments.demo import shortened
 from softslide.experiments.evaluation.scoring import QUANTITIES
 from softslide.experiments.studies.script import Part, count, parser, run
 from softslide.features.errors import CheckFailed, InputError
 from softslide.pipeline.atlas.atlas import DEFAULT_SENSOR, read_atlas
-from softslide.pipeline.sensor import Sensor, read_sensor
+from softslide.pipeline.sensor import Sensor, read_sensor, write_sensor
 from softslide.pipeline.synthesis.distribution import Distribution
 from softslide.pipeline.synthesis.motion import Stroke
 from softslide.pipeline.synthesis.paths.contact_path import ContactPath
-from softslide.pipeline.synthesis.slide_plan import Slide, crossing
+from softslide.pipeline.synthesis.slide_plan import Slide
 from softslide.pipeline.synthesis.specimen import draw_specimen
 from softslide.pipeline.synthesis.synthesize import record
 
 HERE = Path(__file__).parent
 ORIGIN_MM = (110.0, 95.0, 31.5)
-DEPTH_MM, HEIGHT_MM, RAMP_S = 0.5, 7.0, 0.05
+HEIGHT_MM, RAMP_S = 7.0, 0.05
 SPEEDS_MM_S = (2.0, 4.0, 8.0)
 # What is wrong, as options of skin.py, and errors of the printer.
 FAULTS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
@@ -54,17 +54,17 @@ def lab(given: argparse.Namespace) -> Iterator[Part]:
     out, seed = given.out, given.seed
     out.mkdir(parents=True, exist_ok=True)
     sensor = out / "sensor.toml"
-    sensor.write_bytes(DEFAULT_SENSOR.read_bytes())
+    write_sensor(sensor, replace(read_sensor(DEFAULT_SENSOR), origin="synthetic"))
     begun_s = time.monotonic()
     planned = softslide.plan(
-        sensor, given.slides, speeds_mm_s=SPEEDS_MM_S, paths=given.paths, out=out / "plan.csv"
+        sensor,
+        given.slides,
+        speeds_mm_s=SPEEDS_MM_S,
+        tests=given.tests,
+        paths=given.paths,
+        out=out / "plan.csv",
     )
     plan = pd.read_csv(out / "plan.csv")
-    # All kinds are spread over the hour: the outputs at rest drift meanwhile.
-    plan = pd.concat([plan, kept_apart(read_sensor(sensor), given.tests, seed)]).sample(
-        frac=1.0, random_state=seed
-    )
-    plan.to_csv(out / "plan.csv", index=False)
     yield "plan", {"slides": len(plan), "minutes": (time.monotonic() - begun_s) / 60}
     begun_s = time.monotonic()
     with simulated(given) as (source, stage):
@@ -100,19 +100,6 @@ def lab(given: argparse.Namespace) -> Iterator[Part]:
             found["place_mm"] = track["position"]["median"]
             yield f"{name}, {split}", {key: np.nan if v is None else v for key, v in found.items()}
     print(f"report: {out / 'printer' / 'evaluation' / 'report.html'}", file=sys.stderr)
-
-
-def kept_apart(sensor: Sensor, number: int, seed: int) -> pd.DataFrame:
-    """Slides of the split test, drawn from all directions, offsets and speeds that the plan covers."""
-    random, rows = np.random.default_rng([seed, 7]), list[tuple[object, ...]]()
-    while len(rows) < number:
-        direction, offset = round(random.uniform(0, 360), 1), round(random.uniform(-15, 15), 1)
-        speed = round(float(np.exp(random.uniform(*np.log([1.5, 10.0])))), 2)
-        if line := crossing(direction, offset, sensor):
-            (x, y), travel, _ = line
-            name = f"t{len(rows) + 1:02d}"
-            rows.append((name, "test", direction, speed, offset, x, y, travel, DEPTH_MM))
-    return pd.DataFrame(rows, columns=list(COLUMNS)).round(3)
 
 
 @contextmanager
