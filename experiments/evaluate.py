@@ -234,7 +234,7 @@ def to_score(folder: Folder, splits: Sequence[str] | None) -> Folder:
         chosen = folder.select("test")
         if not len(chosen):
             raise InputError(
-                f"is needed: {place}, none begins with 'test'; name one, or record what 'plan --tests 12' plans",
+                f"is needed: {place}, none begins with 'test'; name one, or plan tests too",
                 "split",
             )
         return chosen

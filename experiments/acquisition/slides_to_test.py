@@ -13,6 +13,9 @@ from softslide.pipeline.synthesis.slide_plan import crossing
 
 DRAWS = 500
 LEAST_CHORD_MM = 20.0  # over the chamber
+# Of lines in any direction, from the reference point, in shares of the chamber's shorter side: the article's detectable
+# area of X-slides is 17.5 mm of 50 (section 5.2.2, figure 23).
+DETECTABLE = 0.35
 
 
 def draw_tests(
@@ -24,7 +27,7 @@ def draw_tests(
     depth_mm: float,
 ) -> pd.DataFrame:
     """Slides of the split `test`, the same for the same design: for each bound in turn one that it is of, and after it
-    one along any line. A bound that no line of the stage is of has none.
+    one in any direction. A bound that no line of the stage is of has none.
 
     learned: the slides to learn from, in whose columns they are. directions_deg: of the stage. speeds_mm_s: its, drawn
     from the lowest to the highest.
@@ -60,7 +63,7 @@ def _draw(
 ) -> dict[str, float] | None:
     """One line's labels, or None where it is not of the bound, is that of a slide, or misses the chamber."""
     direction = float(random.choice(directions_deg)) % 360.0
-    distance, speed = (0.0, float(np.hypot(*sensor.chamber_mm)) / 2), (min(speeds_mm_s), max(speeds_mm_s))
+    distance, speed = (0.0, DETECTABLE * min(sensor.chamber_mm)), (min(speeds_mm_s), max(speeds_mm_s))
     if bound is not None:
         area = bound.area_mm(direction)
         speed = max(speed[0], bound.speed_mm_s[0]), min(speed[1], bound.speed_mm_s[1])

@@ -105,9 +105,8 @@ class Verdict:
             )
 
         table = pd.DataFrame({"slide": errors.index, "error": errors.to_numpy(), "of": "each slide"})
-        caption = (
-            f"Errors of {TITLES[name]}: each slide estimated by the map of those before it. Dashed: enough."
-        )
+        dashed = " Dashed: enough." if name in self._goal else ""
+        caption = f"Errors of {TITLES[name]}: each slide estimated by the map of those before it.{dashed}"
         labels = (TITLES[name], "slide scored", "error")
         return chart(
             table,

@@ -143,7 +143,7 @@ def _untested(bound: Bound, scored: pd.DataFrame, rows: pd.DataFrame) -> str | N
     }
     gaps = [f"{name} is missing in {count}" for name, count in lacking.items() if count]
     return "no such recording" + (
-        f": of {len(each)}, {', '.join(gaps)}" if gaps else "; 'plan --tests 12' plans some"
+        f": of {len(each)}, {', '.join(gaps)}" if gaps else "; 'plan' can add tests for it"
     )
 
 
