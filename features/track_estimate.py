@@ -31,8 +31,8 @@ class TrackLimits:
     agreement: largest squared Mahalanobis distance of the straight slide from the track, four degrees of freedom.
     stopping_s: for which a line is held while a contact seems to be slower than slow_share of the slide, or is lost;
     it rests once it is slower than creep_share, and has stopped for good after pause_s.
-    press_mm_s, press_sd_mm: largest speed and standard deviation of the place of a valid press. straight_misfit:
-    largest reduced chi-square of the straight slide; straight_way_mm: its least way. shared: share of the track's
+    press_mm_s, press_sd_mm: largest speed and standard deviation of the place of a valid press. straight_way_mm: least
+    way of a straight slide. shared: share of the track's
     half-widths about its own estimate that the straight slide's intervals hold too; None: they stay as they are.
     """
 
@@ -58,7 +58,6 @@ class TrackLimits:
     pause_s: float = 0.6
     slow_share: float = 0.5
     creep_share: float = 0.05
-    straight_misfit: float = 2.0
     straight_way_mm: float = 8.0
     shared: float | None = 0.5
 
@@ -190,9 +189,9 @@ def _reason(
 
 
 def apart(straight: Estimate, track: Track, since_s: float, limits: TrackLimits) -> float:
-    """The squared Mahalanobis distance of the straight slide, as it was `since_s` ago, from the track; infinite where
-    the straight slide does not explain the output, or the way is short."""
-    if straight.misfit > limits.straight_misfit or track.way_mm < limits.straight_way_mm:
+    """The squared Mahalanobis distance of a valid straight slide, as it was `since_s` ago, from the track; infinite
+    where the way is short."""
+    if track.way_mm < limits.straight_way_mm:
         return math.inf
     velocity = np.array([straight.vx_mm_s, straight.vy_mm_s])
     place = np.array([straight.x_mm, straight.y_mm]) - since_s * velocity
@@ -203,9 +202,9 @@ def apart(straight: Estimate, track: Track, since_s: float, limits: TrackLimits)
     return float(off @ np.linalg.solve(spread, off))
 
 
-def explains(straight: Estimate, limits: TrackLimits) -> bool:
-    """Whether a straight slide fits the output, be it sharp or not."""
-    return straight.reason in (Reason.NONE, Reason.AMBIGUOUS) and straight.misfit <= limits.straight_misfit
+def explains(straight: Estimate) -> bool:
+    """Whether a straight slide fits the output as well as those of the calibration do, be it sharp or not."""
+    return straight.reason in (Reason.NONE, Reason.AMBIGUOUS)
 
 
 def crosses(straight: Estimate, tracked: Estimate, limits: TrackLimits) -> bool:

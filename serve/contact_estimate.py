@@ -2,7 +2,8 @@
 
 1. The straight slide, where the track agrees with it (`apart`).
 2. What the signal forbids, whatever fits: a dead channel, drift, too early, another strength.
-3. The line that straight slide and track agreed on, where the contact stops on it, or where the track is lost.
+3. The line that straight slide and track agreed on, where the contact stops on it, or where the straight slide is of it
+   still and the track is lost or goes much the same way: then with intervals that hold the track.
 4. Ambiguous, where a straight slide explains the output and goes another way than the track.
 5. The track, valid by its own limits (`features/track_estimate.py`).
 
@@ -150,9 +151,7 @@ class ContactEstimator:
         if apart(straight, *self._clear_track(), self._limits) <= self._limits.agreement:
             self._lines.append(self._fit)
         elif (
-            self._count % OFFER_BLOCKS == 0
-            and explains(straight, self._limits)
-            and not self._judged(self.track, 0.0).valid
+            self._count % OFFER_BLOCKS == 0 and explains(straight) and not self._judged(self.track, 0.0).valid
         ):
             assert self._tracker is not None
             assert not isinstance(self._tracker, TouchDownTracker)
@@ -190,15 +189,17 @@ class ContactEstimator:
         if self.touches_down:
             return tracked
         if self._lines:
-            if not tracked.valid and straight.valid and same_line(straight, self._lines[0].estimate):
-                # A track that has lost the contact says nothing against a line that it agreed with.
-                return with_track(straight, tracked, limits.shared)
-            tracked = self._on_the_line(straight, tracked)
-        if (
-            tracked.contact is Contact.SLIDE
-            and explains(straight, limits)
-            and crosses(straight, tracked, limits)
-        ):
+            stopped = self._on_the_line(straight, tracked)
+            if straight.valid and same_line(straight, self._lines[0].estimate):
+                # A track that has lost the contact says nothing against a line that it agreed with, nor does one that
+                # goes on along it at another speed: what fits all of the way so far knows more.
+                slides = (
+                    stopped is tracked and tracked.contact is Contact.SLIDE and self._stream.rested_s == 0.0
+                )
+                if not tracked.valid or (slides and not crosses(straight, tracked, limits)):
+                    return with_track(straight, tracked, limits.shared)
+            tracked = stopped
+        if tracked.contact is Contact.SLIDE and explains(straight) and crosses(straight, tracked, limits):
             return tracked._replace(valid=False, reason=Reason.AMBIGUOUS)
         return tracked
 
