@@ -5,13 +5,16 @@ import json
 import os
 import signal
 import socket
+from base64 import b64decode
 from contextlib import closing
+from io import BytesIO
 from pathlib import Path
 from urllib.parse import urlsplit
 from urllib.request import urlopen
 
 import numpy as np
 import pytest
+from PIL import Image
 from playwright.sync_api import Browser, Page, expect
 from test_serve_page import REST, SLIDE, Serving, opened, serving, upgrade
 
@@ -181,12 +184,5 @@ def test_the_page_shows_where_a_contact_may_be(two_boards: Path, browser: Browse
 
 def drawn(page: Page) -> np.ndarray:
     """(height, width, 4): the picture of the skin."""
-    pixels = page.evaluate(
-        """() => {
-            const canvas = document.querySelector("#skin");
-            const { data, width, height } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
-            return [width, height, Array.from(data)];
-        }"""
-    )
-    width, height, values = pixels
-    return np.array(values, np.uint8).reshape(height, width, 4)
+    url = page.evaluate('() => document.querySelector("#skin").toDataURL()')
+    return np.array(Image.open(BytesIO(b64decode(url.partition(",")[2]))))

@@ -1,4 +1,4 @@
-"""Slides that end with a stop on the skin, through a real bundle: they keep their line and their speed.
+"""Slides that end with a stop on the skin, and others, through a real bundle: they keep their line and their speed.
 
 The bundle in `docs/examples/bundle` is of a synthetic sensor: `softslide synthesize --slides 138 --seed 301 --config
 stop.toml` with `stopping = 0.3`, then `softslide train`. The slides are the same sensor's, drawn anew here.
@@ -111,3 +111,20 @@ def test_a_slide_after_one_that_stopped_is_as_the_first(localizer: Localizer, sp
     moving = [e for e in estimates if second_s + end_s(slide) - 1.0 < e.time_s < second_s + end_s(slide)]
     assert {(e.state, e.contact, e.valid) for e in moving} == {(SlideState.SLIDE, Contact.SLIDE, True)}
     assert max(errors(slide, e)[0] for e in moving) < 3.0
+
+
+def test_a_track_that_changes_its_speed_does_not_overrule_a_slide_that_fits(
+    localizer: Localizer, specimen: Specimen
+) -> None:
+    """Two slow slides near the board, where the map's residual looks like a change of speed for a while."""
+    slow, atlas = replace(STOPPING, stopping=0.0, speed_mm_s=(2.0, 8.0), rest_s=(1.0, 1.5)), read_atlas()
+    off = np.zeros(0)
+    for number in (309, 327):
+        slide = plan(number, SEED, atlas, sensor_of(atlas), slow)
+        localizer.reset()
+        for estimate in localizer.push(record(slide, specimen, atlas, noise_of(number, SEED)).volts):
+            share = (estimate.time_s - slide.motion_start_s) / slide.stroke.forth_s
+            if estimate.valid and 0.4 < share < 0.95:
+                off = np.append(off, estimate.speed_mm_s / slide.stroke.speed_mm_s - 1)
+    assert len(off) > 900
+    assert (np.abs(off) > 0.2).mean() < 0.05
