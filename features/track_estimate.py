@@ -32,8 +32,8 @@ class TrackLimits:
     stopping_s: for which a line is held while a contact seems to be slower than slow_share of the slide, or is lost;
     it rests once it is slower than creep_share, and has stopped for good after pause_s.
     press_mm_s, press_sd_mm: largest speed and standard deviation of the place of a valid press. straight_way_mm: least
-    way of a straight slide. shared: share of the track's
-    half-widths about its own estimate that the straight slide's intervals hold too; None: they stay as they are.
+    way of a straight slide. shared: share of the track's half-widths about its own estimate that the straight slide's
+    intervals hold too; None: they stay as they are.
     """
 
     half_width: float = 1.9

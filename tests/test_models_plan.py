@@ -145,17 +145,8 @@ def test_the_command_writes_what_record_reads(
     tmp_path: Path, sensor: Sensor, capsys: pytest.CaptureFixture
 ) -> None:
     out, picture = tmp_path / "plan.csv", tmp_path / "plan.svg"
-    given = [
-        "plan",
-        "--sensor",
-        str(SAMPLE / "sensor.toml"),
-        "--out",
-        str(out),
-        "--slides",
-        "3",
-        "--tests",
-        "2",
-    ]
+    given = ["plan", "--sensor", str(SAMPLE / "sensor.toml"), "--out", str(out), "--slides", "3"]
+    given += ["--tests", "2"]
     status = softslide.main(
         [*given, "--picture", str(picture), "--directions", "0", "90", "180", "270", "--speeds", "8", "2"]
     )

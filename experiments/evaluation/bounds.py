@@ -48,7 +48,7 @@ class Bound:
     def area_mm(self, direction_deg: float) -> tuple[float, float] | None:
         """Distances of the lines in a direction that it holds for; None: for no line in it."""
         for axis, area in ((0.0, self.x_offset_mm), (90.0, self.y_offset_mm)):
-            if abs((direction_deg - axis + 90.0) % 180.0 - 90.0) < AXIS_TOLERANCE_DEG:
+            if _along(direction_deg, axis):
                 return area
         return None
 
@@ -147,6 +147,11 @@ def _untested(bound: Bound, scored: pd.DataFrame, rows: pd.DataFrame) -> str | N
     )
 
 
+def _along(direction_deg: Any, axis_deg: float) -> Any:
+    """Whether a direction, or each of several, is along an axis, either way."""
+    return abs((direction_deg - axis_deg + 90.0) % 180.0 - 90.0) < AXIS_TOLERANCE_DEG
+
+
 def _within(bound: Bound, scored: pd.DataFrame, depths_mm: Sequence[float]) -> pd.Series:
     """Which rows meet the bound's conditions, as booleans."""
     distance = scored["true_offset_mm"].abs()
@@ -156,8 +161,7 @@ def _within(bound: Bound, scored: pd.DataFrame, depths_mm: Sequence[float]) -> p
     for axis, area in ((0, bound.x_offset_mm), (90, bound.y_offset_mm)):
         if area is not None:
             direction = scored["true_direction_deg"]
-            along = near_deg(direction, axis) | near_deg(direction, axis + 180)
-            on_lines |= along & distance.between(*area) & straight
+            on_lines |= _along(direction, axis) & distance.between(*area) & straight
     speed, depth = scored["true_speed_mm_s"], scored["true_depth_mm"]
     on_lines &= speed.isna() | speed.between(*bound.speed_mm_s)
     if depths_mm:
