@@ -54,14 +54,15 @@ HALF_WIDTH_SD = 1.645
 
 @dataclass(frozen=True)
 class Interval:
-    """A 90 % interval's half-width: scale * sqrt(sd^2 + floor^2), sd the graph's own estimate (0 if it gives none)."""
+    """A 90 % interval's half-width: scale * sqrt(sd^2 + floor^2) * sqrt(1 + strain^2), sd and strain the graph's own
+    estimates (0 if it gives none)."""
 
     scale: float
     floor: float
 
-    def half_width(self, sd: float) -> float:
+    def half_width(self, sd: float, strain: float = 0.0) -> float:
         """In the unit of `floor` and `sd`."""
-        return self.scale * math.hypot(sd, self.floor)
+        return self.scale * math.hypot(sd, self.floor) * math.hypot(1.0, strain)
 
 
 @dataclass(frozen=True)

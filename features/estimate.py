@@ -66,8 +66,8 @@ class Estimate(NamedTuple):
     skin_height_mm: of the inflated skin, as given or estimated from the static output, of bundles over heights
     (features/height.py).
     age_s: of the newest sample, where a live stream shows it; 0 of a recording.
-    bent: of a straight slide, half-widths of the direction's, speed's and offset's intervals (deg, mm/s, mm) that hold
-    for ways as well that bend, or change speed or depth, by less than shows; no part of a record.
+    bent: of a valid straight slide, half-widths of the direction's, speed's and offset's intervals (deg, mm/s, mm) that
+    hold for ways as well that bend, or change speed or depth, by less than shows; no part of a record.
     """
 
     time_s: float
@@ -120,10 +120,6 @@ class Estimate(NamedTuple):
 RECORDED = tuple(name for name in Estimate._fields if name != "bent")
 
 _NO_INTERVAL = Interval(math.nan, math.nan)
-# Of log speed, for each mm that a depth is off those of the calibration: where a contact answers more or less than the
-# map, for another reason than its depth, the fit takes it for one at another depth. Calibration slides of `bench-a`
-# times 0.75 and 1.3 were 1.2 to 3.2 % off in speed where their depth was 0.4 to 0.75 mm off.
-SPEED_PER_DEPTH = 0.045
 MIXED_STEPS = 16  # of bisection: 1e-4 of a width
 
 
@@ -141,14 +137,15 @@ def decode(
     log_speed = value["log_speed"] if "log_speed" in value else value["log_speed_width"] - math.log(width_s)
     offset, along = value["offset_mm"], value.get("along_mm", math.nan)
     direction_sd, speed_sd = value.get("direction_sd_deg", 0.0), value.get("log_speed_sd", 0.0)
-    direction_half = card.intervals.get("direction_deg", _NO_INTERVAL).half_width(direction_sd)
-    offset_half = card.intervals.get("offset_mm", _NO_INTERVAL).half_width(value.get("offset_sd_mm", 0.0))
-    depth = value.get("depth_mm", math.nan)
-    depth_half = card.intervals.get("depth_mm", _NO_INTERVAL).half_width(value.get("depth_sd_mm", math.nan))
-    beyond_mm = _beyond_calibration_mm(card, depth)
-    depth_half += beyond_mm
-    speed_half = (
-        card.intervals.get("log_speed", _NO_INTERVAL).half_width(speed_sd) + SPEED_PER_DEPTH * beyond_mm
+    depth, strain = value.get("depth_mm", math.nan), value.get("strain", 0.0)
+    direction_half, speed_half, offset_half, depth_half = (
+        card.intervals.get(name, _NO_INTERVAL).half_width(sd, strain)
+        for name, sd in (
+            ("direction_deg", direction_sd),
+            ("log_speed", speed_sd),
+            ("offset_mm", value.get("offset_sd_mm", 0.0)),
+            ("depth_mm", value.get("depth_sd_mm", math.nan)),
+        )
     )
     # Clamped, so that exp cannot overflow whatever a graph answers.
     speed_factor = math.exp(min(speed_half, 50.0))
@@ -159,7 +156,7 @@ def decode(
     reason = Reason.NONE
     if not (math.isfinite(direction + log_speed + offset) and value.get("misfit", 0.0) <= limits.misfit):
         reason = Reason.NOT_THIS_SENSOR
-    elif value.get("strain", 0.0) > limits.strain:
+    elif strain > limits.strain:
         reason = Reason.STRENGTH
     elif direction_sd > limits.direction_sd_deg or speed_sd > limits.log_speed_sd:
         reason = Reason.AMBIGUOUS
@@ -190,7 +187,7 @@ def decode(
         depth_lo_mm=depth - depth_half,
         depth_hi_mm=depth + depth_half,
         misfit=value.get("misfit", math.nan),
-        bent=_bent(value, direction_half, speed * speed_half, offset_half),
+        bent=_bent(value, direction_half, speed * speed_half, offset_half) if reason is Reason.NONE else None,
     )
 
 
@@ -216,10 +213,3 @@ def mixed_width(weight: float, wider: float) -> float:
         held = weight * math.erf(z) + (1.0 - weight) * math.erf(z / wider)
         least, most = (middle, most) if held < COVERAGE else (least, middle)
     return most
-
-
-def _beyond_calibration_mm(card: Card, depth_mm: float) -> float:
-    """How far a depth is off the calibration's, beyond two standard deviations of these; 0: not known."""
-    if card.contact is None or math.isnan(depth_mm):
-        return 0.0
-    return max(abs(depth_mm - card.contact.depth_mm) - 2.0 * card.contact.depth_sd_mm, 0.0)

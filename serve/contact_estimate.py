@@ -108,7 +108,7 @@ class ContactEstimator:
         stream, conditioning = self._stream, self._card.conditioning
         if self._tracker is None:
             return
-        if not stream.known.any():
+        if not any(stream.known.tolist()):
             self.reset()
             return
         volts = self._lag.push(stream.subtracted[stream.touch])

@@ -307,7 +307,7 @@ class Localizer:
     def _chosen(self, straight: Estimate | None, time_s: float) -> Estimate:
         """The straight slide or the track; what is common to both is added."""
         tracker = self._tracker
-        found = self._contact.estimate(straight, time_s, bool(self._healthy.any()))
+        found = self._contact.estimate(straight, time_s, any(self._healthy.tolist()))
         if found is None:
             estimate = straight or Estimate(time_s, tracker.state, reason=self._no_contact())
         else:
@@ -332,9 +332,9 @@ class Localizer:
         return estimate._replace(**self._last_drift._asdict(), skin_height_mm=self._height_mm)
 
     def _no_contact(self) -> Reason:
-        if not self._healthy.any():
+        if not any(self._healthy.tolist()):
             return Reason.DEAD_CHANNEL
-        return Reason.NO_CONTACT if self._tracker.known.any() else Reason.UNKNOWN_ZERO
+        return Reason.NO_CONTACT if any(self._tracker.known.tolist()) else Reason.UNKNOWN_ZERO
 
     def _read_rest(self) -> None:
         """Attitude and height of the skin, from what is at rest: they stay what they were while nothing is."""

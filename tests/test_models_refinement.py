@@ -18,6 +18,7 @@ from softslide.models.cnn.gauss_newton import (
     inverted,
 )
 from softslide.models.cnn.training_windows import SynthesisConfig, WindowBatch, WindowSource
+from softslide.models.intervals import conformal_interval
 
 BLOCK_S = 0.02
 WHOLE = SynthesisConfig(complete=1.0, paused=0.0, midway=0.0, depth_mm=0.0)
@@ -311,3 +312,23 @@ def test_an_accelerometer_off_the_skin_measures_the_device_s_turn(half):
     alone, measured = turn_error_deg(one, leaning, moving), turn_error_deg(both, both_boards, moving)
     assert measured < 1.3 * clean
     assert measured < 0.8 * alone
+
+
+def test_intervals_that_grow_with_the_strain_hold_for_a_response_that_is_a_fifth_stronger():
+    """They hold as often as for slides of the calibration's kind; others do not."""
+    response = bump_map(gain_sd=0.02)
+    batch = WindowSource(response, BLOCK_S, WHOLE).draw(1200, torch.Generator().manual_seed(9))
+    held = {}
+    for scale in (1.0, 1.2):
+        scaled = replace(batch, volts=scale * batch.volts)
+        _, state, variance, _, strain, _ = refine(response, scaled, batch.targets[:, :5])
+        error, sd = (state[:, 2] - batch.targets[:, 3]).abs().numpy(), variance[:, 2].sqrt().numpy()
+        wider = np.hypot(1.0, strain[:, 0].numpy())
+        if scale == 1.0:
+            fitted = {True: conformal_interval(error / wider, sd), False: conformal_interval(error, sd)}
+        for grows, interval in fitted.items():
+            half = [interval.half_width(*one) for one in zip(sd, strain[:, 0].numpy() * grows, strict=True)]
+            held[scale, grows] = float(np.mean(error <= half))
+    assert held[1.0, True] == pytest.approx(0.9, abs=0.01)
+    assert held[1.2, False] < 0.85
+    assert held[1.2, True] > 0.9

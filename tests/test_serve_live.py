@@ -21,7 +21,6 @@ from streams import RATE_HZ, pass_over, still, stream
 
 import softslide
 from softslide.features.errors import InputError
-from softslide.features.track_filter import TrackFilter
 from softslide.serve.localizer import Localizer
 from softslide.serve.records import record
 from softslide.serve.stream.framing import framing_of
@@ -80,14 +79,6 @@ def test_a_recorded_file_is_played(
 ) -> None:
     assert serve(bundle, "--source", recorded, "--fast") == 0
     assert lines(capsys.readouterr().out) == wanted
-
-
-def test_smoothed_estimates_are_those_of_the_track_filter(
-    bundle: Path, recorded: str, capsys: pytest.CaptureFixture
-) -> None:
-    serve(bundle, "--source", recorded, "--fast", "--smooth")
-    track, estimates = TrackFilter(), Localizer.load(bundle).push(VOLTS)
-    assert lines(capsys.readouterr().out) == [record(track.update(estimate)) for estimate in estimates]
 
 
 @pytest.mark.parametrize(("form", "within_mm"), [("csv", 0.0), ("f32", 1e-4), ("cobs", 1e-4)])

@@ -208,9 +208,10 @@ class ContactTracker:
         self._filled = min(self._filled + 1, ONSET_BLOCKS)
         if self._bank is None:
             # A slide's end is noticed later than the output is gone: no new track begins in what is left of it.
-            level = self._recent[-TRIGGER_BLOCKS:].mean(axis=0)
-            if touched and self._filled >= TRIGGER_BLOCKS and np.abs(level).max() > self._trigger_v:
-                self._start(anywhere=False, usable=usable)
+            if touched and self._filled >= TRIGGER_BLOCKS:
+                level = self._recent[-TRIGGER_BLOCKS:].mean(axis=0)
+                if np.abs(level).max() > self._trigger_v:
+                    self._start(anywhere=False, usable=usable)
             return self._track
         self._blocks += 1
         if self._blocks % STEP_BLOCKS:

@@ -259,7 +259,8 @@ def _judge(
 
 @dataclass(frozen=True)
 class _Believed:
-    """Valid windows (n,): which slide each is of, and by quantity the errors and the graph's deviations."""
+    """Valid windows (n,): which slide each is of, and by quantity the graph's deviations and the errors, over what a
+    gain that is unusual widens intervals by (`Interval`)."""
 
     slide: np.ndarray
     errors: dict[str, np.ndarray]
@@ -283,9 +284,10 @@ def _believed(
             errors | {"depth_mm": column["depth_mm"] - windows.depth_mm},
             sd | {"depth_mm": column["depth_sd_mm"]},
         )
+    wider = np.hypot(1.0, column["strain"])
     return _Believed(
         windows.recording[valid],
-        {name: errors[name][valid] for name in sd},
+        {name: (errors[name] / wider)[valid] for name in sd},
         {name: values[valid] for name, values in sd.items()},
     )
 

@@ -3,7 +3,7 @@
 import signal
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 from types import FrameType
@@ -13,7 +13,6 @@ import numpy as np
 
 from softslide.features.errors import InputError
 from softslide.features.estimate import Estimate, Reason
-from softslide.features.track_filter import TrackFilter
 from softslide.serve.files import read_for
 from softslide.serve.localizer import Localizer
 from softslide.serve.page.process import Page
@@ -30,7 +29,6 @@ def serve(
     format: str = "csv",
     fast: bool = False,
     page: str | None = None,
-    smooth: bool = False,
     height_mm: float | None = None,
     unsigned: bool = False,
     log: str | Path | None = None,
@@ -47,7 +45,6 @@ def serve(
     unsigned: also a bundle whose card carries no hash of itself. log: an MCAP file to write (serve/stream/log.py).
     rate_hz: of a live source's samples; None: as in the bundle's calibration. A recording's own clock says it.
     lag_s: each moment's estimate comes so much later, from the samples since as well (`Localizer`).
-    smooth: filter each slide's position, direction and speed (features/track_filter.py).
 
     Raises:
         InputError: the bundle, the source, a sink or the page's address is wrong or cannot be opened.
@@ -57,7 +54,6 @@ def serve(
     if not live:
         volts, own_hz = read_for(Path(source), localizer.card)
         localizer = localizer.at_rate(own_hz)
-    steady = TrackFilter().update if smooth else None
     age = SampleAge() if live else None
     written, sink = 0, sink or ("-",)
     with _stoppable() as stopped, ExitStack() as held:
@@ -86,11 +82,11 @@ def serve(
                     localizer.zero()
                 if chunk:
                     made = _estimates(localizer, chunk, age)
-                    written += _hand_on(made, steady, age, opened, shown)
+                    written += _hand_on(made, age, opened, shown)
                 elif age is not None:
                     _without_signal(localizer, age, opened, shown)
             left = [(estimate, localizer.subtracted) for estimate in localizer.rest()]
-            written += _hand_on(left, steady, age, opened, shown)
+            written += _hand_on(left, age, opened, shown)
         except InputError as error:
             if age is not None:
                 _without_signal(localizer, age, opened, shown)
@@ -117,23 +113,16 @@ def _estimates(localizer: Localizer, chunk: Chunk, age: SampleAge | None) -> Mad
     return made
 
 
-def _hand_on(
-    made: Made,
-    steady: Callable[[Estimate], Estimate] | None,
-    age: SampleAge | None,
-    sinks: Sequence[Sink],
-    page: Page | None,
-) -> int:
+def _hand_on(made: Made, age: SampleAge | None, sinks: Sequence[Sink], page: Page | None) -> int:
     """Hands estimates to the sinks and the page; returns their number."""
     now_s = time.monotonic()
     for estimate, subtracted in made:
-        shown = estimate if steady is None else steady(estimate)
         if age is not None:
-            shown = shown._replace(age_s=age.of(estimate.time_s, now_s))
+            estimate = estimate._replace(age_s=age.of(estimate.time_s, now_s))
         for sink in sinks:
-            sink.write(shown)
+            sink.write(estimate)
         if page is not None:
-            page.show(shown, subtracted)
+            page.show(estimate, subtracted)
     return len(made)
 
 

@@ -136,10 +136,6 @@ def serve(parser: Parser) -> Run:
         "little-endian float32 frames, one number a channel; cobs, frames with a checksum that can be joined anywhere "
         "(default: %(default)s)",
     )
-    smooth = (
-        "pass place, direction and speed through a Kalman filter: a fifth of the jitter, no further accuracy"
-    )
-    parser.add_argument("--smooth", action="store_true", help=smooth)
     arguments.skin_height(parser)
     arguments.unsigned(parser)
     log = "a new MCAP file for what comes (V) and goes out, as Foxglove and Rerun open it; 'import' reads its volts "
