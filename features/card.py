@@ -54,7 +54,7 @@ HALF_WIDTH_SD = 1.645
 
 @dataclass(frozen=True)
 class Interval:
-    """A 90 % interval's half-width: scale * sqrt(sd^2 + floor^2) * sqrt(1 + strain^2), sd and strain the graph's own
+    """A 90 % interval's half-width: scale * sqrt(sd^2 + floor^2) * max(strain, 1), sd and strain the graph's own
     estimates (0 if it gives none)."""
 
     scale: float
@@ -62,7 +62,7 @@ class Interval:
 
     def half_width(self, sd: float, strain: float = 0.0) -> float:
         """In the unit of `floor` and `sd`."""
-        return self.scale * math.hypot(sd, self.floor) * math.hypot(1.0, strain)
+        return self.scale * math.hypot(sd, self.floor) * max(strain, 1.0)
 
 
 @dataclass(frozen=True)

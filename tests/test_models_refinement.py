@@ -323,7 +323,7 @@ def test_intervals_that_grow_with_the_strain_hold_for_a_response_that_is_a_fifth
         scaled = replace(batch, volts=scale * batch.volts)
         _, state, variance, _, strain, _ = refine(response, scaled, batch.targets[:, :5])
         error, sd = (state[:, 2] - batch.targets[:, 3]).abs().numpy(), variance[:, 2].sqrt().numpy()
-        wider = np.hypot(1.0, strain[:, 0].numpy())
+        wider = np.maximum(strain[:, 0].numpy(), 1.0)
         if scale == 1.0:
             fitted = {True: conformal_interval(error / wider, sd), False: conformal_interval(error, sd)}
         for grows, interval in fitted.items():

@@ -284,7 +284,7 @@ def _believed(
             errors | {"depth_mm": column["depth_mm"] - windows.depth_mm},
             sd | {"depth_mm": column["depth_sd_mm"]},
         )
-    wider = np.hypot(1.0, column["strain"])
+    wider = np.maximum(column["strain"], 1.0)
     return _Believed(
         windows.recording[valid],
         {name: (errors[name] / wider)[valid] for name in sd},
