@@ -70,7 +70,6 @@ class Validity:
     """Limits within which an estimate is valid; outside, the estimate's `valid` is false.
 
     speed_mm_s: range, mm/s. offset_mm: largest |offset|, mm. misfit: largest reduced chi-square.
-    strain: largest gain, in standard deviations of what calibration slides scatter.
     direction_sd_deg, log_speed_sd: largest standard deviations, deg and 1.
     peak_v: least |subtracted output| that the window has to reach, V. The default is 1.6 times the trigger.
     """
@@ -79,7 +78,6 @@ class Validity:
     offset_mm: float = 25.0
     peak_v: float = 0.008
     misfit: float = math.inf
-    strain: float = math.inf
     direction_sd_deg: float = math.inf
     log_speed_sd: float = math.inf
 
@@ -246,6 +244,7 @@ def _card(table: dict[str, Any]) -> Card:
         if not isinstance(values, list):
             raise TypeError(f"{', '.join(lists)} and speed_mm_s are lists")
     limits["speed_mm_s"] = tuple(limits["speed_mm_s"])
+    limits.pop("strain", None)  # a limit that bundles had until intervals grew with the strain
     return Card(
         **{
             **table,

@@ -43,7 +43,7 @@ def check_fields(card: "Card") -> None:
     if not 0 < speeds[0] <= speeds[1]:
         raise ValueError(f"validity: speed_mm_s is {list(speeds)}; it must be positive and rise")
     number(card.validity.peak_v, "validity: peak_v", 0.0, MOST_VOLTS)
-    for name in ("offset_mm", "misfit", "strain", "direction_sd_deg", "log_speed_sd"):
+    for name in ("offset_mm", "misfit", "direction_sd_deg", "log_speed_sd"):
         if (limit := getattr(card.validity, name)) != math.inf:
             number(limit, f"validity: {name}", 0.0, LARGEST)
     axes = len(card.conditioning.touch_axes)

@@ -28,7 +28,7 @@ class Reason(StrEnum):
     no_contact: nothing touches. unknown_zero: the static output is not known yet. too_early: the contact has not moved
     enough. ambiguous: several places or headings explain the output. off_map: the contact is where the calibration
     does not reach, or its speed is outside the range. not_this_sensor: the output fits no contact on this skin.
-    strength: a slide explains the output that shows more or less than the calibration's do. drift: gravity's length
+    strength: what explains the output shows less than any contact does. drift: gravity's length
     changes with the output, as it does not on a skin that only tilts. dead_channel: an accelerometer is lost, frozen or
     clipped. skin_height: the static output shows the skin at a height that the calibration does not reach, as of
     another pressure. attitude: gravity shows the sensor turned from how it was calibrated. no_signal: no samples come.
@@ -156,8 +156,6 @@ def decode(
     reason = Reason.NONE
     if not (math.isfinite(direction + log_speed + offset) and value.get("misfit", 0.0) <= limits.misfit):
         reason = Reason.NOT_THIS_SENSOR
-    elif strain > limits.strain:
-        reason = Reason.STRENGTH
     elif direction_sd > limits.direction_sd_deg or speed_sd > limits.log_speed_sd:
         reason = Reason.AMBIGUOUS
     elif not (limits.speed_mm_s[0] <= speed <= limits.speed_mm_s[1] and abs(offset) <= limits.offset_mm):

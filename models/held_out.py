@@ -8,7 +8,7 @@ from softslide.features.vector.energy import energy_width_s
 from softslide.pipeline.recordings.windows import LabelledWindows
 
 # Limits of `Validity` on what a graph says of its own estimate.
-OWN_LIMITS = ("misfit", "strain", "direction_sd_deg", "log_speed_sd")
+OWN_LIMITS = ("misfit", "direction_sd_deg", "log_speed_sd")
 WHOLE = 0.99  # a stroke fraction beyond it is the whole stroke
 REACH_MM = 1.5  # beyond the outermost recorded line a model may still be believed; lines are 5 mm apart
 
@@ -38,7 +38,7 @@ def signed_errors(
 
 
 def believed(rows: np.ndarray, outputs: tuple[str, ...], validity: Validity) -> np.ndarray:
-    """Which rows (n, K) are valid by the model's own deviations, misfit and strain -> (n,) bool."""
+    """Which rows (n, K) are valid by the model's own deviations and misfit -> (n,) bool."""
     column = dict(zip(outputs, np.asarray(rows, float).T, strict=False))
     within = [column[name] <= getattr(validity, name) for name in OWN_LIMITS if name in column]
     return np.all([np.isfinite(rows).all(axis=1), *within], axis=0)

@@ -1,7 +1,7 @@
 """What is said of a contact: the straight slide that the graph fits, the track, or neither, and why.
 
 1. The straight slide, where the track agrees with it (`apart`).
-2. What the signal forbids, whatever fits: a dead channel, drift, too early, another strength.
+2. What the signal forbids, whatever fits: a dead channel, drift, too early.
 3. The line that straight slide and track agreed on, where the contact stops on it, or where the straight slide is of it
    still and the track is lost or goes much the same way: then with intervals that hold the track.
 4. Ambiguous, where a straight slide explains the output and goes another way than the track.
@@ -46,7 +46,7 @@ NEW_SHARE = 50
 # Fits, 0.3 s, that a stop takes to show in the track, at most (synthetic slides, experiments/LOG.md).
 KEPT_FITS = 4
 # What forbids any estimate from the signal, not only that of a straight slide.
-_OF_THE_SIGNAL = (Reason.DEAD_CHANNEL, Reason.DRIFT, Reason.TOO_EARLY, Reason.STRENGTH)
+_OF_THE_SIGNAL = (Reason.DEAD_CHANNEL, Reason.DRIFT, Reason.TOO_EARLY)
 
 
 class _Fit(NamedTuple):

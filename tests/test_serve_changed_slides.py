@@ -37,7 +37,7 @@ def test_it_abstains_or_its_intervals_hold(tmp_path: Path) -> None:
         if name in UNNOTICED:
             assert figures["valid"] <= UNNOTICED[name], name
         elif figures["valid"] > 5.0:
-            assert min(figures[f"{of}_holds"] for of in ("direction", "speed", "offset")) >= 75.0, name
+            assert min(figures[f"{of}_holds"] for of in ("direction", "speed", "offset")) >= 85.0, name
     for name in ("zero + 50 mV", "mounted at 3 deg", "5 % lost, nan"):
         assert found[name]["valid"] > 75.0, name
         for error in ("direction_deg", "speed_percent", "offset_mm"):

@@ -47,10 +47,6 @@ UNSOLVED_STEPS = 9
 # gains 12 to 17 % up and varying depths a third of a real skin's slides was beyond the limit, few of them wrong
 # (experiments/LOG.md).
 OTHER_DAY = 2.0
-# Of calibrated maps: the largest gain, in standard deviations of what slides of the calibration's kind scatter. Of the
-# held-out windows of three sensors 99 % are within 2.9, 3.4 and 7.2; of the same windows times 0.75 and 1.3 the limit
-# leaves a sixth to a third (experiments/LOG.md).
-STRAIN = 5.0
 # A held-out window that is further off than this was lost; its misfit says nothing of those that were not.
 LOST_DEG = 20.0
 EARLY = 0.35  # share of the stroke before which slides that differ look alike
@@ -105,8 +101,7 @@ def fit_cnn(folder: Folder, config: CnnConfig, given: Given = NOTHING) -> Fitted
         further = None if found.response.depth_sd_mm else _other_depths(found.response, network, config, held)
         intervals, validity = _judge(*held, network.outputs, further)
         if not found.response.rim:
-            # Nor are the gains of another day this one's.
-            validity = replace(validity, misfit=OTHER_DAY * validity.misfit, strain=np.inf)
+            validity = replace(validity, misfit=OTHER_DAY * validity.misfit)
         summary = summary | _held_out_summary(held)
     graph = export_graph(network, len(folder.sensor.accelerometers))
     return FittedModel(
@@ -236,7 +231,6 @@ def _judge(
         misfit = misfit_limit(column["misfit"][ordinary], windows.recording[ordinary]) or misfit
     validity = Validity(
         misfit=misfit,
-        strain=STRAIN,
         direction_sd_deg=6.0,
         log_speed_sd=0.1,
         offset_mm=offset_reach_mm(windows),

@@ -32,7 +32,7 @@ const REASONS = {
   ambiguous: "several places or headings explain the output",
   off_map: "outside of what the calibration covers",
   not_this_sensor: "the output fits no contact on this skin",
-  strength: "stronger or weaker than the calibration's contacts",
+  strength: "weaker than any contact",
   drift: "gravity's length has changed: the sensor has drifted",
   dead_channel: "a sensing element is lost, frozen or clipped",
   skin_height: "the skin stands at another height than in the calibration: check the pressure",
