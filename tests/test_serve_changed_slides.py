@@ -11,15 +11,10 @@ from softslide.pipeline.recordings.folder import read_folder
 from softslide.pipeline.recordings.windows import labelled_windows
 
 BENCH = Path(__file__).parents[1].parent / "shared" / "recordings" / "bench-a"
-# Valid by chance or not noticed, and how often at most, % (experiments/LOG.md, 2026-11-26): a mirror image; a tenth of
-# the supply's usual change; paths that bend as an amplitude asks for.
-UNNOTICED = {"V_y mirrored": 100, "supply x 0.99 midway": 30, LATE: 30}
-UNNOTICED |= {
-    "amplitude x 0.5": 40,
-    "amplitude x 0.75": 30,
-    "amplitude x 1.3": 40,
-    "supply x 0.95 midway": 20,
-}
+# Valid by chance or not noticed, and how often at most, % (experiments/LOG.md, 2026-11-27): a mirror image; a tenth of
+# the supply's usual change; half the amplitude, which another line's is to the noise.
+UNNOTICED = {"V_y mirrored": 100, "supply x 0.99 midway": 30, "supply x 0.95 midway": 20, LATE: 30}
+UNNOTICED |= {"amplitude x 0.5": 50}
 
 
 @pytest.mark.long
