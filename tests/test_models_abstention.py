@@ -112,6 +112,19 @@ def test_slides_that_show_more_or_less_than_the_calibrations_have_wider_interval
     assert np.median(wider) > 2.0
 
 
+@pytest.mark.parametrize("scale", [0.6, 1.6])
+def test_slides_that_show_far_more_or_less_than_the_calibrations_are_seldom_believed(
+    localizer: Localizer, scale: float
+) -> None:
+    """With one accelerometer such a slide is taken for one along another line."""
+    valid = []
+    for seed, (direction, offset, speed) in enumerate(lines((20, 110, 250, 340), (-5.5, 3.5), (12,))):
+        volts = slide_volts(SENSOR, direction, offset, speed, 2000 + seed)
+        rest = volts[: round(0.5 * RATE_HZ)].mean(axis=0)
+        valid.append(estimates_of(localizer, rest + scale * (volts - rest))[-1].valid)
+    assert sum(valid) <= len(valid) // 4
+
+
 def test_an_accelerometer_that_dies_in_a_slide_is_left_out(localizer: Localizer) -> None:
     volts = slide_volts(SENSOR, 30.0, 2.0, 6.0, seed=1)
     volts[round(4.0 * RATE_HZ) :, 3:] = DEAD_V
