@@ -36,6 +36,7 @@ from softslide.pipeline.synthesis.synthesize import path_plan
 
 ORIGIN = (110.0, 95.0, 31.5)
 REST_S = 0.6
+ARRIVES_S = 10.0  # what was sent, on a busy machine
 TIMES = {"rest_s": REST_S, "start_s": 0.2, "timeout_s": 0.5}
 SLIDES = "one,calibration,0,39,-5,-29,-5,58,0.5\ntwo,test,90,39,0,0,-29,58,0.4\n"
 
@@ -104,7 +105,7 @@ def test_a_plan_is_recorded_with_nobody_there(lab: Path, firmware: str) -> None:
     """Damaged lines are sent again; the motion of each recording begins as its rest ends."""
     with Printer(firmware, damaged=(4, 9)) as printer, skin(printer) as source:
         assert recorded(lab, source, printer) == 0
-    assert not printer.stopped
+    assert not printer.stopped.is_set()
     folder = read_folder(lab / "out")
     assert list(folder.manifest.index) == ["one", "two"]
     slides = [move for move in printer.moves if move[0][2] == move[1][2] < ORIGIN[2]]
@@ -270,8 +271,8 @@ def test_what_goes_wrong_stops_the_stage(
     with printer, skin(printer, touched_v) as source:
         with pytest.raises(InputError, match=says):
             recorded(lab, source, printer)
+        assert printer.stopped.wait(ARRIVES_S)
         time.sleep(0.2)
-        assert printer.stopped
         assert not printer.after
     assert not list((lab / "out").glob("slides/*"))
 
@@ -294,8 +295,8 @@ def test_nothing_is_sent_after_a_stop_in_the_middle_of_a_path(lab: Path, firmwar
                     motion.result()
                 with pytest.raises(InputError, match="the stage was stopped"):
                     stage.send("G1 X0")
+            assert printer.stopped.wait(ARRIVES_S)
             time.sleep(0.2)
-            assert printer.stopped
             assert not printer.after
             assert len(printer.moves) < 100
 
@@ -340,7 +341,7 @@ def test_an_approach_that_finds_nothing_ends_and_goes_no_deeper(
         with pytest.raises(InputError, match="no output changes"):
             recorded(lab, source, printer, yes=False, origin_mm=high, approach_mm=0.5)
         assert min(end[2] for _, end, _ in printer.moves[1:]) == pytest.approx(high[2] - 0.5)
-        assert printer.stopped
+        assert printer.stopped.wait(ARRIVES_S)
     wrong = (
         ({"yes": True}, "needs an origin"),
         ({"origin_mm": None}, "needs an origin"),
@@ -359,7 +360,7 @@ def test_an_operator_may_stop_before_anything_moves(
     with Printer() as printer, skin(printer) as source:
         assert recorded(lab, source, printer, yes=False, origin_mm=None) == 2
     assert not printer.lines
-    assert not printer.stopped
+    assert not printer.stopped.is_set()
 
 
 def test_what_must_not_be_driven_is_refused(lab: Path) -> None:

@@ -19,8 +19,8 @@ class Printer:
     line that it answers with an error; highest_mm: soft limit of x; pulled: after so many lines nothing is answered.
     acceleration: mm/s2, to and from a stop in each move.
 
-    moves: (from, to) mm and mm/s of each; log: s of the monotonic clock, and the place; stopped: by an emergency stop;
-    after: lines that came after it.
+    moves: (from, to) mm and mm/s of each; log: s of the monotonic clock, and the place; stopped: set by an emergency
+    stop, once it has arrived; after: lines that came after it.
     """
 
     firmware: str = "marlin"
@@ -32,7 +32,7 @@ class Printer:
     moves: list[tuple[np.ndarray, np.ndarray, float]] = field(default_factory=list)
     acceleration: float = np.inf
     log: list[tuple[float, ...]] = field(default_factory=list)
-    stopped: bool = False
+    stopped: threading.Event = field(default_factory=threading.Event)
     after: list[str] = field(default_factory=list)
 
     def place_at(self, moment_s: np.ndarray) -> np.ndarray:
@@ -63,7 +63,8 @@ class Printer:
             except OSError:
                 return
             if "\x18" in text:
-                self.stopped, text = True, text.rpartition("\x18")[2]
+                self.stopped.set()
+                text = text.rpartition("\x18")[2]
             while "?" in text:
                 text = text.replace("?", "", 1)
                 state = "Run" if self.moving else "Idle"
@@ -81,9 +82,9 @@ class Printer:
 
     def _take(self, line: str) -> None:
         if line == "M112":
-            self.stopped = True
+            self.stopped.set()
             return
-        if self.stopped:
+        if self.stopped.is_set():
             self.after.append(line)
             return
         if self.firmware == "marlin":
