@@ -63,8 +63,9 @@ class TrackLimits:
 
 
 # Of a track from a touch anywhere, which is several times less sharp than the straight slide: its intervals would widen
-# those until 98 % hold. Tracks with a wider heading were wrong at sharp bends (experiments/LOG.md).
-TOUCH_LIMITS = TrackLimits(heading_sd_deg=13.0, shared=None)
+# those until 98 % hold. Tracks with a wider heading were wrong at sharp bends, and so were straight slides beyond the
+# 95 % quantile of chi-square with four degrees of freedom (experiments/LOG.md).
+TOUCH_LIMITS = TrackLimits(heading_sd_deg=13.0, shared=None, agreement=9.49)
 
 
 PARTIAL_UNKNOWNS = 3  # of a contact that is being pressed on or lifted: its place and its gain
