@@ -10,7 +10,7 @@ import numpy as np
 import optuna
 import pytest
 from small_bundle import write_small_bundle
-from streams import a_sensor
+from streams import RATE_HZ, a_sensor, pass_over, still, stream
 
 import softslide
 from softslide.experiments.studies import (
@@ -94,7 +94,7 @@ def test_help_has_an_example_that_names_the_script(script, capsys: pytest.Captur
         (changed_slides, ["--model", SAMPLE, "--recordings", SAMPLE], "model.json"),
         (false_alarms, ["--model", SAMPLE, "--recordings", SAMPLE], "model.json"),
         (motion_noise, ["--model", SAMPLE, "--recordings", SAMPLE], "model.json"),
-        (decision_time, ["--model", SAMPLE], "model.json"),
+        (decision_time, ["--model", SAMPLE, "--slides", "slide.csv"], "model.json"),
         (sweep, ["--recordings", "nowhere", "--out", "best.toml"], "nowhere"),
         (tracker_constants, ["--recordings", SAMPLE, "--json", "no/where.json"], "no such folder"),
     ],
@@ -258,9 +258,14 @@ def test_synthetic_signal_is_faster_than_real_time() -> None:
 @pytest.mark.parametrize("accelerometers", [1, 2])
 def test_a_decision_s_time_has_its_unit(tmp_path: Path, accelerometers: int) -> None:
     place = write_small_bundle(tmp_path / "b", a_sensor(accelerometers))
-    figures = dict(decision_time.costs(place, 20))
+    volts = stream(still(2.0), pass_over(3.0), still(1.0), accelerometers=accelerometers)
+    columns = ["time_s", *a_sensor(accelerometers).channels]
+    table = np.column_stack([np.arange(len(volts)) / RATE_HZ, volts])
+    np.savetxt(slide := tmp_path / "s.csv", table, delimiter=",", header=",".join(columns), comments="")
+    figures = dict(decision_time.costs(place, [slide], 20))
     for name in ("decision_at_rest", "decision_in_a_slide", "inference_alone"):
         assert 0 < figures[name]["median_us"] <= figures[name]["p99_us"]
+        assert figures[name]["mean_us"] > 0
         assert figures[name]["p99_ratio"] >= 1
         assert figures[name]["ratio"] > 0
     assert figures["bundle_kb"] == sum(path.stat().st_size for path in place.iterdir()) / 1e3
