@@ -6,6 +6,8 @@ from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from softslide.features.base_motion import BASE_COLUMNS, BaseMotion
 from softslide.features.card_fields import check_fields
 from softslide.features.contact.calibration import ContactCalibration
@@ -26,6 +28,8 @@ MOST_DIGITS = 300
 # (experiments/LOG.md).
 RATES_HZ = (250.0, 100_000.0)
 INPUTS = ("window", "features")
+# Of direction, speed and distance: how many times as wide an interval is that holds for bends as well.
+BENT = ("direction_bent", "log_speed_bent", "offset_bent")
 UNITS = {
     "direction_cos": "1",
     "direction_sin": "1",
@@ -41,11 +45,8 @@ UNITS = {
     "misfit": "1",
     "strain": "1",
     "straight": "1",
-    "direction_bent": "1",
-    "log_speed_bent": "1",
-    "offset_bent": "1",
+    **dict.fromkeys(BENT, "1"),
 }
-
 
 COVERAGE = 0.9  # of every interval
 # Half a 90 % interval of a normal error, in standard deviations: the normal distribution's 95 % quantile.
@@ -54,7 +55,7 @@ HALF_WIDTH_SD = 1.645
 
 @dataclass(frozen=True)
 class Interval:
-    """A 90 % interval's half-width: scale * sqrt(sd^2 + floor^2) * max(strain, 1), sd and strain the graph's own
+    """A 90 % interval's half-width: scale * sqrt(sd^2 + floor^2) * widening(strain), sd and strain the graph's own
     estimates (0 if it gives none)."""
 
     scale: float
@@ -62,7 +63,13 @@ class Interval:
 
     def half_width(self, sd: float, strain: float = 0.0) -> float:
         """In the unit of `floor` and `sd`."""
-        return self.scale * math.hypot(sd, self.floor) * max(strain, 1.0)
+        return self.scale * math.hypot(sd, self.floor) * float(widening(strain))
+
+
+def widening(strain: Any) -> Any:
+    """How many times as wide intervals are, of one or (n,): a gain that is off by more than the standard deviation of
+    calibration slides, `strain` of them, is of a contact that the map knows less well."""
+    return np.maximum(strain, 1.0)
 
 
 @dataclass(frozen=True)

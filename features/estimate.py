@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softslide.features.card import COVERAGE, HALF_WIDTH_SD, Card, Interval
+from softslide.features.card import BENT, COVERAGE, HALF_WIDTH_SD, Card, Interval
 from softslide.features.contact.places import Place
 from softslide.features.stream.tracker import SlideState
 from softslide.features.window import Window
@@ -194,8 +194,7 @@ def _bent(value: Mapping[str, float], *half: float) -> tuple[float, float, float
     if not math.isfinite(straight := value.get("straight", math.nan)):
         return None
     direction, speed, offset = (
-        width * mixed_width(straight, value[name])
-        for width, name in zip(half, ("direction_bent", "log_speed_bent", "offset_bent"), strict=True)
+        width * mixed_width(straight, value[name]) for width, name in zip(half, BENT, strict=True)
     )
     return direction, speed, offset
 

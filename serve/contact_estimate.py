@@ -4,7 +4,8 @@
 2. What the signal forbids, whatever fits: a dead channel, drift, too early.
 3. The line that straight slide and track agreed on, where the contact stops on it, or where the straight slide is of it
    still and the track is lost or goes much the same way: then with intervals that hold the track.
-4. Ambiguous, where a straight slide explains the output and goes another way than the track.
+4. Ambiguous, where a straight slide explains the output and goes another way than the track, or explains to the noise
+   what the track takes for a press.
 5. The track, valid by its own limits (`features/track_estimate.py`).
 
 A model on features answers by itself: the track allows its estimate or forbids it.
@@ -45,6 +46,8 @@ FIT_BLOCKS, OFFER_BLOCKS = 5, 10
 NEW_SHARE = 50
 # Fits, 0.3 s, that a stop takes to show in the track, at most (synthetic slides, experiments/LOG.md).
 KEPT_FITS = 4
+# Misfit of a slide that explains the output to the noise: of a press a straight slide has more, once it rests.
+TO_NOISE = 1.0
 # What forbids any estimate from the signal, not only that of a straight slide.
 _OF_THE_SIGNAL = (Reason.DEAD_CHANNEL, Reason.DRIFT, Reason.TOO_EARLY)
 
@@ -199,7 +202,8 @@ class ContactEstimator:
                 if not tracked.valid or (slides and not crosses(straight, tracked, limits)):
                     return with_track(straight, tracked, limits.shared)
             tracked = stopped
-        if tracked.contact is Contact.SLIDE and explains(straight) and crosses(straight, tracked, limits):
+        turns = tracked.contact is Contact.SLIDE and crosses(straight, tracked, limits)
+        if explains(straight) and (turns or (pressed and straight.misfit <= TO_NOISE)):
             return tracked._replace(valid=False, reason=Reason.AMBIGUOUS)
         return tracked
 

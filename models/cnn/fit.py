@@ -6,7 +6,7 @@ import numpy as np
 import onnx
 import torch
 
-from softslide.features.card import HALF_WIDTH_SD, Interval, Validity
+from softslide.features.card import HALF_WIDTH_SD, Interval, Validity, widening
 from softslide.features.errors import InputError
 from softslide.features.stream.conditioning import Conditioning
 from softslide.models.cnn.gauss_newton import Refinement
@@ -278,7 +278,7 @@ def _believed(
             errors | {"depth_mm": column["depth_mm"] - windows.depth_mm},
             sd | {"depth_mm": column["depth_sd_mm"]},
         )
-    wider = np.maximum(column["strain"], 1.0)
+    wider = widening(column["strain"])
     return _Believed(
         windows.recording[valid],
         {name: (errors[name] / wider)[valid] for name in sd},

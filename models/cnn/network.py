@@ -15,6 +15,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from softslide.features.card import BENT
 from softslide.features.window import WINDOW_BINS
 from softslide.models.cnn.gauss_newton import DEPTH, Refinement, RefinementConfig
 from softslide.pipeline.ranges import check_ranges
@@ -32,7 +33,7 @@ OUTPUTS = (
     "strain",
 )
 # Further columns of maps with a rim, and where it is known how depth shows.
-BEND_OUTPUTS = ("straight", "direction_bent", "log_speed_bent", "offset_bent")
+BEND_OUTPUTS = ("straight", *BENT)
 DEPTH_OUTPUTS = ("depth_mm", "depth_sd_mm")
 SILU_GAIN = 1.68  # keeps a normal input's mean square through silu, E silu(x)^2 = 0.355
 LENGTH_MM = 10.0  # scale of offsets and places inside the network

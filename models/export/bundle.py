@@ -10,7 +10,7 @@ import onnx
 import onnxruntime as ort
 
 from softslide.features.base_motion import BaseMotion
-from softslide.features.card import Card, write_card
+from softslide.features.card import BENT, Card, write_card
 from softslide.features.errors import CheckFailed
 from softslide.features.vector.feature_vector import feature_matrix
 from softslide.models.fitted_model import FittedModel
@@ -23,7 +23,7 @@ from softslide.pipeline.staging import staged
 PARITY = 1e-4  # relative difference of graph and original
 # Of what is computed of the residuals before the last step: rounding of the proposal moves it the most where that step
 # is a long one (the misfit of three accelerometers: 1.3e-4, all else 2e-5; experiments/LOG.md).
-BEFORE_LAST_STEP = ("misfit", "strain", "straight", "direction_bent", "log_speed_bent", "offset_bent")
+BEFORE_LAST_STEP = ("misfit", "strain", "straight", *BENT)
 MISFIT_PARITY = 1e-3
 DIGITS = 4  # of the card's worked example and of the fit's figures: all digits are 3 kB
 AT_LIMIT = 1e-3  # share of windows that one of them may answer and the other not

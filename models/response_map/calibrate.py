@@ -27,6 +27,8 @@ OUTLIER = 4.0  # times the median residual: a slide beyond it has a wrong label
 PRIOR_SLIDES = 4  # how many slides' worth the priors of gain and drift count
 CLEAR = 0.3  # share of the largest peak below which a slide's gain is mostly noise
 SHRINKAGE = 0.1  # of the residuals' covariance; without it errors were the same within 0.02 deg
+# Of the largest output: what is weak. A map's residual grows with the output, on bench-a from 0.5 mV to 1.0 mV.
+WEAK = (0.02, 0.2)
 # Variance of the map's own residual, which no averaging lessens, in units of a block's noise variance: on bench-a the
 # residual is 0.86 mV, a block's noise 1.35 mV (residual_v in the card of a bundle), 0.4.
 MAP_VARIANCE = 0.5
@@ -84,6 +86,8 @@ def calibrate(
         response = replace(response, whitening=_whitening(residuals))
     drift = _deviation(means[keep], LEAST_DRIFT_V)
     response = replace(response, gain_sd=gain_sd, floor_v=residual, drift_v=drift)
+    if response.rim:
+        response = replace(response, weak_floor_v=_where_weak(slides, residuals, keep))
     if "depth" in changing:
         farthest = max(abs(slide.depth_mm - response.depth_mm) for slide in slides)
         response = replace(response, depth_sd_mm=float(farthest))
@@ -102,6 +106,16 @@ def _some(
 ) -> tuple[list[CalibrationSlide], np.ndarray, np.ndarray]:
     """Those of the slides, gains and shifts that a mask (n,) marks."""
     return [slide for slide, marked in zip(slides, mask, strict=True) if marked], gains[mask], shifts[mask]
+
+
+def _where_weak(
+    slides: list[CalibrationSlide], residuals: list[np.ndarray], keep: np.ndarray
+) -> float | None:
+    """Rms of the residuals (m, C) V of the kept slides where their output is weak; None where it is nowhere."""
+    size = np.concatenate([np.abs(slides[n].volts).max(axis=1) for n in np.flatnonzero(keep)])
+    left = np.concatenate([residuals[n] for n in np.flatnonzero(keep)])
+    weak = left[(size > WEAK[0] * size.max()) & (size < WEAK[1] * size.max())]
+    return float(np.sqrt(np.mean(weak**2))) if weak.size else None
 
 
 def _over_heights(response: ResponseMap, slides: list[CalibrationSlide]) -> ResponseMap:

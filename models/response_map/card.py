@@ -61,7 +61,7 @@ def contact_calibration(
         chamber_mm=response.chamber_mm,
         depth_mm=response.depth_mm,
         noise_v=tuple(float(v) for v in response.noise_v),
-        floor_v=float(response.floor_v),
+        floor_v=float(response.weak_floor_v or response.floor_v),
         gain_sd=float(response.gain_sd),
         depth_sd_mm=response.depth_sd_mm or ContactCalibration.depth_sd_mm,
         inflation_v_per_mm=inflation_v_per_mm,
