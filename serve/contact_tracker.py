@@ -61,6 +61,7 @@ def contact_tracker(
                 remembered=math.ceil(lag_blocks / STEP_BLOCKS) + 1 if lag_blocks else 0,
             ),
             inflation_v_per_mm=contact.inflation_v_per_mm,
+            floor_share=contact.floor_share,
         )
     # Where the only accelerometer fails, nothing is left to track with.
     return ReplayingTracker(tracker) if replays and len(card.channels) > 3 else tracker

@@ -81,6 +81,21 @@ def test_calibration_finds_the_map_the_lag_and_the_spread_of_gains(calibrated):
     assert report["outliers"] == 0
 
 
+def test_a_residual_that_grows_with_the_output_is_known_to(calibrated):
+    """One of white noise does not; one that is a share of the output is that share, and little where there is none."""
+    truth, slides, (found, _) = calibrated
+    assert found.weak_floor_v == pytest.approx(found.floor_v, rel=0.2)
+    largest = max(np.abs(slide.volts).max() for slide in slides)
+    assert found.floor_share * largest < 0.5 * found.floor_v
+    ripple = [1 + 0.1 * np.sin(slide.travelled_mm + n)[:, None] for n, slide in enumerate(slides)]
+    uneven = [replace(slide, volts=slide.volts * each) for slide, each in zip(slides, ripple, strict=True)]
+    found, _ = calibrate(uneven, truth.scaled(0.0), False, CalibrationConfig())
+    assert found.floor_share == pytest.approx(
+        0.05, rel=0.3
+    )  # rms over both channels, of which one is the largest
+    assert found.weak_floor_v < 0.5 * found.floor_v
+
+
 def test_a_slide_with_a_wrong_label_is_left_out(calibrated):
     truth, slides, _ = calibrated
     wrong = replace(slides[3], direction_rad=slides[3].direction_rad + np.pi / 2)

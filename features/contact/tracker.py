@@ -156,8 +156,8 @@ class ContactTracker:
     """One stream's tracker.
 
     surface: the calibrated response. half_mm: half the chamber's sizes. noise_v: (C,) V of one block, with the lag
-    undone. floor_v: V, the map's residual. gain_sd: from slide to slide. trigger_v, release_v: V, outputs that begin
-    and end a contact. inflation_v_per_mm: (C,), as in ContactCalibration; none: not known, and no press is detected.
+    undone. floor_v, floor_share, inflation_v_per_mm: as in ContactCalibration; without the last no press is detected.
+    gain_sd: from slide to slide. trigger_v, release_v: V, outputs that begin and end a contact.
 
     gained: by the last block, the logarithm of the odds of a contact against a signal that needs no map.
     """
@@ -174,9 +174,11 @@ class ContactTracker:
         release_v: float,
         config: TrackingConfig,
         inflation_v_per_mm: Sequence[float] = (),
+        floor_share: float = 0.0,
     ) -> None:
         self._surface, self._half, self._block_s, self._config = surface, half_mm, block_s, config
-        self._noise_v, self._floor_v, self._gain_sd = noise_v, floor_v, gain_sd
+        self._noise_v, self._gain_sd = noise_v, gain_sd
+        self._floor_v, self._floor_share = floor_v, floor_share
         self._trigger_v, self._release_v = trigger_v, release_v
         self._recent = np.zeros((ONSET_BLOCKS, len(noise_v)))
         self._every = self._watched = np.ones(len(noise_v), dtype=bool)
@@ -263,13 +265,7 @@ class ContactTracker:
         if not np.array_equal(use, self._watched):
             # An accelerometer has failed: the alternatives, too, are of the channels that are left.
             self._watch(use, volts, np.zeros_like(volts))
-        predict(
-            self._bank,
-            elapsed_s,
-            self._floor_v + PEAK_SHARE * peak_v,
-            PARTIAL_SHARE * peak_v,
-            config.noise,
-        )
+        predict(self._bank, elapsed_s, self._residual_v(peak_v), PARTIAL_SHARE * peak_v, config.noise)
         gained = update(self._bank, volts, variance, self._surface, elapsed_s)
         remember(self._bank)
         self._past.append(_Step(volts, variance, gained))
@@ -324,7 +320,7 @@ class ContactTracker:
         odds = math.log(STRAIGHT)
         for volts, variance, log_density in self._past:
             peak_v = float(np.abs(volts).max())
-            predict(line, elapsed_s, self._floor_v + PEAK_SHARE * peak_v, 0.0, self._config.noise)
+            predict(line, elapsed_s, self._residual_v(peak_v), 0.0, self._config.noise)
             odds += update(line, volts, variance, self._surface, elapsed_s) - log_density
             remember(line)
         if not line.sound.all() or not math.isfinite(odds):
@@ -334,6 +330,10 @@ class ContactTracker:
         self._bank = joined([self._bank, line])
         self._bank.log_weight -= self._bank.log_weight.max()
         self._track = moved_on(self._read_track(), since_s)
+
+    def _residual_v(self, peak_v: float) -> float:
+        """What the map leaves of an output (V) of this size."""
+        return math.hypot(self._floor_v, self._floor_share * peak_v, PEAK_SHARE * peak_v)
 
     def _on_line(self, fit: StraightFit, ago_s: float) -> Hypotheses:
         """The hypothesis that a straight fit was so long ago."""

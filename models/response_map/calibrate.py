@@ -10,15 +10,17 @@ height. The lines of each are too few for a change that is free in place: held-o
 (experiments/LOG.md). It has two numbers, one on the design's change and one on the response itself.
 """
 
+import math
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from scipy import sparse
 from scipy.linalg import solveh_banded
+from scipy.optimize import minimize
 
 from softslide.models.response_map.map import MARGIN_MM, PARTS, SPACING_MM, ResponseMap, knots, tensor_splines
-from softslide.models.response_map.slide_fit import CalibrationConfig, fit_slide
+from softslide.models.response_map.slide_fit import LEAST_RESIDUAL_V, CalibrationConfig, fit_slide
 from softslide.models.response_map.slides import CalibrationSlide, at_height, main_height_mm, several
 from softslide.pipeline.sensor import Sensor
 
@@ -27,8 +29,6 @@ OUTLIER = 4.0  # times the median residual: a slide beyond it has a wrong label
 PRIOR_SLIDES = 4  # how many slides' worth the priors of gain and drift count
 CLEAR = 0.3  # share of the largest peak below which a slide's gain is mostly noise
 SHRINKAGE = 0.1  # of the residuals' covariance; without it errors were the same within 0.02 deg
-# Of the largest output: what is weak. A map's residual grows with the output, on bench-a from 0.5 mV to 1.0 mV.
-WEAK = (0.02, 0.2)
 # Variance of the map's own residual, which no averaging lessens, in units of a block's noise variance: on bench-a the
 # residual is 0.86 mV, a block's noise 1.35 mV (residual_v in the card of a bundle), 0.4.
 MAP_VARIANCE = 0.5
@@ -87,7 +87,8 @@ def calibrate(
     drift = _deviation(means[keep], LEAST_DRIFT_V)
     response = replace(response, gain_sd=gain_sd, floor_v=residual, drift_v=drift)
     if response.rim:
-        response = replace(response, weak_floor_v=_where_weak(slides, residuals, keep))
+        weak_v, share = _growth(slides, residuals, keep)
+        response = replace(response, weak_floor_v=weak_v, floor_share=share)
     if "depth" in changing:
         farthest = max(abs(slide.depth_mm - response.depth_mm) for slide in slides)
         response = replace(response, depth_sd_mm=float(farthest))
@@ -108,14 +109,23 @@ def _some(
     return [slide for slide, marked in zip(slides, mask, strict=True) if marked], gains[mask], shifts[mask]
 
 
-def _where_weak(
+def _growth(
     slides: list[CalibrationSlide], residuals: list[np.ndarray], keep: np.ndarray
-) -> float | None:
-    """Rms of the residuals (m, C) V of the kept slides where their output is weak; None where it is nowhere."""
+) -> tuple[float, float]:
+    """How the residuals (m, C) V of the kept slides grow with the output, by likelihood: the standard deviation where
+    there is none (V), and what is added in quadrature, as a share of the largest output of the channels."""
     size = np.concatenate([np.abs(slides[n].volts).max(axis=1) for n in np.flatnonzero(keep)])
-    left = np.concatenate([residuals[n] for n in np.flatnonzero(keep)])
-    weak = left[(size > WEAK[0] * size.max()) & (size < WEAK[1] * size.max())]
-    return float(np.sqrt(np.mean(weak**2))) if weak.size else None
+    square = np.concatenate([(residuals[n] ** 2).mean(axis=1) for n in np.flatnonzero(keep)])
+    rms_v = max(math.sqrt(square.mean()), LEAST_RESIDUAL_V)
+
+    def unlikely(log_sizes: np.ndarray) -> float:
+        weak_v, share = np.exp(log_sizes)
+        variance = weak_v**2 + (share * size) ** 2
+        return float((np.log(variance) + square / variance).mean())
+
+    start = np.log([rms_v, rms_v / size.max()])
+    weak_v, share = np.exp(minimize(unlikely, start, method="Nelder-Mead").x)
+    return float(weak_v), float(share)
 
 
 def _over_heights(response: ResponseMap, slides: list[CalibrationSlide]) -> ResponseMap:

@@ -44,7 +44,8 @@ class ResponseMap:
     lag_s: the skin's lag behind the contact.
     noise_v: (C,) V, standard deviation of one block's mean at rest.
     drift_v: (C,) V, standard deviation of the static output between a slide's start and end.
-    floor_v: V, standard deviation of the map's residual. weak_floor_v: where the output is weak; None: not known.
+    floor_v: V, standard deviation of the map's residual. weak_floor_v, floor_share: where there is no output, and what
+        is added in quadrature as a share of the largest output of the channels; None: not known.
     gain_sd: standard deviation of the slide-to-slide gain.
     """
 
@@ -59,6 +60,7 @@ class ResponseMap:
     drift_v: np.ndarray | None = None
     floor_v: float = 1e-3
     weak_floor_v: float | None = None
+    floor_share: float = 0.0
     gain_sd: float = 0.02
     axes: int = 2
     rim: bool = True
