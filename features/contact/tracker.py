@@ -333,7 +333,7 @@ class ContactTracker:
 
     def _residual_v(self, peak_v: float) -> float:
         """What the map leaves of an output (V) of this size."""
-        return math.hypot(self._floor_v, self._floor_share * peak_v, PEAK_SHARE * peak_v)
+        return math.hypot(self._floor_v, self._floor_share * peak_v) + PEAK_SHARE * peak_v
 
     def _on_line(self, fit: StraightFit, ago_s: float) -> Hypotheses:
         """The hypothesis that a straight fit was so long ago."""
