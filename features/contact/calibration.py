@@ -22,8 +22,9 @@ class ContactCalibration:
     coefficients: base64 of float16, little-endian, (4, K, K, C) in units of scale_v: the splines of M, Fx, Fy (V) and D
     (V/mm). knots: K. half_mm: the splines cover [-half_mm, half_mm]. spacing_mm: of the knots.
     chamber_mm: sizes of the chamber. depth_mm: the calibration's. noise_v: (C,) V, of a block's mean. floor_v: V, the
-    map's residual where there is no output; floor_share: what is added in quadrature, of the largest output of the
-    channels. gain_sd: of the gain from slide to slide. depth_sd_mm: of the contact depth about the calibration's.
+    map's residual where there is no output. floor_share: what is added in quadrature, of the largest output of the
+    channels; none: not known, and floor_v is of all outputs. gain_sd: of the gain from slide to slide. depth_sd_mm: of
+    the contact depth about the calibration's.
     inflation_v_per_mm: (C,) V/mm, by which the output at rest changes as the skin rises; none: not known.
     static_v: (3 A,) V, the output at rest over the calibration, all three of each accelerometer, at the height that
     the map is of; static_covariance_v2: (3 A, 3 A) V^2, from slide to slide; none: not known.
@@ -46,13 +47,13 @@ class ContactCalibration:
     inflation_v_per_mm: tuple[float, ...] = ()
     static_v: tuple[float, ...] = ()
     static_covariance_v2: tuple[tuple[float, ...], ...] = ()
-    floor_share: float = 0.0
+    floor_share: float | None = None
 
     def __post_init__(self) -> None:
         numbers = (self.scale_v, self.half_mm, self.spacing_mm, *self.chamber_mm, *self.noise_v, self.floor_v)
         numbers = (*numbers, self.gain_sd, self.depth_mm, self.depth_sd_mm)
         check_map("contact", numbers, self.knots, self.coefficients)
-        share = self.floor_share
+        share = 0.0 if self.floor_share is None else self.floor_share
         if isinstance(share, bool) or not isinstance(share, int | float) or not 0.0 <= share < 1.0:
             raise ValueError(f"contact: floor_share {share!r:.40}: out of range")
         if len(self.chamber_mm) != 2:

@@ -174,7 +174,7 @@ class ContactTracker:
         release_v: float,
         config: TrackingConfig,
         inflation_v_per_mm: Sequence[float] = (),
-        floor_share: float = 0.0,
+        floor_share: float | None = None,
     ) -> None:
         self._surface, self._half, self._block_s, self._config = surface, half_mm, block_s, config
         self._noise_v, self._gain_sd = noise_v, gain_sd
@@ -333,7 +333,9 @@ class ContactTracker:
 
     def _residual_v(self, peak_v: float) -> float:
         """What the map leaves of an output (V) of this size."""
-        return math.hypot(self._floor_v, self._floor_share * peak_v) + PEAK_SHARE * peak_v
+        if self._floor_share is None:
+            return self._floor_v + PEAK_SHARE * peak_v
+        return math.hypot(self._floor_v, self._floor_share * peak_v, PEAK_SHARE * peak_v)
 
     def _on_line(self, fit: StraightFit, ago_s: float) -> Hypotheses:
         """The hypothesis that a straight fit was so long ago."""

@@ -66,7 +66,7 @@ def contact_calibration(
         depth_mm=response.depth_mm,
         noise_v=tuple(float(v) for v in response.noise_v),
         floor_v=weak_v if grows and weak_v else float(response.floor_v),
-        floor_share=response.floor_share if grows else 0.0,
+        floor_share=response.floor_share if grows else None,
         gain_sd=float(response.gain_sd),
         depth_sd_mm=response.depth_sd_mm or ContactCalibration.depth_sd_mm,
         inflation_v_per_mm=inflation_v_per_mm,

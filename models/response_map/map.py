@@ -60,7 +60,7 @@ class ResponseMap:
     drift_v: np.ndarray | None = None
     floor_v: float = 1e-3
     weak_floor_v: float | None = None
-    floor_share: float = 0.0
+    floor_share: float | None = None
     gain_sd: float = 0.02
     axes: int = 2
     rim: bool = True
