@@ -81,7 +81,7 @@ def test_calibration_finds_the_map_the_lag_and_the_spread_of_gains(calibrated):
     assert report["outliers"] == 0
 
 
-def test_a_residual_that_grows_with_the_output_is_known_to(calibrated):
+def test_how_the_residual_grows_with_the_output_is_estimated(calibrated):
     """One of white noise does not; one that is a share of the output is that share, and little where there is none."""
     truth, slides, (found, _) = calibrated
     assert found.weak_floor_v == pytest.approx(found.floor_v, rel=0.2)
@@ -90,9 +90,8 @@ def test_a_residual_that_grows_with_the_output_is_known_to(calibrated):
     ripple = [1 + 0.1 * np.sin(slide.travelled_mm + n)[:, None] for n, slide in enumerate(slides)]
     uneven = [replace(slide, volts=slide.volts * each) for slide, each in zip(slides, ripple, strict=True)]
     found, _ = calibrate(uneven, truth.scaled(0.0), False, CalibrationConfig())
-    assert found.floor_share == pytest.approx(
-        0.05, rel=0.3
-    )  # rms over both channels, of which one is the largest
+    # Rms over both channels, of which one is the largest.
+    assert found.floor_share == pytest.approx(0.05, rel=0.3)
     assert found.weak_floor_v < 0.5 * found.floor_v
 
 
