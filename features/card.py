@@ -174,7 +174,7 @@ def write_card(card: Card, path: Path) -> None:
     table["units"] = {name: UNITS[name] for name in card.outputs}
     table["validity"] = {k: None if v == math.inf else v for k, v in table["validity"].items()}
     table["card_sha256"] = card_hash(table)
-    path.write_text(json.dumps(table, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    path.write_text(json.dumps(table, separators=(",", ":"), allow_nan=False) + "\n", encoding="utf-8")
 
 
 def card_hash(table: dict[str, Any]) -> str:

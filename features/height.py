@@ -28,7 +28,7 @@ MARGIN_MM = 0.1  # beyond the calibration's heights: what a laser may err by
 class HeightCalibration:
     """The card's section `heights`.
 
-    coefficients: base64 of float16, little-endian, (K, K, C) in units of scale_v: the splines of H (V/mm), which the
+    coefficients: float16, little-endian, `packed`, (K, K, C) in units of scale_v: the splines of H (V/mm), which the
     response map's M changes by. knots: K. height_mm: h0, the height that map and graph are of unless another is given.
     lowest_mm, highest_mm: of the calibration's. static_v, static_v_per_mm, static_sd_v: (C,), the output at rest at h0,
     its change with height (V/mm), and its standard deviation about both.

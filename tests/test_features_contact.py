@@ -1,6 +1,5 @@
 """The contact tracker: the map on the device, the filters' derivatives, tracks along known paths."""
 
-import base64
 from dataclasses import asdict
 
 import numpy as np
@@ -34,6 +33,7 @@ from softslide.features.contact.hypotheses import (
     started,
 )
 from softslide.features.contact.manoeuvres import HALF, Manoeuvres, branched
+from softslide.features.contact.packed import packed
 from softslide.features.contact.smooth_signal import SmoothSignal
 from softslide.features.contact.tracker import Track, TrackingConfig
 from softslide.features.stream.tracker import SlideState
@@ -218,7 +218,8 @@ def test_two_accelerometers_are_sharper_than_one_and_do_without_one() -> None:
 
 NUMBERS = [{"knots": 3}, {"scale_v": 0.0}, {"half_mm": float("nan")}, {"noise_v": (1e-3,)}]
 ARRAYS = [
-    *({"coefficients": base64.b64encode(b"\x00" * 10).decode()}, {"coefficients": "not base64!"}),
+    *({"coefficients": packed(np.zeros(5, "<f2"))}, {"coefficients": packed(np.zeros(10**6, "<f2"))}),
+    *({"coefficients": "not base85"}, {"coefficients": "0" * 20}, {"coefficients": "9" * 20}),
     *({"inflation_v_per_mm": (0.01, 0.02, 0.03)}, {"inflation_v_per_mm": (0.01, float("nan"))}),
 ]
 

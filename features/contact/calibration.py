@@ -1,12 +1,11 @@
 """What the model card carries for the tracking of contacts: the calibrated response map and its errors."""
 
-import base64
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from softslide.features.contact.packed import packed, unpacked
 from softslide.features.contact.response_surface import PARTS, ResponseSurface
 
 # Far beyond any skin; they bound the memory.
@@ -19,7 +18,7 @@ LEAST_EIGENVALUE = 1e-9  # of a correlation matrix that is inverted in double pr
 class ContactCalibration:
     """The card's section `contact`.
 
-    coefficients: base64 of float16, little-endian, (4, K, K, C) in units of scale_v: the splines of M, Fx, Fy (V) and D
+    coefficients: float16, little-endian, `packed`, (4, K, K, C) in units of scale_v: the splines of M, Fx, Fy (V) and D
     (V/mm). knots: K. half_mm: the splines cover [-half_mm, half_mm]. spacing_mm: of the knots.
     chamber_mm: sizes of the chamber. depth_mm: the calibration's. noise_v: (C,) V, of a block's mean. floor_v: V, the
     map's residual where there is no output. floor_share: what is added in quadrature, of the largest output of the
@@ -98,7 +97,7 @@ class ContactCalibration:
 def encoded(coefficients: np.ndarray) -> tuple[str, float]:
     """Coefficients in V -> the card's text and its scale. Half precision keeps 1 in 2000 of each, below the noise."""
     scale = float(np.abs(coefficients).max()) or 1.0
-    return base64.b64encode((coefficients / scale).astype("<f2").tobytes()).decode("ascii"), scale
+    return packed((coefficients / scale).astype("<f2")), scale
 
 
 def check_map(section: str, numbers: Sequence[float], knots: int, coefficients: str) -> None:
@@ -122,10 +121,7 @@ def decoded(text: str, shape: tuple[int, ...], scale: float) -> np.ndarray:
     Raises:
         ValueError: they are not as many, or one is not finite.
     """
-    stored = np.frombuffer(base64.b64decode(text, validate=True), dtype="<f2")
-    if stored.size != math.prod(shape):
-        raise ValueError(f"{stored.size} coefficients of a map, not {math.prod(shape)}")
-    values = stored.astype(float).reshape(shape) * scale
+    values = unpacked(text, "<f2", shape).astype(float) * scale
     if not np.isfinite(values).all():
         raise ValueError("a coefficient of a map is not finite")
     return values

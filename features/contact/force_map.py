@@ -1,11 +1,11 @@
 """What the model card carries for forces: the solved skin's force on an object, times what a scale said of it."""
 
-import base64
 from dataclasses import dataclass
 
 import numpy as np
 
 from softslide.features.contact.calibration import check_map
+from softslide.features.contact.packed import packed, unpacked
 from softslide.features.contact.response_surface import PARTS, ResponseSurface
 
 AXES = 3  # along x, along y, normal
@@ -19,7 +19,7 @@ class ForceMap:
     """The card's section `force`: the skin's force on the object, in mN.
 
     F(x, y, a, d) = M + cos(a) Fx + sin(a) Fy + (d - d0) D along x, along y and normal to the skin, like the response
-    map. coefficients: base64 of int8, (4, K, K, 3), the splines of M, Fx, Fy and D in steps. steps_mn: the size of a
+    map. coefficients: int8, `packed`, (4, K, K, 3), the splines of M, Fx, Fy and D in steps. steps_mn: the size of a
     step (mN; of D mN/mm) of each of the 4 x 3 parts and axes. knots: K. half_mm: the splines cover [-half_mm, half_mm].
     spacing_mm: of the knots. depth_mm: d0. relative_sd: standard deviation of the map's common factor. scale_readings:
     how many readings it rests on.
@@ -47,9 +47,9 @@ class ForceMap:
     def surface(self) -> ResponseSurface:
         """The map, ready to be read: mN and mN/mm."""
         shape = (PARTS, self.knots, self.knots, AXES)
-        stored = np.frombuffer(base64.b64decode(self.coefficients, validate=True), dtype=np.int8)
+        stored = unpacked(self.coefficients, np.int8, shape)
         steps_mn = np.array(self.steps_mn).reshape(PARTS, 1, 1, AXES)
-        return ResponseSurface(stored.reshape(shape) * steps_mn, self.half_mm, self.spacing_mm)
+        return ResponseSurface(stored * steps_mn, self.half_mm, self.spacing_mm)
 
 
 def in_steps(splines: np.ndarray) -> tuple[str, tuple[float, ...]]:
@@ -57,7 +57,7 @@ def in_steps(splines: np.ndarray) -> tuple[str, tuple[float, ...]]:
     largest = np.abs(splines).max(axis=(1, 2), keepdims=True)
     steps_mn = np.where(largest > 0, largest, 1.0) / MOST_STEPS
     stored = np.round(splines / steps_mn).astype(np.int8)
-    return base64.b64encode(stored.tobytes()).decode("ascii"), tuple(steps_mn.ravel().tolist())
+    return packed(stored), tuple(steps_mn.ravel().tolist())
 
 
 def weights(direction_rad: np.ndarray | None, off_mm: np.ndarray | float, count: int) -> np.ndarray:
