@@ -27,7 +27,9 @@ class TrackLimits:
     hypotheses near the best one. misfit: largest chi-square over its degrees of freedom. partial: largest weight of
     hypotheses that the contact is being pressed on or lifted, unless more channels than that has unknowns have followed
     it for partial_way_mm. evidence: least logarithm of the odds of a contact against a smooth signal of no known
-    origin. way_mm: least way. stopped_mm_s: a contact slower than this has stopped; stopped_way_mm: its least way.
+    origin. triggers: the largest output since the touch, over the trigger, is at least that: what is weaker is seldom a
+    contact.
+    way_mm: least way. stopped_mm_s: a contact slower than this has stopped; stopped_way_mm: its least way.
     agreement: largest squared Mahalanobis distance of the straight slide from the track, four degrees of freedom.
     stopping_s: for which a line is held while a contact seems to be slower than slow_share of the slide, or is lost;
     it rests once it is slower than creep_share, and has stopped for good after pause_s.
@@ -47,7 +49,8 @@ class TrackLimits:
     misfit: float = 2.2
     partial: float = 0.3
     partial_way_mm: float = 4.0
-    evidence: float = -1.0
+    evidence: float = -3.0
+    triggers: float = 4.0
     way_mm: float = 1.5
     stopped_mm_s: float = 0.15
     stopped_way_mm: float = 4.0
@@ -172,7 +175,7 @@ def _reason(
 ) -> Reason:
     if track.misfit > limits.misfit:
         return Reason.NOT_THIS_SENSOR
-    if track.way_mm < limits.way_mm:
+    if track.way_mm < limits.way_mm or track.triggers < limits.triggers:
         return Reason.TOO_EARLY
     # A contact adds to the output: none has a negative gain.
     if track.evidence < limits.evidence or track.gain <= 0.0:

@@ -114,6 +114,18 @@ def test_what_slides_on_from_where_it_was_pressed_leaves_the_zero_as_it_is() -> 
     assert tracker.static == pytest.approx(static, abs=1e-3)
 
 
+@pytest.mark.parametrize("press_s", [0.15, 0.5, 2.0, 4.0])
+def test_a_press_of_any_length_leaves_the_zero_as_it_is(press_s: float) -> None:
+    """A jump of the zero is over within a block; a slow press is not, however little its first blocks show."""
+    tracker = SlideTracker(CONDITIONING, 3)
+    share = np.concatenate([np.linspace(0, 1, round(press_s * RATE_HZ)) ** 1.3, np.ones(1500)])
+    means = blocks(still(1.0), share[:, None] * np.array([-0.12, 0.25, 0.0]))
+    static = means[:40].mean(axis=0)
+    assert SlideState.SLIDE in run(tracker, means)
+    assert tracker.known.all()
+    assert tracker.static == pytest.approx(static, abs=3e-3)
+
+
 def test_a_slide_without_an_end_is_given_up() -> None:
     """A weak output that never returns is a shifted zero, not a slide."""
     short = Conditioning(longest_blocks=400)

@@ -126,3 +126,11 @@ def test_what_shows_less_than_any_contact_is_not_valid(off_mm: float, reason: Re
     track = Track(mean, covariance, 1.0, 1.0, 0.0, 1.0, off_mm, 0.1, 1, 20.0, evidence=10.0)
     found = judged(track, 1.0, SlideState.SLIDE, (0.0, 0.0), 0.5, TrackLimits())
     assert (found.valid, found.reason) == (reason is Reason.NONE, reason)
+
+
+@pytest.mark.parametrize(("triggers", "valid"), [(3.9, False), (4.1, True)])
+def test_a_track_of_a_weak_output_is_too_early(triggers: float, valid: bool) -> None:
+    mean, covariance = np.array([5.0, 5.0, 3.0, 0.0]), 1e-4 * np.eye(4)
+    track = Track(mean, covariance, 1.0, 1.0, 0.0, 1.0, 0.0, 0.1, 1, 20.0, evidence=10.0, triggers=triggers)
+    found = judged(track, 1.0, SlideState.SLIDE, (0.0, 0.0), 0.5, TrackLimits())
+    assert (found.valid, found.reason) == (valid, Reason.NONE if valid else Reason.TOO_EARLY)

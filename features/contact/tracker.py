@@ -108,7 +108,8 @@ class Track(NamedTuple):
     evidence: logarithm of the odds of a contact against a signal that needs no map, forgotten over EVIDENCE_MM of way
     and EVIDENCE_S. one_press: whether a press at one place, or a drift, may have made all of the output
     since the touch. presses: whether then a press has made it, and neither a tilt of the device nor its pressure.
-    channels: that it is read from. places: where the contact may be, while several places are left.
+    channels: that it is read from. triggers: the largest output since the touch, over the trigger.
+    places: where the contact may be, while several places are left.
     """
 
     mean: np.ndarray
@@ -125,6 +126,7 @@ class Track(NamedTuple):
     one_press: bool = False
     presses: bool = False
     channels: int = 0
+    triggers: float = math.inf
     places: tuple[Place, ...] = ()
 
 
@@ -194,6 +196,7 @@ class ContactTracker:
         self._track: Track | None = None
         self._rested = False
         self._filled = self._steps = self._blocks = self._quiet = self._lost = 0
+        self._peak_v = 0.0  # of the contact so far
         self._past: deque[_Step] = deque(maxlen=PAST_STEPS)
 
     @property
@@ -213,6 +216,7 @@ class ContactTracker:
             if touched and self._filled >= TRIGGER_BLOCKS:
                 level = self._recent[-TRIGGER_BLOCKS:].mean(axis=0)
                 if np.abs(level).max() > self._trigger_v:
+                    self._peak_v = 0.0
                     self._start(anywhere=False, usable=usable)
             return self._track
         self._blocks += 1
@@ -252,6 +256,7 @@ class ContactTracker:
         config, elapsed_s = self._config, STEP_BLOCKS * self._block_s
         volts = self._recent[-STEP_BLOCKS:].mean(axis=0)
         peak_v = float(np.abs(volts).max())
+        self._peak_v = max(self._peak_v, peak_v)
         self._quiet = self._quiet + 1 if peak_v < self._release_v else 0
         if self._quiet * elapsed_s > RELEASE_S:
             self._bank = self._track = None
@@ -304,7 +309,11 @@ class ContactTracker:
             return None
         track = moved_on(track, (steps * STEP_BLOCKS + since - blocks) * self._block_s)
         return track._replace(
-            evidence=now.evidence, channels=now.channels, one_press=now.one_press, presses=now.presses
+            evidence=now.evidence,
+            channels=now.channels,
+            triggers=now.triggers,
+            one_press=now.one_press,
+            presses=now.presses,
         )
 
     def offer(self, fit: StraightFit) -> None:
@@ -366,6 +375,7 @@ class ContactTracker:
         return read(self._bank)._replace(
             evidence=self._evidence,
             channels=int(self._watched.sum()),
+            triggers=self._peak_v / self._trigger_v,
             one_press=one_press,
             presses=one_press and bool(self._watched.all()) and self._presses(volts),
         )

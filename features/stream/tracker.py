@@ -25,8 +25,8 @@ TOUCH_TRIGGER = 0.5
 # `touch_blocks`, is a touch. A weaker one may still be a slow slide.
 STRONG_TRIGGERS = 4.0
 STRONG_TOUCH = 4
-# A jump of the zero is complete within a block: at most one block lies this close to half of the final level, as a
-# share of it.
+# A jump of the zero is complete within a block: of the first blocks at most one lies this close to half of the final
+# level, as a share of it, and the last lies beyond.
 JUMP_SHARE = 0.35
 # A contact has come down in the first block that shows more than this share of what the trigger's blocks show at most.
 TOUCHED_SHARE = 0.3
@@ -269,7 +269,8 @@ class SlideTracker:
             return False
         level = level[slide.watched]
         share = level @ blocks / (level @ level)
-        return bool(np.sum(np.abs(share - 0.5) < JUMP_SHARE) <= 1)
+        between = np.abs(share - 0.5) < JUMP_SHARE
+        return bool(share[-1] > 0.5 and not between[-1] and between.sum() <= 1)
 
     def _learn_static(self) -> None:
         """Awaits a new static output."""
