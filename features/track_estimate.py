@@ -49,7 +49,7 @@ class TrackLimits:
     misfit: float = 2.2
     partial: float = 0.3
     partial_way_mm: float = 4.0
-    evidence: float = -3.0
+    evidence: float = -1.0
     triggers: float = 4.0
     way_mm: float = 1.5
     stopped_mm_s: float = 0.15
