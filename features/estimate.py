@@ -26,10 +26,10 @@ class Reason(StrEnum):
     """Why an estimate is not valid; empty when it is.
 
     no_contact: nothing touches. unknown_zero: the static output is not known yet. too_early: the contact has not moved
-    enough, or its output is weak. ambiguous: several places or headings explain the output. off_map: the contact is where the calibration
-    does not reach, or its speed is outside the range. not_this_sensor: the output fits no contact on this skin.
-    strength: what explains the output shows less than any contact does. drift: gravity's length
-    changes with the output, as it does not on a skin that only tilts. dead_channel: an accelerometer is lost, frozen or
+    enough, or its output is weak. ambiguous: several places or headings explain the output. off_map: the contact is
+    where the calibration does not reach, or its speed is outside the range. not_this_sensor: the output fits no contact
+    on this skin. strength: what explains the output shows less than any contact does. drift: gravity's length changes
+    with the output, as it does not on a skin that only tilts. dead_channel: an accelerometer is lost, frozen or
     clipped. skin_height: the static output shows the skin at a height that the calibration does not reach, as of
     another pressure. attitude: gravity shows the sensor turned from how it was calibrated. no_signal: no samples come.
     """
