@@ -27,9 +27,8 @@ class TrackLimits:
     hypotheses near the best one. misfit: largest chi-square over its degrees of freedom. partial: largest weight of
     hypotheses that the contact is being pressed on or lifted, unless more channels than that has unknowns have followed
     it for partial_way_mm. evidence: least logarithm of the odds of a contact against a smooth signal of no known
-    origin. triggers: the largest output since the touch, over the trigger, is at least that: what is weaker is seldom a
-    contact.
-    way_mm: least way. stopped_mm_s: a contact slower than this has stopped; stopped_way_mm: its least way.
+    origin. triggers: the largest output since the touch, over the trigger, is at least that. way_mm: least way.
+    stopped_mm_s: a contact slower than this has stopped; stopped_way_mm: its least way.
     agreement: largest squared Mahalanobis distance of the straight slide from the track, four degrees of freedom.
     stopping_s: for which a line is held while a contact seems to be slower than slow_share of the slide, or is lost;
     it rests once it is slower than creep_share, and has stopped for good after pause_s.
