@@ -12,7 +12,8 @@ import numpy as np
 
 from softslide.features.angles import wrapped_deg
 from softslide.features.card import HALF_WIDTH_SD
-from softslide.features.contact.tracker import StraightFit, Track
+from softslide.features.contact.track import Track
+from softslide.features.contact.tracker import StraightFit
 from softslide.features.estimate import Contact, Estimate, Reason
 from softslide.features.stream.tracker import SlideState
 

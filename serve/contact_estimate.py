@@ -20,7 +20,7 @@ import numpy as np
 
 from softslide.features.card import Card
 from softslide.features.contact.touch_down import TouchDownTracker
-from softslide.features.contact.tracker import Track
+from softslide.features.contact.track import Track
 from softslide.features.estimate import Contact, Estimate, Reason
 from softslide.features.stream.conditioning import ONSETS, LagUndone
 from softslide.features.stream.tracker import SlideState, SlideTracker

@@ -12,7 +12,7 @@ import onnxruntime as ort
 
 from softslide.features.angles import touch_channels
 from softslide.features.card import Card
-from softslide.features.contact.tracker import Track
+from softslide.features.contact.track import Track
 from softslide.features.departure import held_at_rim
 from softslide.features.errors import InputError
 from softslide.features.estimate import Contact, Estimate, Reason, decode

@@ -7,7 +7,7 @@ import numpy as np
 from softslide.features.angles import touch_channels
 from softslide.features.card import Card
 from softslide.features.contact.first_places import Measured
-from softslide.features.contact.tracker import Track
+from softslide.features.contact.track import Track
 from softslide.features.contact.whole_path import PathConfig, WholePath, whole_path
 from softslide.features.errors import InputError
 from softslide.features.estimate import Estimate, Reason

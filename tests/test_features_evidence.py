@@ -6,7 +6,8 @@ from tracked_map import BLOCK_S, TWO_BOARDS, line, noisy_map, touched, tracker, 
 
 from softslide.features.contact.hypotheses import GAIN, Hypotheses, started, update
 from softslide.features.contact.manoeuvres import Manoeuvres, branched
-from softslide.features.contact.tracker import ContactTracker, StraightFit, Track
+from softslide.features.contact.track import Track
+from softslide.features.contact.tracker import ContactTracker, StraightFit
 
 ONE, TWO = noisy_map(), noisy_map(places=TWO_BOARDS)
 FIRST_ALONE = np.array([True, True, False, False])

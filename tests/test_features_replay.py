@@ -5,7 +5,7 @@ import pytest
 from tracked_map import line, noisy_map, touched, tracker, volts_along
 
 from softslide.features.contact.replay import ReplayingTracker
-from softslide.features.contact.tracker import Track
+from softslide.features.contact.track import Track
 from softslide.features.stream.faults import FROZEN_BLOCKS
 
 TWO_BOARDS = noisy_map(places=((-4.0, 0.0), (4.0, 0.0)))

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from softslide.features.angles import wrapped_deg
 from softslide.features.card import HALF_WIDTH_SD
-from softslide.features.contact.tracker import Track
+from softslide.features.contact.track import Track
 from softslide.features.estimate import Contact, Estimate, Reason, mixed_width
 from softslide.features.stream.tracker import SlideState
 from softslide.features.track_estimate import TOUCH_LIMITS, TrackLimits, apart, judged, with_track

@@ -6,7 +6,8 @@ from typing import NamedTuple
 import numpy as np
 
 from softslide.features.contact.touch_down import TouchDownTracker
-from softslide.features.contact.tracker import ContactTracker, StraightFit, Track
+from softslide.features.contact.track import Track
+from softslide.features.contact.tracker import ContactTracker, StraightFit
 from softslide.features.stream.faults import FROZEN_BLOCKS
 
 

@@ -32,7 +32,7 @@ from softslide.features.contact.hypotheses import (
 )
 from softslide.features.contact.manoeuvres import Manoeuvres, branched, merged
 from softslide.features.contact.response_surface import ResponseSurface
-from softslide.features.contact.tracker import Track, moved_on, read, read_past
+from softslide.features.contact.track import Track, moved_on, read, read_past
 
 # A contact comes down and is lifted within a block, which then shows a part of it.
 PARTIAL_BLOCKS = 1

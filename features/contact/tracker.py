@@ -16,7 +16,6 @@ from softslide.features.contact.hypotheses import (
     GAIN,
     HEADING,
     MANOEUVRE_MM,
-    MOTION,
     PARTIAL_SHARE,
     PEAK_SHARE,
     RESIDUAL,
@@ -34,10 +33,10 @@ from softslide.features.contact.hypotheses import (
     update,
 )
 from softslide.features.contact.manoeuvres import Manoeuvres, branched, merged
-from softslide.features.contact.places import Place, likeliest_places
 from softslide.features.contact.response_surface import ResponseSurface
 from softslide.features.contact.smooth_signal import SmoothSignal
 from softslide.features.contact.touch import at_rest, at_touch, onset
+from softslide.features.contact.track import Track, moved_on, read, read_past
 from softslide.features.contact.whole_device import beyond_device
 
 STEP_BLOCKS = (
@@ -46,7 +45,6 @@ STEP_BLOCKS = (
 BRANCH_STEPS = 5
 ONSET_BLOCKS = 12
 TRIGGER_BLOCKS = 5
-NEAR_MM = 2.5  # hypotheses this near the best one are of the same place
 RELEASE_S = 0.3
 LOST_S = 0.5
 # An output rests when its slope is within so many standard deviations and so large a share of it a second: a contact
@@ -99,35 +97,6 @@ class TrackingConfig:
     depth_sd_mm: float = 0.02
     lost: float = 5.0
     remembered: int = 0
-
-
-class Track(NamedTuple):
-    """One moment. mean: (4,) x, y (mm), vx, vy (mm/s); covariance: (4, 4). certain: weight of the hypotheses near the
-    best one. misfit: chi-square over its degrees of freedom. partial: weight of hypotheses that the contact is being
-    pressed on or lifted. gain, depth_mm (off the map's): means; depth_sd_mm. way_mm: since the touch, at most 25.
-    evidence: logarithm of the odds of a contact against a signal that needs no map, forgotten over EVIDENCE_MM of way
-    and EVIDENCE_S. one_press: whether a press at one place, or a drift, may have made all of the output
-    since the touch. presses: whether then a press has made it, and neither a tilt of the device nor its pressure.
-    channels: that it is read from. triggers: the largest output since the touch, over the trigger.
-    places: where the contact may be, while several places are left.
-    """
-
-    mean: np.ndarray
-    covariance: np.ndarray
-    certain: float
-    misfit: float
-    partial: float
-    gain: float
-    depth_mm: float
-    depth_sd_mm: float
-    hypotheses: int
-    way_mm: float
-    evidence: float = 0.0
-    one_press: bool = False
-    presses: bool = False
-    channels: int = 0
-    triggers: float = math.inf
-    places: tuple[Place, ...] = ()
 
 
 class StraightFit(NamedTuple):
@@ -438,62 +407,3 @@ class ContactTracker:
         unlikely = 0.3 * np.maximum(beyond_mm - 4.0, 0.0) + 10.0 * np.maximum(gain - 1.15, 0.0) ** 2
         self._bank.log_weight -= unlikely + 0.5 * (gain < 0.0)
         self._bank.log_weight -= self._bank.log_weight.max()
-
-
-def read(bank: Hypotheses) -> Track:
-    """The mixture of the hypotheses near the best one."""
-    return _mixture(bank, bank.state[:, MOTION], bank.covariance[:, MOTION, MOTION])
-
-
-def read_past(bank: Hypotheses, steps: int) -> Track | None:
-    """The same so many steps ago, from what was measured since; None where the likeliest does not go back so far."""
-    if not 0 <= steps < bank.past.shape[1]:
-        return None
-    known = np.isfinite(bank.past[:, steps]).all(axis=1)
-    if not known[bank.log_weight.argmax()]:
-        return None
-    bank = bank.take(known)
-    return _mixture(bank, bank.past[:, steps], bank.past_covariance[:, steps])
-
-
-def _mixture(bank: Hypotheses, motion: np.ndarray, covariance: np.ndarray) -> Track:
-    """motion: (N, 4), each hypothesis's x, y, heading and speed; covariance: (N, 4, 4)."""
-    weight, state = bank.weight, bank.state
-    best = int(weight.argmax())
-    cos, sin = np.cos(motion[:, HEADING]), np.sin(motion[:, HEADING])
-    speed = motion[:, SPEED]
-    mean = np.stack([motion[:, X], motion[:, Y], speed * cos, speed * sin], axis=1)
-    near = np.hypot(*(mean[:, :2] - mean[best, :2]).T) < NEAR_MM
-    certain = float(weight[near].sum())
-    share = np.where(near, weight, 0.0) / certain
-    slope = np.zeros((len(bank), 4, 4))
-    slope[:, 0, 0] = slope[:, 1, 1] = 1.0
-    slope[:, 2, 2], slope[:, 2, 3] = -speed * sin, cos
-    slope[:, 3, 2], slope[:, 3, 3] = speed * cos, sin
-    each = slope @ covariance @ slope.transpose(0, 2, 1)
-    middle = share @ mean
-    apart = mean - middle
-    mixed = (share[:, None, None] * (each + apart[:, :, None] * apart[:, None])).sum(0)
-    depth = state[:, DEPTH]
-    depth_mm = float(share @ depth)
-    variance = float(share @ (bank.covariance[:, DEPTH, DEPTH] + (depth - depth_mm) ** 2))
-    return Track(
-        middle,
-        mixed,
-        certain,
-        float(share @ bank.misfit),
-        float(weight @ bank.partial),
-        float(share @ state[:, GAIN]),
-        depth_mm,
-        math.sqrt(max(variance, 0.0)),
-        len(bank),
-        float(share @ bank.age_mm),
-        places=likeliest_places(mean[:, :2], weight, NEAR_MM),
-    )
-
-
-def moved_on(track: Track, elapsed_s: float) -> Track:
-    """The same contact a moment later, going on as it goes."""
-    slope = np.eye(4)
-    slope[0, 2] = slope[1, 3] = elapsed_s
-    return track._replace(mean=slope @ track.mean, covariance=slope @ track.covariance @ slope.T)

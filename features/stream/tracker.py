@@ -270,7 +270,7 @@ class SlideTracker:
         level = level[slide.watched]
         share = level @ blocks / (level @ level)
         between = np.abs(share - 0.5) < JUMP_SHARE
-        return bool(share[-1] > 0.5 and not between[-1] and between.sum() <= 1)
+        return bool(share[-1] >= 0.5 + JUMP_SHARE and between.sum() <= 1)
 
     def _learn_static(self) -> None:
         """Awaits a new static output."""
