@@ -1,7 +1,7 @@
 """What is said of a contact: the straight slide that the graph fits, the track, or neither, and why.
 
-1. The straight slide, where the track agrees with it (`apart`). Where a valid track agrees with a line that it agreed
-   with before, the misfit may be twice the bundle's limit.
+1. The straight slide, where the track agrees with it (`apart`). On a line that they agreed on before, its misfit may be
+   twice the bundle's limit, where a valid track agrees to 95 %.
 2. What the signal forbids, whatever fits: a dead channel, drift, too early.
 3. The line that straight slide and track agreed on, where the contact stops on it, or where the straight slide is of it
    still and the track is lost or goes much the same way: then with intervals that hold the track.
@@ -25,6 +25,7 @@ from softslide.features.estimate import Contact, Estimate, Reason
 from softslide.features.stream.conditioning import ONSETS, LagUndone
 from softslide.features.stream.tracker import SlideState, SlideTracker
 from softslide.features.track_estimate import (
+    LIKELY,
     TOUCH_LIMITS,
     TrackLimits,
     apart,
@@ -48,8 +49,8 @@ NEW_SHARE, FIT_BLOCKS = 50, 5
 OFFER_BLOCKS = 10
 # Blocks, 0.3 s, that a stop takes to show in the track, at most (synthetic slides, experiments/LOG.md).
 KEPT_BLOCKS = 15
-# Times the bundle's limit: the largest misfit of a straight slide that is of the line so far. The track of those slides
-# errs twice as much; a contact that stops shows by more (experiments/LOG.md).
+# Times the bundle's limit: the largest misfit of a straight slide that is of the line so far, where the track errs twice
+# as much (experiments/LOG.md).
 LINE_MISFIT = 2.0
 # Misfit of a slide that explains the output to the noise: of a press a straight slide has more, once it rests.
 TO_NOISE = 1.0
@@ -195,7 +196,7 @@ class ContactEstimator:
             if state is SlideState.SLIDE or pressed:
                 return tracked
             return tracked._replace(valid=False, reason=Reason.TOO_EARLY if healthy else Reason.DEAD_CHANNEL)
-        if tracked.valid and self._of_the_line(straight):
+        if tracked.valid and self._is_of_the_line(straight):
             straight = straight._replace(valid=True, reason=Reason.NONE)
         if straight.valid and apart(straight, *self._clear_track(), limits) <= limits.agreement:
             if self._stream.rested_s == 0.0:
@@ -224,14 +225,15 @@ class ContactEstimator:
             return tracked._replace(valid=False, reason=Reason.AMBIGUOUS)
         return tracked
 
-    def _of_the_line(self, straight: Estimate) -> bool:
-        """Whether a straight slide's misfit is all that is against it, and it is still of a line that the track agreed
-        with."""
+    def _is_of_the_line(self, straight: Estimate) -> bool:
+        """Whether its misfit alone is against a straight slide, of a line that the track agreed with and likely agrees
+        with still."""
         return (
             straight.reason is Reason.NOT_THIS_SENSOR
             and straight.misfit <= LINE_MISFIT * self._card.validity.misfit
             and len(self._lines) > 0
             and same_line(straight, self._lines[0].estimate)
+            and apart(straight, *self._clear_track(), self._limits) <= LIKELY
         )
 
     def _allowed(self, straight: Estimate | None, tracked: Estimate) -> Estimate | None:
