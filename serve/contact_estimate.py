@@ -49,7 +49,7 @@ NEW_SHARE, FIT_BLOCKS = 50, 5
 OFFER_BLOCKS = 10
 # Blocks, 0.3 s, that a stop takes to show in the track, at most (synthetic slides, experiments/LOG.md).
 KEPT_BLOCKS = 15
-# Times the bundle's limit: the largest misfit of a straight slide that is of the line so far, where the track errs twice
+# Times the bundle's limit: the largest misfit of a straight slide of the line so far, where the track errs twice
 # as much (experiments/LOG.md).
 LINE_MISFIT = 2.0
 # Misfit of a slide that explains the output to the noise: of a press a straight slide has more, once it rests.

@@ -358,7 +358,7 @@ class Refinement(nn.Module):
         inverse = known * self.whole - known.transpose(3, 4) * known * drifting
         if ripple is None:
             return inverse
-        pulled = known * ripple
+        pulled = ripple @ inverse
         square = (pulled * ripple).sum(4, keepdim=True)
         picked = self.cross_axis_sd**2 / (1.0 + self.cross_axis_sd**2 * square)
         return inverse - pulled.transpose(3, 4) * pulled * picked
