@@ -19,8 +19,6 @@ from softslide.pipeline.ranges import POSITIVE, SHARE, SIZE, check_ranges
 
 PEAK_SHARE = 0.003  # the map's residual, as a share of the slide's largest output
 FLOOR_SHARE = 0.6  # and of its residual in calibration, which the bins share (experiments/LOG.md)
-# And as a share of how the output changes from bin to bin: a map is off in place (experiments/LOG.md).
-CHANGE_SHARE = 0.03
 # Of maps without a rim, whose residuals grow with the response's slope and size: standard deviations of each bin's
 # place and gain, which all channels share, and the share of the calibration residual that is alike everywhere. Chosen
 # on assembled slides of a pass and of places that the map had not seen; half and twice these change errors by 3 %
@@ -77,9 +75,8 @@ class Refinement(nn.Module):
     """Gauss-Newton on (turn, log speed, offset, along, gain, depth) against the response map.
 
     Residuals are weighted by the inverse of their covariance: noise that falls with the number of blocks in a bin, a
-    floor for the map's own residual, which grows where the output is steep, the drift of each channel's zero, and
-    V_z's coupling into V_x and V_y of a tilted board (the ripple of the pressure). The last two are rank-one parts of a
-    channel's covariance. Where the map's
+    floor for the map's own residual, the drift of each channel's zero, and V_z's coupling into V_x and V_y of a tilted
+    board (the ripple of the pressure). The last two are rank-one parts of a channel's covariance. Where the map's
     residuals are correlated between channels (`ResponseMap.whitening`), these are mixed first, as long as no
     accelerometer is dead. Maps without a rim have no drift, since the static output is known just before a touch, but
     in each bin errors of place and gain, three rank-one parts of the covariance of the bin's channels.
@@ -99,7 +96,6 @@ class Refinement(nn.Module):
     longest_step: Tensor
     each: Tensor
     whole: Tensor
-    change: Tensor
     frame: Tensor
     phases: Tensor
     lean: Tensor
@@ -131,7 +127,6 @@ class Refinement(nn.Module):
             "longest_step": np.array(LONGEST_STEP)[:, None],
             "each": np.eye(STATE, STATE + 1),
             "whole": np.eye(BINS),
-            "change": np.asarray(np.gradient(np.eye(BINS), axis=0)).T,
             # (cos, sin) -> cos, -sin; sin, cos.
             "frame": np.array([[1.0, 0, 0, 1], [0, -1, 1, 0]]),
             "phases": PHASES[:, :1],
@@ -352,16 +347,12 @@ class Refinement(nn.Module):
         variance = self.noise / blocks + floor
         if not self.rim:
             return weight / variance
-        change = CHANGE_SHARE * (touch @ self.change)
-        known = weight / (variance + change * change)
-        drifting = self.drift / (1.0 + self.drift * known.sum(4, keepdim=True))
-        inverse = known * self.whole - known.transpose(3, 4) * known * drifting
+        drifting = self.drift / (variance + BINS * self.drift)
         if ripple is None:
-            return inverse
-        pulled = ripple @ inverse
-        square = (pulled * ripple).sum(4, keepdim=True)
-        picked = self.cross_axis_sd**2 / (1.0 + self.cross_axis_sd**2 * square)
-        return inverse - pulled.transpose(3, 4) * pulled * picked
+            return weight / variance * (self.whole - drifting)
+        square = (ripple * ripple).sum(4, keepdim=True)
+        picked = self.cross_axis_sd**2 / (variance + self.cross_axis_sd**2 * square)
+        return weight / variance * (self.whole - drifting - picked * (ripple.transpose(3, 4) * ripple))
 
 
 def inverted(normal: Tensor) -> Tensor:
