@@ -1,7 +1,6 @@
 """What is said of a contact: the straight slide that the graph fits, the track, or neither, and why.
 
-1. The straight slide, where the track agrees with it (`apart`). On a line that they agreed on before, its misfit may be
-   twice the bundle's limit, where a valid track agrees to 95 %.
+1. The straight slide, where the track agrees with it (`apart`).
 2. What the signal forbids, whatever fits: a dead channel, drift, too early.
 3. The line that straight slide and track agreed on, where the contact stops on it, or where the straight slide is of it
    still and the track is lost or goes much the same way: then with intervals that hold the track.
@@ -25,7 +24,6 @@ from softslide.features.estimate import Contact, Estimate, Reason
 from softslide.features.stream.conditioning import ONSETS, LagUndone
 from softslide.features.stream.tracker import SlideState, SlideTracker
 from softslide.features.track_estimate import (
-    LIKELY,
     TOUCH_LIMITS,
     TrackLimits,
     apart,
@@ -41,17 +39,13 @@ from softslide.features.track_estimate import (
 )
 from softslide.serve.contact_tracker import AnyTracker, contact_tracker
 
-# A straight slide is fitted anew when the slide has grown by one part in so many, or by 0.1 s: with a twentieth fast
-# slides erred half as much again at 2/5 of the stroke (experiments/LOG.md).
-NEW_SHARE, FIT_BLOCKS = 50, 5
-# Of each 0.2 s the tracker is offered the first straight fit, if it is sharp: to wait for a sharp one takes those that
-# have just become so, and are worse (experiments/LOG.md).
-OFFER_BLOCKS = 10
-# Blocks, 0.3 s, that a stop takes to show in the track, at most (synthetic slides, experiments/LOG.md).
-KEPT_BLOCKS = 15
-# Times the bundle's limit: the largest misfit of a straight slide of the line so far, where the track errs twice
-# as much (experiments/LOG.md).
-LINE_MISFIT = 2.0
+# Blocks, 0.1 s, between two straight fits that are kept, and 0.2 s between two that the tracker is offered.
+FIT_BLOCKS, OFFER_BLOCKS = 5, 10
+# A straight slide is fitted anew when the slide has grown by one part in so many: with a twentieth fast slides erred
+# half as much again at 2/5 of the stroke (experiments/LOG.md).
+NEW_SHARE = 50
+# Fits, 0.3 s, that a stop takes to show in the track, at most (synthetic slides, experiments/LOG.md).
+KEPT_FITS = 4
 # Misfit of a slide that explains the output to the noise: of a press a straight slide has more, once it rests.
 TO_NOISE = 1.0
 # What forbids any estimate from the signal, not only that of a straight slide.
@@ -83,8 +77,7 @@ class ContactEstimator:
         # The last straight slide that was fitted, and the last ones that the track agreed with: the newest of a contact
         # that stops is of some of the stop.
         self._fit: _Fit | None = None
-        self._lines: deque[_Fit] = deque()
-        self._offers = 0  # spans of OFFER_BLOCKS until the last fit
+        self._lines: deque[_Fit] = deque(maxlen=KEPT_FITS)
         self.reset()
 
     def reset(self) -> None:
@@ -125,28 +118,24 @@ class ContactEstimator:
         usable = np.repeat(stream.usable & healthy, len(conditioning.touch_axes))
         self.track = self._tracker.push(volts, stream.state is SlideState.SLIDE, usable)
         if self.track is None:
-            self._clear = self._fit = None
+            self._clear = None
         elif np.abs(stream.subtracted_level[stream.touch][usable]).max(initial=0.0) > conditioning.trigger_v:
             self._clear = self.track, count
 
-    def fit_due(self, blocks: int) -> bool:
-        """Whether a straight slide is to be fitted, and given to `take_fit`.
+    @property
+    def wants_fit(self) -> bool:
+        """Whether `take_fit` would make use of a straight slide."""
+        return self.track is not None and not self.touches_down
+
+    def latest_fit(self, blocks: int) -> Estimate | None:
+        """The straight slide that was fitted last, moved on to now; None where a new one is due.
 
         blocks: of the slide so far; what a fiftieth of them adds changes a fit by less than its error.
         """
-        if self.track is None or self.touches_down:
-            return False
-        assert self._tracker is not None
-        assert not isinstance(self._tracker, TouchDownTracker)
-        stretch = min(max(1, blocks // NEW_SHARE), FIT_BLOCKS)
-        return self._fit is None or (self._count - self._fit.blocks >= stretch and self._tracker.free)
-
-    @property
-    def latest_fit(self) -> Estimate | None:
-        """The straight slide that was fitted last, moved on to now."""
-        return (
-            None if self._fit is None else earlier(self._fit.estimate, -self._seconds_since(self._fit.blocks))
-        )
+        stretch = max(1, blocks // NEW_SHARE)
+        if self._fit is None or not self.wants_fit or self._count - self._fit.blocks >= stretch:
+            return None
+        return earlier(self._fit.estimate, -self._seconds_since(self._fit.blocks))
 
     def take_fit(self, fitted: Estimate, straight: Estimate, elapsed_s: float) -> None:
         """Keeps a straight slide, fitted to so many s, and offers it to the tracker where that has lost the contact.
@@ -155,27 +144,22 @@ class ContactEstimator:
         """
         assert self.track is not None
         self._fit = _Fit(self._count, fitted)
-        offers, self._offers = self._offers, self._count // OFFER_BLOCKS
         if not straight.valid:
             return
         if self._on_features:
             track = self._judged(self.track, 0.0)
             if min(track.speed_lo_mm_s, straight.speed_lo_mm_s) > 0.0 and same_line(straight, track):
-                self._keep(self._fit)
+                self._lines.append(self._fit)
             return
         if apart(straight, *self._clear_track(), self._limits) <= self._limits.agreement:
-            self._keep(self._fit)
-        elif self._offers > offers and explains(straight) and not self._judged(self.track, 0.0).valid:
+            self._lines.append(self._fit)
+        elif (
+            self._count % OFFER_BLOCKS == 0 and explains(straight) and not self._judged(self.track, 0.0).valid
+        ):
             assert self._tracker is not None
             assert not isinstance(self._tracker, TouchDownTracker)
             assert self._card.contact is not None
             self._tracker.offer(straight_fit(straight, elapsed_s, self._card.contact.depth_mm))
-
-    def _keep(self, line: _Fit) -> None:
-        """Keeps a line that the track agrees with, and of those before it the newest from before a stop would show."""
-        self._lines.append(line)
-        while len(self._lines) > 1 and line.blocks - self._lines[1].blocks >= KEPT_BLOCKS:
-            self._lines.popleft()
 
     def estimate(self, straight: Estimate | None, time_s: float, healthy: bool) -> Estimate | None:
         """What is said of the contact now; None: what is said of the straight slide, if there is one.
@@ -196,8 +180,6 @@ class ContactEstimator:
             if state is SlideState.SLIDE or pressed:
                 return tracked
             return tracked._replace(valid=False, reason=Reason.TOO_EARLY if healthy else Reason.DEAD_CHANNEL)
-        if tracked.valid and self._is_of_the_line(straight):
-            straight = straight._replace(valid=True, reason=Reason.NONE)
         if straight.valid and apart(straight, *self._clear_track(), limits) <= limits.agreement:
             if self._stream.rested_s == 0.0:
                 return with_track(straight, tracked, limits.shared)
@@ -224,17 +206,6 @@ class ContactEstimator:
         if explains(straight) and (turns or (pressed and straight.misfit <= TO_NOISE)):
             return tracked._replace(valid=False, reason=Reason.AMBIGUOUS)
         return tracked
-
-    def _is_of_the_line(self, straight: Estimate) -> bool:
-        """Whether its misfit alone is against a straight slide, of a line that the track agreed with and likely agrees
-        with still."""
-        return (
-            straight.reason is Reason.NOT_THIS_SENSOR
-            and straight.misfit <= LINE_MISFIT * self._card.validity.misfit
-            and len(self._lines) > 0
-            and same_line(straight, self._lines[0].estimate)
-            and apart(straight, *self._clear_track(), self._limits) <= LIKELY
-        )
 
     def _allowed(self, straight: Estimate | None, tracked: Estimate) -> Estimate | None:
         """Why the straight slide is not valid where the track has not been of its line a moment ago; else None."""

@@ -29,7 +29,7 @@ from softslide.features.vector.energy import energy_width_s
 from softslide.features.vector.feature_vector import feature_vector
 from softslide.features.window import WINDOW_BINS, Window
 from softslide.serve.bundle import open_bundle
-from softslide.serve.contact_estimate import ContactEstimator
+from softslide.serve.contact_estimate import FIT_BLOCKS, ContactEstimator
 from softslide.serve.sample_slots import SampleClock
 
 # Largest share of a slide's blocks whose means may be old ones (features/stream/faults.py); above it none is valid.
@@ -222,7 +222,7 @@ class Localizer:
         if tracker.state is SlideState.ENDED:
             assert self._held is not None
             return _Moment(self._held[1]._replace(time_s=time_s), None)
-        straight = self._contact.latest_fit
+        straight = self._contact.latest_fit(self._slide_blocks)
         if straight is None and window is not None:
             straight = self._fitted(window)
         if straight is not None:
@@ -402,8 +402,8 @@ class Localizer:
             bridged = bool((block.bridged & tracker.usable).any())
             self._bridged += bridged
             self._whole = not bridged and self._bridged <= BRIDGED_SHARE * self._slide_blocks
-            due = self._contact.fit_due(self._slide_blocks)
-            if due and (window := tracker.window()) is not None:
+            fits = self._count % FIT_BLOCKS == 0 and self._contact.wants_fit
+            if fits and (window := tracker.window()) is not None:
                 straight = self._fitted(window)
                 self._contact.take_fit(straight, self._permitted(straight), window.elapsed_s)
         elif tracker.final is None:

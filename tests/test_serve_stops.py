@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from softslide.features.angles import wrapped_deg
-from softslide.features.contact.tracker import ContactTracker
 from softslide.features.estimate import Contact, Estimate
 from softslide.features.stream.tracker import SlideState
 from softslide.pipeline.atlas.atlas import read_atlas
@@ -129,47 +128,3 @@ def test_a_track_that_changes_its_speed_does_not_overrule_a_slide_that_fits(
                 off = np.append(off, estimate.speed_mm_s / slide.stroke.speed_mm_s - 1)
     assert len(off) > 900
     assert (np.abs(off) > 0.2).mean() < 0.05
-
-
-def test_a_misfit_that_grows_for_a_while_does_not_give_up_the_line(
-    localizer: Localizer, specimen: Specimen
-) -> None:
-    """Two slides by the board, where the map's residual takes the misfit of a fit that is right over the limit: the
-    track there is off by 0.7 and 2.3 % of the speed."""
-    atlas, limit, off = read_atlas(), localizer.card.validity.misfit, []
-    for number in (304, 317):
-        slide = plan(
-            number,
-            SEED,
-            atlas,
-            sensor_of(atlas),
-            replace(STOPPING, stopping=0.0, speed_mm_s=(4.0, 13.0), rest_s=(1.0, 1.5)),
-        )
-        localizer.reset()
-        for estimate in localizer.push(record(slide, specimen, atlas, noise_of(number, SEED)).volts):
-            share = (estimate.time_s - slide.motion_start_s) / slide.stroke.forth_s
-            if estimate.valid and 0.3 < share < 0.95 and limit < estimate.misfit < 2 * limit:
-                off.append(errors(slide, estimate))
-    assert len(off) > 40
-    assert (np.mean(off, axis=0) < [0.2, 0.5, 0.02]).all(), np.mean(off, axis=0)
-
-
-def test_no_block_both_fits_a_slide_and_corrects_the_track(
-    localizer: Localizer, specimen: Specimen, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """But for the first fit of a contact, and that of all of it at the end: either takes as long as a decision may."""
-    work: list[str] = []
-    for at, name in ((Localizer, "infer"), (ContactTracker, "_step"), (ContactTracker, "_branch")):
-        done = getattr(at, name)
-        monkeypatch.setattr(
-            at, name, lambda *given, done=done, name=name: (work.append(name), done(*given))[1]
-        )
-    _, recording = stopped_slide(specimen, 206, rest_after_s=3.0)
-    localizer.reset()
-    blocks = []
-    for block in np.array_split(recording.volts, len(recording.volts) // localizer.card.samples_per_block):
-        work.clear()
-        localizer.push(block)
-        blocks.append(set(work))
-    assert sum("infer" in done for done in blocks) > 50
-    assert sum("infer" in done and len(done) > 1 for done in blocks) <= 2

@@ -39,12 +39,6 @@ class ReplayingTracker:
         """Whether a contact is tracked."""
         return self._tracker.tracking
 
-    @property
-    def free(self) -> bool:
-        """As `ContactTracker.free`."""
-        assert isinstance(self._tracker, ContactTracker)
-        return self._tracker.free
-
     def push(self, volts: np.ndarray, touched: bool, usable: np.ndarray) -> Track | None:
         """One block, as in `ContactTracker.push`. -> the contact, None if none is tracked."""
         block = _Block(volts, touched, usable)

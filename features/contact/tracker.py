@@ -173,12 +173,6 @@ class ContactTracker:
         """Whether a contact is tracked."""
         return self._bank is not None
 
-    @property
-    def free(self) -> bool:
-        """Whether the last block was neither measured nor branched at: another's work may be done in it, so that no
-        block takes much longer than the others."""
-        return self._bank is None or (self._blocks % STEP_BLOCKS != 0 and not self._branches)
-
     def push(self, volts: np.ndarray, touched: bool, usable: np.ndarray | None = None) -> Track | None:
         """One block: volts (C,) V of the tilt channels, subtracted, the lag undone; touched: whether the output is off
         the static one, which starts a track; usable: (C,) bool. -> the contact, None if none is tracked."""
@@ -197,16 +191,12 @@ class ContactTracker:
         self._blocks += 1
         if self._blocks % STEP_BLOCKS:
             self._track = None if self._track is None else moved_on(self._track, self._block_s)
-            if self._branches:
+            # Between two measurements, so that no block takes much longer than the others.
+            if self._steps and self._steps % BRANCH_STEPS == 0:
                 self._branch()
         else:
             self._step(usable)
         return self._track
-
-    @property
-    def _branches(self) -> bool:
-        """Whether the hypotheses branch between this measurement and the next."""
-        return self._steps > 0 and self._steps % BRANCH_STEPS == 0
 
     def _start(self, anywhere: bool, usable: np.ndarray | None) -> None:
         recent = self._recent[-self._filled :]
