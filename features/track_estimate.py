@@ -65,10 +65,12 @@ class TrackLimits:
     shared: float | None = 0.5
 
 
+LIKELY = 9.49  # 95 % quantile of chi-square with four degrees of freedom
+
 # Of a track from a touch anywhere, which is several times less sharp than the straight slide: its intervals would widen
-# those until 98 % hold. Tracks with a wider heading were wrong at sharp bends, and so were straight slides beyond the
-# 95 % quantile of chi-square with four degrees of freedom (experiments/LOG.md).
-TOUCH_LIMITS = TrackLimits(heading_sd_deg=13.0, shared=None, agreement=9.49)
+# those until 98 % hold. Tracks with a wider heading were wrong at sharp bends, and so were straight slides that are
+# less than likely (experiments/LOG.md).
+TOUCH_LIMITS = TrackLimits(heading_sd_deg=13.0, shared=None, agreement=LIKELY)
 
 
 PARTIAL_UNKNOWNS = 3  # of a contact that is being pressed on or lifted: its place and its gain
@@ -193,7 +195,7 @@ def _reason(
 
 
 def apart(straight: Estimate, track: Track, since_s: float, limits: TrackLimits) -> float:
-    """The squared Mahalanobis distance of a valid straight slide, as it was `since_s` ago, from the track; infinite
+    """The squared Mahalanobis distance of a straight slide, as it was `since_s` ago, from the track; infinite
     where the way is short."""
     if track.way_mm < limits.straight_way_mm:
         return math.inf

@@ -1,6 +1,7 @@
 """What is said of a contact: the straight slide that the graph fits, the track, or neither, and why.
 
-1. The straight slide, where the track agrees with it (`apart`).
+1. The straight slide, where the track agrees with it (`apart`). On a line that they agreed on before, its misfit may be
+   twice the bundle's limit, where a valid track agrees to 95 %.
 2. What the signal forbids, whatever fits: a dead channel, drift, too early.
 3. The line that straight slide and track agreed on, where the contact stops on it, or where the straight slide is of it
    still and the track is lost or goes much the same way: then with intervals that hold the track.
@@ -24,6 +25,7 @@ from softslide.features.estimate import Contact, Estimate, Reason
 from softslide.features.stream.conditioning import ONSETS, LagUndone
 from softslide.features.stream.tracker import SlideState, SlideTracker
 from softslide.features.track_estimate import (
+    LIKELY,
     TOUCH_LIMITS,
     TrackLimits,
     apart,
@@ -46,6 +48,9 @@ FIT_BLOCKS, OFFER_BLOCKS = 5, 10
 NEW_SHARE = 50
 # Fits, 0.3 s, that a stop takes to show in the track, at most (synthetic slides, experiments/LOG.md).
 KEPT_FITS = 4
+# Times the bundle's limit: the largest misfit of a straight slide of the line so far, where a track errs twice as much
+# (experiments/LOG.md).
+LINE_MISFIT = 2.0
 # Misfit of a slide that explains the output to the noise: of a press a straight slide has more, once it rests.
 TO_NOISE = 1.0
 # What forbids any estimate from the signal, not only that of a straight slide.
@@ -180,6 +185,8 @@ class ContactEstimator:
             if state is SlideState.SLIDE or pressed:
                 return tracked
             return tracked._replace(valid=False, reason=Reason.TOO_EARLY if healthy else Reason.DEAD_CHANNEL)
+        if tracked.valid and self._is_of_the_line(straight):
+            straight = straight._replace(valid=True, reason=Reason.NONE)
         if straight.valid and apart(straight, *self._clear_track(), limits) <= limits.agreement:
             if self._stream.rested_s == 0.0:
                 return with_track(straight, tracked, limits.shared)
@@ -206,6 +213,17 @@ class ContactEstimator:
         if explains(straight) and (turns or (pressed and straight.misfit <= TO_NOISE)):
             return tracked._replace(valid=False, reason=Reason.AMBIGUOUS)
         return tracked
+
+    def _is_of_the_line(self, straight: Estimate) -> bool:
+        """Whether its misfit alone is against a straight slide, of a line that the track agreed with and likely agrees
+        with still."""
+        return (
+            straight.reason is Reason.NOT_THIS_SENSOR
+            and straight.misfit <= LINE_MISFIT * self._card.validity.misfit
+            and len(self._lines) > 0
+            and same_line(straight, self._lines[0].estimate)
+            and apart(straight, *self._clear_track(), self._limits) <= LIKELY
+        )
 
     def _allowed(self, straight: Estimate | None, tracked: Estimate) -> Estimate | None:
         """Why the straight slide is not valid where the track has not been of its line a moment ago; else None."""
