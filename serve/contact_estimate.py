@@ -215,8 +215,8 @@ class ContactEstimator:
         return tracked
 
     def _is_of_the_line(self, straight: Estimate) -> bool:
-        """Whether its misfit alone is against a straight slide, of a line that the track agreed with and likely agrees
-        with still."""
+        """Whether a straight slide, its misfit over the bundle's limit, is of a line that the track agreed with and
+        likely agrees with still."""
         return (
             straight.reason is Reason.NOT_THIS_SENSOR
             and straight.misfit <= LINE_MISFIT * self._card.validity.misfit

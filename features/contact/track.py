@@ -15,8 +15,8 @@ class Track(NamedTuple):
     """One moment. mean: (4,) x, y (mm), vx, vy (mm/s); covariance: (4, 4). certain: weight of the hypotheses near the
     best one. misfit: chi-square over its degrees of freedom. partial: weight of hypotheses that the contact is being
     pressed on or lifted. gain, depth_mm (off the map's): means; depth_sd_mm. way_mm: since the touch, at most 25.
-    evidence: logarithm of the odds of a contact against a signal that needs no map, forgotten over EVIDENCE_MM of way
-    and EVIDENCE_S. one_press: whether a press at one place, or a drift, may have made all of the output
+    evidence: logarithm of the odds of a contact against a signal that needs no map, forgotten as in
+    `ContactTracker`. one_press: whether a press at one place, or a drift, may have made all of the output
     since the touch. presses: whether then a press has made it, and neither a tilt of the device nor its pressure.
     channels: that it is read from. triggers: the largest output since the touch, over the trigger.
     places: where the contact may be, while several places are left.
