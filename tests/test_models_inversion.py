@@ -42,7 +42,9 @@ def test_the_inversion_comes_near_the_bound_from_no_start_at_all():
 def test_the_bound_follows_the_noise_and_no_label_of_the_place():
     windows = drawn(40)
     quiet, loud = (
-        bump_map(noise_v=np.full(2, noise), drift_v=np.full(2, 1e-7), floor_v=1e-7, gain_sd=1e-4)
+        bump_map(
+            noise_v=np.full(2, noise), drift_v=np.full(2, 1e-7), floor_v=1e-7, level_v=1e-7, gain_sd=1e-4
+        )
         for noise in (0.05, 0.1)
     )
     least = cramer_rao(quiet, BLOCK_S, windows)

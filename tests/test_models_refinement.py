@@ -10,8 +10,6 @@ from bump_map import REFERENCE_MM, bump_map
 from softslide.features.window import WINDOW_BINS
 from softslide.models.cnn.forward_model import BINS
 from softslide.models.cnn.gauss_newton import (
-    FLOOR_SHARE,
-    PEAK_SHARE,
     Refinement,
     RefinementConfig,
     bin_means,
@@ -151,7 +149,7 @@ def test_a_straight_way_is_taken_for_one():
 
 
 def test_weights_are_the_inverse_of_the_residuals_covariance():
-    response = bump_map()
+    response = bump_map(level_v=5e-4, output_share=0.004, place_mm=0.08)
     refinement = Refinement(response, BLOCK_S, RefinementConfig(askew=0.05))
     generator = torch.Generator().manual_seed(2)
     volts = 0.1 * torch.randn(1, 6, WINDOW_BINS, generator=generator, dtype=torch.float64)[:, :3]
@@ -163,11 +161,17 @@ def test_weights_are_the_inverse_of_the_residuals_covariance():
         ripple.reshape(1, 1, 1, 1, BINS),
         elapsed_s,
         torch.ones(1, 1, 1, 1, 1, dtype=torch.float64),
-    )[0, 0, 0].numpy()
-    floor = (FLOOR_SHARE * response.floor_v) ** 2 + (PEAK_SHARE * float(bins[:2].abs().max())) ** 2
-    covariance = (response.noise_v[0] ** 2 / (4.0 / BLOCK_S / BINS) + floor) * np.eye(BINS)
-    covariance += response.drift_v[0] ** 2 + 0.05**2 * np.outer(ripple, ripple)
-    np.testing.assert_allclose(found @ covariance, np.eye(BINS), atol=1e-9)
+        torch.full((1, 1, 1, 1, 1), 1.6, dtype=torch.float64),
+    )[0, 0].numpy()
+    alike = (
+        response.noise_v[0] ** 2 / (4.0 / BLOCK_S / BINS)
+        + 5e-4**2
+        + (0.004 * float(bins[:2].abs().max())) ** 2
+    )
+    for inverse, output in zip(found, bins[:2].numpy(), strict=True):
+        covariance = np.diag(alike + (0.08 / 1.6 * np.gradient(output)) ** 2)
+        covariance += response.drift_v[0] ** 2 + 0.05**2 * np.outer(ripple, ripple)
+        np.testing.assert_allclose(inverse @ covariance, np.eye(BINS), atol=1e-9)
 
 
 def test_ripple_of_v_z_in_v_x_and_v_y_costs_little(windows):

@@ -1,5 +1,6 @@
 """Laws of the splines, and of a map's calibration on slides whose truth is known."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -93,6 +94,22 @@ def test_how_the_residual_grows_with_the_output_is_estimated(calibrated):
     # Rms over both channels, of which one is the largest.
     assert found.floor_share == pytest.approx(0.05, rel=0.3)
     assert found.weak_floor_v < 0.5 * found.floor_v
+
+
+def test_how_much_of_the_residual_is_of_the_place_is_estimated(calibrated):
+    """Of slides that waver along their line it is what they waver by."""
+    truth, slides, (steady, _) = calibrated
+    wavering = []
+    for n, slide in enumerate(slides):
+        ahead = replace(
+            slide, travelled_mm=slide.travelled_mm + 0.15 * math.sqrt(2) * np.sin(slide.travelled_mm + n)
+        )
+        off, on = (truth.response(*each.place(0.0, 0.02), each.direction_rad) for each in (ahead, slide))
+        wavering.append(replace(slide, volts=slide.volts + off - on))
+    found, _ = calibrate(wavering, truth.scaled(0.0), False, CalibrationConfig())
+    assert found.place_mm == pytest.approx(0.15, rel=0.25)
+    assert steady.place_mm < 0.05
+    assert found.level_v < 0.5 * found.floor_v
 
 
 def test_a_slide_with_a_wrong_label_is_left_out(calibrated):

@@ -17,8 +17,9 @@ from softslide.models.cnn.forward_model import BINS, PHASES, STATE, Prediction
 from softslide.models.response_map.map import ResponseMap
 from softslide.pipeline.ranges import POSITIVE, SHARE, SIZE, check_ranges
 
-PEAK_SHARE = 0.003  # the map's residual, as a share of the slide's largest output
-FLOOR_SHARE = 0.6  # and of its residual in calibration, which the bins share (experiments/LOG.md)
+# The largest residual of a map that is off in place, as a share of how the output changes from bin to bin: a proposal
+# that is far too slow makes a bin seem shorter than the map is off.
+MOST_OFF = 0.2
 # Of maps without a rim, whose residuals grow with the response's slope and size: standard deviations of each bin's
 # place and gain, which all channels share, and the share of the calibration residual that is alike everywhere. Chosen
 # on assembled slides of a pass and of places that the map had not seen; half and twice these change errors by 3 %
@@ -74,12 +75,13 @@ class RefinementConfig:
 class Refinement(nn.Module):
     """Gauss-Newton on (turn, log speed, offset, along, gain, depth) against the response map.
 
-    Residuals are weighted by the inverse of their covariance: noise that falls with the number of blocks in a bin, a
-    floor for the map's own residual, the drift of each channel's zero, and V_z's coupling into V_x and V_y of a tilted
-    board (the ripple of the pressure). The last two are rank-one parts of a channel's covariance. Where the map's
-    residuals are correlated between channels (`ResponseMap.whitening`), these are mixed first, as long as no
-    accelerometer is dead. Maps without a rim have no drift, since the static output is known just before a touch, but
-    in each bin errors of place and gain, three rank-one parts of the covariance of the bin's channels.
+    Residuals are weighted by the inverse of their covariance: noise that falls with the number of blocks in a bin, the
+    three parts of the map's own residual (`ResponseMap.level_v`, `output_share`, `place_mm`), the drift of each
+    channel's zero, and V_z's coupling into V_x and V_y of a tilted board (the ripple of the pressure). The last two are
+    rank-one parts of a channel's covariance. Where the map's residuals are correlated between channels
+    (`ResponseMap.whitening`), these are mixed first, as long as no accelerometer is dead. Maps without a rim have no
+    drift, since the static output is known just before a touch, but in each bin errors of place and gain, three
+    rank-one parts of the covariance of the bin's channels.
 
     settled: whether variances become huge where the steps have not converged (maps without a rim); a bound takes them
     as they are.
@@ -99,6 +101,7 @@ class Refinement(nn.Module):
     frame: Tensor
     phases: Tensor
     lean: Tensor
+    change: Tensor
     bend_precision: Tensor
     cycle: Tensor
     uncycle: Tensor
@@ -127,6 +130,7 @@ class Refinement(nn.Module):
             "longest_step": np.array(LONGEST_STEP)[:, None],
             "each": np.eye(STATE, STATE + 1),
             "whole": np.eye(BINS),
+            "change": np.asarray(np.gradient(np.eye(BINS), axis=0)).T,
             # (cos, sin) -> cos, -sin; sin, cos.
             "frame": np.array([[1.0, 0, 0, 1], [0, -1, 1, 0]]),
             "phases": PHASES[:, :1],
@@ -142,7 +146,7 @@ class Refinement(nn.Module):
         # In doubles: partial strokes leave the normal matrix nearly singular.
         for name, value in buffers.items():
             self.register_buffer(name, torch.tensor(value, dtype=torch.float64))
-        self.block_s, self.floor_v, self.cross_axis_sd = block_s, response.floor_v, config.askew
+        self.block_s, self.cross_axis_sd = block_s, config.askew
         self.depth_mm = response.depth_mm
         self.depth_sd_mm = config.depth_sd_mm
         self.same_depth = 0.0 if response.depth_sd_mm else config.same_depth
@@ -151,7 +155,8 @@ class Refinement(nn.Module):
         # Of elements that measure gravity; the others' maps have no rim.
         self.leans = config.lean_v > 0 and response.rim
         # Held-out cells show what the map leaves in full (models/response_map/select.py).
-        self.floor_share = FLOOR_SHARE if response.rim else LEVEL_SHARE
+        self.level_v = response.level_v if response.rim else LEVEL_SHARE * response.floor_v
+        self.output_share, self.place_mm = response.output_share, response.place_mm
         self.rim = response.rim
         # Splines of a small spacing and a gain that is hardly known: some early windows converge slowly.
         self.settled = settled and not response.rim
@@ -172,7 +177,8 @@ class Refinement(nn.Module):
         touch = (volts[:, :, : self.axes] @ self.pooled)[:, :, :, None]
         # A V_z that answers to a touch itself is coupled into no other axis.
         ripple = (volts[:, :, 2:] @ self.rippled)[:, :, None] if self.axes == 2 else None
-        inverse = self._inverse_covariance(touch, ripple, elapsed_s, weight)
+        bin_mm = proposal[:, 2:3].reshape(-1, 1, 1, 1, 1).exp() * elapsed_s / BINS
+        inverse = self._inverse_covariance(touch, ripple, elapsed_s, weight, bin_mm)
         measured = F.pad(touch, (0, 0, STATE, 0))
         time = elapsed_s * self.ago + self.lag
         pair, own = proposal.split((2, 3), 1)
@@ -331,28 +337,30 @@ class Refinement(nn.Module):
         return state - shift, variance - gain * column + shift * shift
 
     def _inverse_covariance(
-        self, touch: Tensor, ripple: Tensor | None, elapsed_s: Tensor, weight: Tensor
+        self, touch: Tensor, ripple: Tensor | None, elapsed_s: Tensor, weight: Tensor, bin_mm: Tensor
     ) -> Tensor:
         """(B, A, X, 16, 16) 1/V^2 of each channel's residuals; zero for a dead accelerometer. Without a rim all bins
         are alike, (B, A, X, 1, 1).
 
         touch: (B, A, X, 1, 16) V. ripple: (B, A, 1, 1, 16) V, what each board's own V_z swings about its mean; None
-        where V_z is among the X.
+        where V_z is among the X. bin_mm: the way in a bin, by the proposal's speed.
         """
         blocks = (elapsed_s / (self.block_s * BINS)).clamp(min=0.3)
-        floor = (
-            PEAK_SHARE**2 * (touch * touch).amax((1, 2, 3, 4), keepdim=True)
-            + (self.floor_share * self.floor_v) ** 2
-        )
-        variance = self.noise / blocks + floor
+        largest = (touch * touch).amax((1, 2, 3, 4), keepdim=True)
+        variance = self.noise / blocks + self.level_v**2 + self.output_share**2 * largest
         if not self.rim:
             return weight / variance
-        drifting = self.drift / (variance + BINS * self.drift)
+        off = (self.place_mm / bin_mm).clamp(max=MOST_OFF) * (touch @ self.change)
+        known = weight / (variance + off * off)
+        # Each rank-one part takes from the inverse what Sherman and Morrison's formula says.
+        drifting = self.drift / (1.0 + self.drift * known.sum(4, keepdim=True))
+        inverse = known * self.whole - known.transpose(3, 4) * known * drifting
         if ripple is None:
-            return weight / variance * (self.whole - drifting)
-        square = (ripple * ripple).sum(4, keepdim=True)
-        picked = self.cross_axis_sd**2 / (variance + self.cross_axis_sd**2 * square)
-        return weight / variance * (self.whole - drifting - picked * (ripple.transpose(3, 4) * ripple))
+            return inverse
+        pulled = ripple @ inverse
+        square = (pulled * ripple).sum(4, keepdim=True)
+        picked = self.cross_axis_sd**2 / (1.0 + self.cross_axis_sd**2 * square)
+        return inverse - pulled.transpose(3, 4) * pulled * picked
 
 
 def inverted(normal: Tensor) -> Tensor:

@@ -14,7 +14,6 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from softslide.features.window import WINDOW_BINS
-from softslide.models.cnn.gauss_newton import PEAK_SHARE
 from softslide.models.response_map.map import ResponseMap
 from softslide.pipeline.ranges import POSITIVE, SHARE, SIZE, check_ranges
 from softslide.pipeline.recordings.windows import LabelledWindows
@@ -211,7 +210,7 @@ class WindowSource:
         wave = 2 * math.pi * path_mm / random.uniform(*WAVE_MM)[:, None] * share
         phase = 2 * math.pi * random.even(*each)
         peak = clean.abs().amax((1, 2))[:, None, None]
-        size = (self.response.floor_v + PEAK_SHARE * peak) * random.normal(*each)
+        size = (self.response.floor_v + self.response.output_share * peak) * random.normal(*each)
         return size * torch.sin(wave[:, :, None] + phase)
 
     def _trigger(self, integral: Tensor, random: "_Random") -> tuple[Tensor, Tensor]:

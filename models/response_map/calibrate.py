@@ -20,7 +20,12 @@ from scipy.linalg import solveh_banded
 from scipy.optimize import minimize
 
 from softslide.models.response_map.map import MARGIN_MM, PARTS, SPACING_MM, ResponseMap, knots, tensor_splines
-from softslide.models.response_map.slide_fit import LEAST_RESIDUAL_V, CalibrationConfig, fit_slide
+from softslide.models.response_map.slide_fit import (
+    LEAST_RESIDUAL_V,
+    SHIFT_STEP_MM,
+    CalibrationConfig,
+    fit_slide,
+)
 from softslide.models.response_map.slides import CalibrationSlide, at_height, main_height_mm, several
 from softslide.pipeline.sensor import Sensor
 
@@ -37,6 +42,10 @@ RIM_WEIGHT = 3.0  # of a rim point, one each mm; a stretch of 0.5 mm weighs at m
 # Hold coefficients that no slide touches: share of the smoothing, and at least.
 RIDGE, LEAST_RIDGE = 1e-3, 1e-6
 PENALTY_NOISE_V = 1.35e-3  # a block's noise on the recordings that the penalties were chosen on
+# Parts of the residual as maps of benches and synthetic sensors have them (experiments/LOG.md): the level as a share of
+# all, the share of a slide's largest output, the place (mm). Priors, of a factor so wide (its logarithm) that they
+# decide where slides are few.
+LEVEL_SHARE, USUAL_PARTS, PARTS_SPREAD = 0.4, (0.0025, 0.06), 2.0
 # What a map changes with: ResponseMap has a NAME_slope and a NAME_mm of each, CalibrationSlide a NAME_mm.
 COVARIATES = ("depth", "height")
 # Priors of such a change: of its factor on the design's, and of what it holds of the response itself, 1/mm.
@@ -87,8 +96,11 @@ def calibrate(
     drift = _deviation(means[keep], LEAST_DRIFT_V)
     response = replace(response, gain_sd=gain_sd, floor_v=residual, drift_v=drift)
     if response.rim:
-        weak_v, share = _growth(slides, residuals, keep)
+        left = [residual for residual, kept in zip(residuals, keep, strict=True) if kept]
+        kept_slides, *places = _some(keep, slides, gains, shifts)
+        weak_v, share = _growth(kept_slides, left)
         response = replace(response, weak_floor_v=weak_v, floor_share=share)
+        response = _with_parts(response, left, kept_slides, *places)
     if "depth" in changing:
         farthest = max(abs(slide.depth_mm - response.depth_mm) for slide in slides)
         response = replace(response, depth_sd_mm=float(farthest))
@@ -109,13 +121,11 @@ def _some(
     return [slide for slide, marked in zip(slides, mask, strict=True) if marked], gains[mask], shifts[mask]
 
 
-def _growth(
-    slides: list[CalibrationSlide], residuals: list[np.ndarray], keep: np.ndarray
-) -> tuple[float, float]:
-    """How the residuals (m, C) V of the kept slides grow with the output, by likelihood: the standard deviation where
-    there is none (V), and what is added in quadrature, as a share of the largest output of the channels."""
-    size = np.concatenate([np.abs(slides[n].volts).max(axis=1) for n in np.flatnonzero(keep)])
-    square = np.concatenate([(residuals[n] ** 2).mean(axis=1) for n in np.flatnonzero(keep)])
+def _growth(slides: list[CalibrationSlide], residuals: list[np.ndarray]) -> tuple[float, float]:
+    """How the slides' residuals (m, C) V grow with the output, by likelihood: the standard deviation where there is
+    none (V), and what is added in quadrature, as a share of the largest output of the channels."""
+    size = np.concatenate([np.abs(slide.volts).max(axis=1) for slide in slides])
+    square = np.concatenate([(residual**2).mean(axis=1) for residual in residuals])
     rms_v = max(math.sqrt(square.mean()), LEAST_RESIDUAL_V)
 
     def unlikely(log_sizes: np.ndarray) -> float:
@@ -126,6 +136,43 @@ def _growth(
     start = np.log([rms_v, rms_v / size.max()])
     weak_v, share = np.exp(minimize(unlikely, start, method="Nelder-Mead").x)
     return float(weak_v), float(share)
+
+
+def _with_parts(
+    response: ResponseMap,
+    residuals: list[np.ndarray],
+    slides: list[CalibrationSlide],
+    gains: np.ndarray,
+    shifts: np.ndarray,
+) -> ResponseMap:
+    """The map with the likeliest parts of its slides' residuals (m, C) V: `level_v`, `output_share`, `place_mm`.
+
+    Along a slide residuals are alike, so that each counts as one observation.
+    """
+    each = []
+    for slide, gain, shift, residual in zip(slides, gains, shifts, residuals, strict=True):
+        own = response.at(slide.depth_mm, slide.height_mm)
+        ahead, behind = (
+            own.response(*slide.place(shift - step, response.lag_s), slide.direction_rad)
+            for step in (SHIFT_STEP_MM, -SHIFT_STEP_MM)
+        )
+        change = gain * (ahead - behind) / (2 * SHIFT_STEP_MM)
+        even = np.ones_like(change)
+        noise = slide.rest_noise_v / math.sqrt(slide.blocks) * even
+        each.append(
+            [residual, noise, even, np.abs(slide.volts).max() * even, change, even / change.size**0.5]
+        )
+    square, noise, *shapes, weight = np.concatenate([np.reshape(one, (6, -1)) for one in each], axis=1) ** 2
+    rms_v = max(math.sqrt(weight @ square / len(each)), LEAST_RESIDUAL_V)
+    usual = np.log([LEVEL_SHARE * rms_v, *USUAL_PARTS])
+
+    def unlikely(log_parts: np.ndarray) -> float:
+        variance = noise + np.exp(2 * log_parts) @ shapes
+        prior = float(np.sum(((log_parts - usual) / PARTS_SPREAD) ** 2))
+        return prior + float(weight @ (np.log(variance) + square / variance))
+
+    level_v, output_share, place_mm = np.exp(minimize(unlikely, usual, method="Nelder-Mead").x).tolist()
+    return replace(response, level_v=level_v, output_share=output_share, place_mm=place_mm)
 
 
 def _over_heights(response: ResponseMap, slides: list[CalibrationSlide]) -> ResponseMap:

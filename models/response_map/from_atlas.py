@@ -32,6 +32,8 @@ PIECES = 8.0
 # Residual of a design's map on a sensor that nothing is known of: with 10 mg instead of 5 the distance error on
 # bench-a's calibration lines fell from 0.46 to 0.35 mm (experiments/LOG.md).
 DESIGN_RESIDUAL_G = 0.01
+# Of it, what is alike everywhere along a slide.
+DESIGN_LEVEL_SHARE = 0.6
 # Noise of a block, drift and gain before any recording: of the article's sensor (0.8 V/g), as calibrations find them.
 DESIGN_NOISE_V, DESIGN_DRIFT_V, DESIGN_GAIN_SD = 1.4e-3, 7e-4, 0.1
 # How near to the rim the skin moves as it does further in: 16 is as good as 32 and better than 8 (experiments/LOG.md).
@@ -99,6 +101,7 @@ def design_map(atlas: Atlas, sensor: Sensor, height_mm: float, depth_mm: float) 
     slope = (tilt(None, high) - tilt(None, low)) / (high - low) if high > low else np.zeros_like(mean)
     surfaces = [spline_coefficients(values, grid, half) for values in (mean, along_x, along_y, slope)]
     channels = mean.shape[1]
+    floor_v = DESIGN_RESIDUAL_G * float(np.mean([a.sensitivity_v_per_g for a in sensor.accelerometers]))
     return ResponseMap(
         np.stack(surfaces[:3]),
         surfaces[3],
@@ -107,7 +110,8 @@ def design_map(atlas: Atlas, sensor: Sensor, height_mm: float, depth_mm: float) 
         depth_mm=depth_mm,
         noise_v=np.full(channels, DESIGN_NOISE_V),
         drift_v=np.full(channels, DESIGN_DRIFT_V),
-        floor_v=DESIGN_RESIDUAL_G * float(np.mean([a.sensitivity_v_per_g for a in sensor.accelerometers])),
+        floor_v=floor_v,
+        level_v=DESIGN_LEVEL_SHARE * floor_v,
         gain_sd=DESIGN_GAIN_SD,
     )
 

@@ -46,6 +46,9 @@ class ResponseMap:
     drift_v: (C,) V, standard deviation of the static output between a slide's start and end.
     floor_v: V, standard deviation of the map's residual. weak_floor_v, floor_share: where there is no output, and what
         is added in quadrature as a share of the largest output of the channels; None: not known.
+    level_v, output_share, place_mm: the residual's parts along a slide, which add in quadrature: one that is alike
+        everywhere, one in proportion to the slide's largest output, and one in proportion to how fast the output
+        changes along the way, as where the map is off in place.
     gain_sd: standard deviation of the slide-to-slide gain.
     """
 
@@ -61,6 +64,9 @@ class ResponseMap:
     floor_v: float = 1e-3
     weak_floor_v: float | None = None
     floor_share: float | None = None
+    level_v: float = 6e-4
+    output_share: float = 0.003
+    place_mm: float = 0.0
     gain_sd: float = 0.02
     axes: int = 2
     rim: bool = True
