@@ -162,6 +162,7 @@ def _with_parts(
         each.append(
             [residual, noise, even, np.abs(slide.volts).max() * even, change, even / change.size**0.5]
         )
+    # All squared; a slide's weights add up to 1.
     square, noise, *shapes, weight = np.concatenate([np.reshape(one, (6, -1)) for one in each], axis=1) ** 2
     rms_v = max(math.sqrt(weight @ square / len(each)), LEAST_RESIDUAL_V)
     usual = np.log([LEVEL_SHARE * rms_v, *USUAL_PARTS])
