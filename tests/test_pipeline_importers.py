@@ -157,6 +157,26 @@ def test_an_interrupted_import_resumes(tmp_path: Path, monkeypatch) -> None:
     assert sorted(p.name for p in tmp_path.iterdir()) == ["afresh", "lab", "map.toml", "out", "sensor.toml"]
 
 
+def test_an_import_killed_as_it_clears_up_does_not_stop_the_next(tmp_path: Path, monkeypatch) -> None:
+    map_path = write_lab(tmp_path, FORMATS["csv"], ("one", "two"))
+    remove = run.shutil.rmtree
+
+    def killed(folder: Path, **rest) -> None:
+        if folder.name != ".out.partial":
+            return remove(folder, **rest)
+        (folder / "raw").rmdir()
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(run.shutil, "rmtree", killed)
+        with pytest.raises(KeyboardInterrupt):
+            imported(map_path, tmp_path / "out")
+    before = {file: file.read_bytes() for file in (tmp_path / "out").rglob("*.*")}
+    imported(map_path, tmp_path / "out")
+    assert {file: file.read_bytes() for file in (tmp_path / "out").rglob("*.*")} == before
+    assert not (tmp_path / ".out.partial").exists()
+
+
 @pytest.mark.parametrize("change", ["map", "source"])
 def test_what_another_map_or_source_made_is_done_again(tmp_path: Path, monkeypatch, change) -> None:
     map_path = write_lab(tmp_path, FORMATS["csv"])

@@ -21,9 +21,11 @@ class Journal:
         head = json.dumps({"map": fingerprint(mapping)})
         lines = self.path.read_text().splitlines() if self.path.is_file() else []
         if lines[:1] == [head]:
-            # A line that was being written when the import was interrupted does not end.
+            # A line that was being written when the import was interrupted does not end, and what was being removed
+            # at its end may lack the folder.
             whole = [line for line in lines[1:] if line.endswith("}")]
             self.entries = {entry["recording"]: entry for entry in map(json.loads, whole)}
+            (partial / "raw").mkdir(exist_ok=True)
         else:
             shutil.rmtree(partial / "raw", ignore_errors=True)
             with writing(partial.parent):
