@@ -151,10 +151,8 @@ def test_a_misfit_that_grows_for_a_while_does_not_give_up_the_line(
     """Two slides by the board, where the map's residual takes the misfit of a fit that is right over the limit: the
     track there is off by 0.7 and 2.3 % of the speed."""
     faster = replace(STOPPING, stopping=0.0, speed_mm_s=(4.0, 13.0), rest_s=(1.0, 1.5))
-    drawn, limit = (
-        [drawn_slide(specimen, number, faster) for number in (304, 317)],
-        localizer.card.validity.misfit,
-    )
+    drawn = [drawn_slide(specimen, number, faster) for number in (304, 317)]
+    limit = localizer.card.validity.misfit
     off = np.concatenate([valid_errors(localizer, each, 0.3, (limit, 2 * limit)) for each in drawn])
     assert len(off) > 40
     assert (off.mean(axis=0) < [0.2, 0.5, 0.02]).all(), off.mean(axis=0)

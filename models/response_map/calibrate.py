@@ -11,6 +11,7 @@ height. The lines of each are too few for a change that is free in place: held-o
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -45,7 +46,7 @@ PENALTY_NOISE_V = 1.35e-3  # a block's noise on the recordings that the penaltie
 # Parts of the residual as maps of benches and synthetic sensors have them (experiments/LOG.md): the level as a share of
 # all, the share of a slide's largest output, the place (mm). Priors, of a factor so wide (its logarithm) that they
 # decide where slides are few.
-LEVEL_SHARE, USUAL_PARTS, PARTS_SPREAD = 0.4, (0.0025, 0.06), 2.0
+USUAL_LEVEL, USUAL_PARTS, PARTS_SPREAD = 0.4, (0.0025, 0.06), 2.0
 # What a map changes with: ResponseMap has a NAME_slope and a NAME_mm of each, CalibrationSlide a NAME_mm.
 COVARIATES = ("depth", "height")
 # Priors of such a change: of its factor on the design's, and of what it holds of the response itself, 1/mm.
@@ -127,15 +128,32 @@ def _growth(slides: list[CalibrationSlide], residuals: list[np.ndarray]) -> tupl
     size = np.concatenate([np.abs(slide.volts).max(axis=1) for slide in slides])
     square = np.concatenate([(residual**2).mean(axis=1) for residual in residuals])
     rms_v = max(math.sqrt(square.mean()), LEAST_RESIDUAL_V)
+    shapes, weight = np.square([np.ones_like(size), size]), np.full(len(size), 1.0 / len(size))
+    weak_v, share = _likeliest(square, shapes, weight, [rms_v, rms_v / size.max()])
+    return weak_v, share
 
-    def unlikely(log_sizes: np.ndarray) -> float:
-        weak_v, share = np.exp(log_sizes)
-        variance = weak_v**2 + (share * size) ** 2
-        return float((np.log(variance) + square / variance).mean())
 
-    start = np.log([rms_v, rms_v / size.max()])
-    weak_v, share = np.exp(minimize(unlikely, start, method="Nelder-Mead").x)
-    return float(weak_v), float(share)
+def _likeliest(
+    square: np.ndarray,
+    shapes: np.ndarray,
+    weight: np.ndarray,
+    usual: Sequence[float],
+    noise: np.ndarray | float = 0.0,
+    spread: float = math.inf,
+) -> list[float]:
+    """Standard deviations of the k independent parts of a residual, by likelihood, from squares (n,) V^2 of it.
+
+    shapes: (k, n), of each part's variance; noise: the variance that is known; weight: (n,) of an observation. usual:
+    the prior's medians, whose logarithms it holds to within `spread`; the search begins there.
+    """
+    middle = np.log(usual)
+
+    def unlikely(log_parts: np.ndarray) -> float:
+        variance = noise + np.exp(2 * log_parts) @ shapes
+        prior = np.sum(((log_parts - middle) / spread) ** 2)
+        return float(prior + weight @ (np.log(variance) + square / variance))
+
+    return np.exp(minimize(unlikely, middle, method="Nelder-Mead").x).tolist()
 
 
 def _with_parts(
@@ -165,14 +183,8 @@ def _with_parts(
     # All squared; a slide's weights add up to 1.
     square, noise, *shapes, weight = np.concatenate([np.reshape(one, (6, -1)) for one in each], axis=1) ** 2
     rms_v = max(math.sqrt(weight @ square / len(each)), LEAST_RESIDUAL_V)
-    usual = np.log([LEVEL_SHARE * rms_v, *USUAL_PARTS])
-
-    def unlikely(log_parts: np.ndarray) -> float:
-        variance = noise + np.exp(2 * log_parts) @ shapes
-        prior = float(np.sum(((log_parts - usual) / PARTS_SPREAD) ** 2))
-        return prior + float(weight @ (np.log(variance) + square / variance))
-
-    level_v, output_share, place_mm = np.exp(minimize(unlikely, usual, method="Nelder-Mead").x).tolist()
+    usual = [USUAL_LEVEL * rms_v, *USUAL_PARTS]
+    level_v, output_share, place_mm = _likeliest(square, np.array(shapes), weight, usual, noise, PARTS_SPREAD)
     return replace(response, level_v=level_v, output_share=output_share, place_mm=place_mm)
 
 

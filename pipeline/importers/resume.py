@@ -20,16 +20,17 @@ class Journal:
         self.entries: dict[str, dict[str, Any]] = {}
         head = json.dumps({"map": fingerprint(mapping)})
         lines = self.path.read_text().splitlines() if self.path.is_file() else []
-        if lines[:1] == [head]:
-            # A line that was being written when the import was interrupted does not end, and what was being removed
-            # at its end may lack the folder.
+        resumes = lines[:1] == [head]
+        if resumes:
+            # A line that was being written when the import was interrupted does not end.
             whole = [line for line in lines[1:] if line.endswith("}")]
             self.entries = {entry["recording"]: entry for entry in map(json.loads, whole)}
-            (partial / "raw").mkdir(exist_ok=True)
         else:
             shutil.rmtree(partial / "raw", ignore_errors=True)
-            with writing(partial.parent):
-                (partial / "raw").mkdir(parents=True)
+        with writing(partial.parent):
+            # An import that was killed while it cleared up leaves a journal without the folder.
+            (partial / "raw").mkdir(parents=True, exist_ok=True)
+            if not resumes:
                 self.path.write_text(head + "\n")
 
     def has(self, job: Source) -> bool:
