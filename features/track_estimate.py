@@ -34,8 +34,11 @@ class TrackLimits:
     stopping_s: for which a line is held while a contact seems to be slower than slow_share of the slide, or is lost;
     it rests once it is slower than creep_share, and has stopped for good after pause_s.
     press_mm_s, press_sd_mm: largest speed and standard deviation of the place of a valid press. straight_way_mm: least
-    way of a straight slide. shared: share of the track's half-widths about its own estimate that the straight slide's
-    intervals hold too; None: they stay as they are.
+    way of a straight slide. straight_log_odds: least logarithm of the odds of a straight slide that a track agrees with
+    which is not valid itself, against a signal that no contact makes; way_log_odds: what each mm of way adds to it.
+    unmoved_log_odds: least evidence of a track while the output has not moved on since the touch. shared: share of the
+    track's half-widths about its own estimate that the straight slide's intervals hold too; None: they stay as they
+    are.
     """
 
     half_width: float = 1.9
@@ -62,6 +65,9 @@ class TrackLimits:
     slow_share: float = 0.5
     creep_share: float = 0.05
     straight_way_mm: float = 8.0
+    straight_log_odds: float = -3.0
+    way_log_odds: float = 1.0
+    unmoved_log_odds: float = 5.0
     shared: float | None = 0.5
 
 
@@ -70,7 +76,7 @@ LIKELY = 9.49  # 95 % quantile of chi-square with four degrees of freedom
 # Of a track from a touch anywhere, which is several times less sharp than the straight slide: its intervals would widen
 # those until 98 % hold. Tracks with a wider heading were wrong at sharp bends, and so were straight slides that are
 # less than likely (experiments/LOG.md).
-TOUCH_LIMITS = TrackLimits(heading_sd_deg=13.0, shared=None, agreement=LIKELY)
+TOUCH_LIMITS = TrackLimits(heading_sd_deg=13.0, shared=None, agreement=LIKELY, straight_log_odds=-math.inf)
 
 
 PARTIAL_UNKNOWNS = 3  # of a contact that is being pressed on or lifted: its place and its gain
@@ -106,8 +112,8 @@ def judged(
     heading_half = min(limits.heading_width * math.degrees(heading_sd) + limits.heading_deg, 180.0)
     offset, offset_half = float(across @ from_reference), limits.half_width * offset_sd + limits.place_mm
     contact = Contact.SLIDE
-    lifted = track.channels > PARTIAL_UNKNOWNS and track.way_mm > limits.partial_way_mm
-    if (track.partial > 0.5 and not lifted) or track.way_mm < limits.way_mm or track.one_press:
+    lifted = track.evidence.channels > PARTIAL_UNKNOWNS and track.way_mm > limits.partial_way_mm
+    if (track.partial > 0.5 and not lifted) or track.way_mm < limits.way_mm or track.evidence.one_press:
         contact = Contact.PRESS
     elif speed < limits.stopped_mm_s:
         contact = Contact.STOPPED
@@ -159,7 +165,7 @@ def _is_press(track: Track, limits: TrackLimits) -> bool:
     """Whether the track is a press without motion, at a place that is known. Since neither a tilt nor a change of
     pressure can have made it, it needs neither way nor evidence of a slide."""
     return (
-        track.presses
+        track.evidence.presses
         and float(np.hypot(*track.mean[2:])) < limits.press_mm_s
         and float(track.covariance[:2, :2].trace()) < limits.press_sd_mm**2
         and track.certain >= limits.certain
@@ -177,16 +183,16 @@ def _reason(
 ) -> Reason:
     if track.misfit > limits.misfit:
         return Reason.NOT_THIS_SENSOR
-    if track.way_mm < limits.way_mm or track.triggers < limits.triggers:
+    if track.way_mm < limits.way_mm or track.evidence.triggers < limits.triggers:
         return Reason.TOO_EARLY
     # A contact adds to the output: none has a negative gain.
-    if track.evidence < limits.evidence or track.gain <= 0.0:
+    if track.evidence.log_odds < limits.evidence or track.gain <= 0.0:
         return Reason.NOT_THIS_SENSOR
     unclear = place_sd_mm > limits.place_sd_mm or (
         heading_sd_deg > limits.heading_sd_deg and contact is not Contact.STOPPED
     )
     # What one press at a place nearby shows as well is ambiguous.
-    unclear = unclear or track.one_press or track.certain < limits.certain
+    unclear = unclear or track.evidence.one_press or track.certain < limits.certain
     # A signal that comes and rests fits a contact that has hardly moved.
     unclear = unclear or (contact is Contact.STOPPED and track.way_mm < limits.stopped_way_mm)
     if unclear or (track.partial > limits.partial and not lifted):
@@ -206,6 +212,17 @@ def apart(straight: Estimate, track: Track, since_s: float, limits: TrackLimits)
     floor = np.array([limits.place_mm, limits.place_mm, limits.speed_mm_s, limits.speed_mm_s])
     spread = track.covariance + np.diag(floor**2)
     return float(off @ np.linalg.solve(spread, off))
+
+
+def likely(track: Track, distance: float, limits: TrackLimits) -> bool:
+    """Whether a straight slide is likely at a distance, as of `apart`, from a track that is not valid itself.
+
+    The odds are of a contact against a signal that none makes, which seldom agrees with a straight slide for long, and
+    is often weak.
+    """
+    further_mm = track.way_mm - limits.straight_way_mm
+    log_odds = track.evidence.log_odds - 0.5 * distance + limits.way_log_odds * further_mm
+    return log_odds >= limits.straight_log_odds and track.evidence.triggers >= limits.triggers
 
 
 def explains(straight: Estimate) -> bool:

@@ -1,8 +1,8 @@
 """What is said of a contact: the straight slide that the graph fits, the track, or neither, and why.
 
-1. The straight slide, where the track agrees with it (`apart`). On a line that they agreed on before, its misfit may be
-   twice the bundle's limit, where a valid track agrees to 95 %.
-2. What the signal forbids, whatever fits: a dead channel, drift, too early.
+1. The straight slide, where the track agrees with it (`apart`), and is valid or makes it likely (`likely`). On a line
+   that they agreed on before, its misfit may be twice the bundle's limit, where a valid track agrees to 95 %.
+2. What the signal forbids, whatever fits: a dead channel, drift; too early, unless the track has much evidence.
 3. The line that straight slide and track agreed on, where the contact stops on it, or where the straight slide is of it
    still and the track is lost or goes much the same way: then with intervals that hold the track.
 4. Ambiguous, where a straight slide explains the output and goes another way than the track, or explains to the noise
@@ -33,6 +33,7 @@ from softslide.features.track_estimate import (
     earlier,
     explains,
     judged,
+    likely,
     same_line,
     stopped_on,
     stops_on,
@@ -151,16 +152,16 @@ class ContactEstimator:
         self._fit = _Fit(self._count, fitted)
         if not straight.valid:
             return
+        tracked = self._judged(self.track, 0.0)
         if self._on_features:
-            track = self._judged(self.track, 0.0)
-            if min(track.speed_lo_mm_s, straight.speed_lo_mm_s) > 0.0 and same_line(straight, track):
+            if min(tracked.speed_lo_mm_s, straight.speed_lo_mm_s) > 0.0 and same_line(straight, tracked):
                 self._lines.append(self._fit)
             return
-        if apart(straight, *self._clear_track(), self._limits) <= self._limits.agreement:
-            self._lines.append(self._fit)
-        elif (
-            self._count % OFFER_BLOCKS == 0 and explains(straight) and not self._judged(self.track, 0.0).valid
-        ):
+        distance = self._apart(straight)
+        if distance <= self._limits.agreement:
+            if self._stands(tracked, distance):
+                self._lines.append(self._fit)
+        elif self._count % OFFER_BLOCKS == 0 and explains(straight) and not tracked.valid:
             assert self._tracker is not None
             assert not isinstance(self._tracker, TouchDownTracker)
             assert self._card.contact is not None
@@ -187,13 +188,16 @@ class ContactEstimator:
             return tracked._replace(valid=False, reason=Reason.TOO_EARLY if healthy else Reason.DEAD_CHANNEL)
         if tracked.valid and self._is_of_the_line(straight):
             straight = straight._replace(valid=True, reason=Reason.NONE)
-        if straight.valid and apart(straight, *self._clear_track(), limits) <= limits.agreement:
+        distance = self._apart(straight)
+        if straight.valid and distance <= limits.agreement and self._stands(tracked, distance):
             if self._stream.rested_s == 0.0:
                 return with_track(straight, tracked, limits.shared)
             if not self._lines:
                 self._lines.append(_Fit(self._count, straight))
         if straight.reason in _OF_THE_SIGNAL:
-            if pressed and straight.reason is Reason.TOO_EARLY:
+            # Where the output has not moved on since the touch, it may be a press's.
+            sure = tracked.valid and self.track.evidence.log_odds >= limits.unmoved_log_odds
+            if straight.reason is Reason.TOO_EARLY and (pressed or sure):
                 return tracked
             return tracked._replace(valid=False, reason=straight.reason)
         if self.touches_down:
@@ -214,6 +218,14 @@ class ContactEstimator:
             return tracked._replace(valid=False, reason=Reason.AMBIGUOUS)
         return tracked
 
+    def _apart(self, straight: Estimate) -> float:
+        """How far a straight slide is from the track when the output was last above the trigger."""
+        return apart(straight, *self._clear_track(), self._limits)
+
+    def _stands(self, tracked: Estimate, distance: float) -> bool:
+        """Whether a straight slide so far from the track stands: the track is valid, or makes it likely."""
+        return tracked.valid or likely(self._clear_track()[0], distance, self._limits)
+
     def _is_of_the_line(self, straight: Estimate) -> bool:
         """Whether a straight slide, its misfit over the bundle's limit, is of a line that the track agreed with and
         likely agrees with still."""
@@ -222,7 +234,7 @@ class ContactEstimator:
             and straight.misfit <= LINE_MISFIT * self._card.validity.misfit
             and len(self._lines) > 0
             and same_line(straight, self._lines[0].estimate)
-            and apart(straight, *self._clear_track(), self._limits) <= LIKELY
+            and self._apart(straight) <= LIKELY
         )
 
     def _allowed(self, straight: Estimate | None, tracked: Estimate) -> Estimate | None:

@@ -3,9 +3,9 @@
 import math
 import sys
 from collections import deque
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import onnxruntime as ort
@@ -21,8 +21,8 @@ from softslide.features.height import HEIGHT_INPUT, given_height
 from softslide.features.rest_height import rest_height
 from softslide.features.stream.attitude import Attitude
 from softslide.features.stream.conditioning import Blocks
-from softslide.features.stream.drift import UNKNOWN, DriftWatch, measures_gravity
-from softslide.features.stream.faults import BRIDGED_BLOCKS, Judged, SignalWatch
+from softslide.features.stream.drift import UNKNOWN, DriftWatch
+from softslide.features.stream.faults import BRIDGED_BLOCKS, Judged, SignalWatch, output_range
 from softslide.features.stream.gravity import GravityWatch
 from softslide.features.stream.tracker import SlideState, SlideTracker
 from softslide.features.vector.energy import energy_width_s
@@ -30,7 +30,7 @@ from softslide.features.vector.feature_vector import feature_vector
 from softslide.features.window import WINDOW_BINS, Window
 from softslide.serve.bundle import open_bundle
 from softslide.serve.contact_estimate import FIT_BLOCKS, ContactEstimator
-from softslide.serve.sample_slots import SampleClock
+from softslide.serve.sample_slots import SampleClock, checked_samples
 
 # Largest share of a slide's blocks whose means may be old ones (features/stream/faults.py); above it none is valid.
 BRIDGED_SHARE = 0.05
@@ -373,7 +373,7 @@ class Localizer:
     def _whole_blocks(
         self, volts: np.ndarray, time_s: np.ndarray | None
     ) -> Iterator[tuple[np.ndarray, tuple[float, float]]]:
-        volts, time_s = self._checked(volts, time_s)
+        volts, time_s = checked_samples(volts, time_s, len(self.card.columns))
         for piece in self._clock.place(volts, time_s):
             yield from self._blocks.push(piece)
 
@@ -425,20 +425,6 @@ class Localizer:
         healthy = block.healthy[:-1] & block.healthy[-1] & upright
         return Judged(mean, healthy, block.bridged[:-1] | block.bridged[-1])
 
-    def _checked(self, volts: np.ndarray, time_s: np.ndarray | None) -> tuple[np.ndarray, np.ndarray | None]:
-        columns = len(self.card.columns)
-        volts = _numbers(volts, "a chunk")
-        if volts.ndim != 2 or volts.shape[1] != columns:
-            raise InputError(f"a chunk has shape {volts.shape}; push (n, {columns}) volts")
-        if time_s is None:
-            return volts, None
-        time_s = _numbers(time_s, "time_s").astype(float)
-        if time_s.shape != volts.shape[:1] or not np.isfinite(time_s).all():
-            raise InputError(
-                f"time_s of shape {time_s.shape} for {len(volts)} samples; push a finite time in s for each"
-            )
-        return volts, time_s
-
 
 def _lag_blocks(card: Card, lag_s: float) -> int:
     if not 0.0 <= lag_s <= MOST_LAG_S:
@@ -446,27 +432,3 @@ def _lag_blocks(card: Card, lag_s: float) -> int:
     if lag_s and (card.contact is None or card.input == "features"):
         raise InputError(f"a lag of {lag_s:g} s: this bundle follows no contacts, and so has none", "lag")
     return round(lag_s / card.conditioning.block_s)
-
-
-def output_range(elements: Sequence[Mapping[str, Any]]) -> tuple[np.ndarray, np.ndarray]:
-    """Least and largest output (C,) V of a card's sensing elements.
-
-    Without acceleration an accelerometer's output is half its supply, and no output is outside the supply. Of other
-    kinds no range is known: every finite number is an output.
-    """
-    largest = float(np.finfo(float).max)
-    ranges = [
-        (0.0, 2.0 * float(a["zero_g_v"])) if measures_gravity(a) else (-largest, largest) for a in elements
-    ]
-    low, high = np.repeat(np.array(ranges), 3, axis=0).T
-    return low, high
-
-
-def _numbers(values: np.ndarray, name: str) -> np.ndarray:
-    try:
-        array = np.asarray(values)
-    except ValueError:
-        raise InputError(f"{name} is ragged; push an array of real numbers") from None
-    if array.dtype.kind not in "fiu":
-        raise InputError(f"{name} is {array.dtype}; push real numbers")
-    return array

@@ -11,6 +11,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from softslide.features.errors import InputError
+
 # Samples by which stamps may be early: jitter of a sample or two. Earlier still means a clock faster than the nominal
 # rate, and a sample is left out.
 AHEAD = 2.0
@@ -129,3 +131,34 @@ class SampleClock:
         if self._least[0][0] <= self._count - self._span:
             self._least.popleft()
         return self._least[0][1] - self._shift
+
+
+def checked_samples(
+    volts: np.ndarray, time_s: np.ndarray | None, columns: int
+) -> tuple[np.ndarray, np.ndarray | None]:
+    """A chunk of samples (n, columns) V, and their times (n,) s where they have any.
+
+    Raises:
+        InputError: not real numbers, another shape, or a time that is not finite.
+    """
+    volts = _numbers(volts, "a chunk")
+    if volts.ndim != 2 or volts.shape[1] != columns:
+        raise InputError(f"a chunk has shape {volts.shape}; push (n, {columns}) volts")
+    if time_s is None:
+        return volts, None
+    time_s = _numbers(time_s, "time_s").astype(float)
+    if time_s.shape != volts.shape[:1] or not np.isfinite(time_s).all():
+        raise InputError(
+            f"time_s of shape {time_s.shape} for {len(volts)} samples; push a finite time in s for each"
+        )
+    return volts, time_s
+
+
+def _numbers(values: np.ndarray, name: str) -> np.ndarray:
+    try:
+        array = np.asarray(values)
+    except ValueError:
+        raise InputError(f"{name} is ragged; push an array of real numbers") from None
+    if array.dtype.kind not in "fiu":
+        raise InputError(f"{name} is {array.dtype}; push real numbers")
+    return array

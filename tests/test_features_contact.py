@@ -316,7 +316,7 @@ def test_a_slide_is_valid_and_a_wave_seldom() -> None:
         tracked = tracker(response)
         waves.append(share_valid([tracked.push(v, n > 10) for n, v in enumerate(wave)]))
     slide = followed(response, line(3.0))
-    assert np.median([t.evidence for t in slide if t is not None]) > 2.0
+    assert np.median([t.evidence.log_odds for t in slide if t is not None]) > 2.0
     assert share_valid(slide) > 0.6
     assert np.mean(waves) < 0.1
 

@@ -34,8 +34,8 @@ def test_bumps_earn_no_evidence_while_an_accelerometer_is_out() -> None:
         shown = bumps(seed)
         volts = np.concatenate([shown, np.full_like(shown, 0.3)], axis=1)
         tracks = followed(tracker(TWO), volts, FIRST_ALONE)
-        assert tracks[-1].channels == 2
-        ends.append(tracks[-1].evidence)
+        assert tracks[-1].evidence.channels == 2
+        ends.append(tracks[-1].evidence.log_odds)
     assert min(ends) < -1.0
     assert all(ends)
 
@@ -43,7 +43,7 @@ def test_bumps_earn_no_evidence_while_an_accelerometer_is_out() -> None:
 def test_a_slide_earns_evidence_while_an_accelerometer_is_out() -> None:
     volts = volts_along(TWO, line(4.0))
     volts[:, 2:] = 0.3
-    assert max(track.evidence for track in followed(tracker(TWO), volts, FIRST_ALONE)) > 5.0
+    assert max(track.evidence.log_odds for track in followed(tracker(TWO), volts, FIRST_ALONE)) > 5.0
 
 
 def a_bank(count: int = 3, way_mm: float = 3.0) -> Hypotheses:

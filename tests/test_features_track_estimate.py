@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 
 from softslide.features.angles import wrapped_deg
 from softslide.features.card import HALF_WIDTH_SD
-from softslide.features.contact.track import Track
+from softslide.features.contact.track import ContactEvidence, Track
 from softslide.features.estimate import Contact, Estimate, Reason, mixed_width
 from softslide.features.stream.tracker import SlideState
-from softslide.features.track_estimate import TOUCH_LIMITS, TrackLimits, apart, judged, with_track
+from softslide.features.track_estimate import TOUCH_LIMITS, TrackLimits, apart, judged, likely, with_track
 
 QUANTITIES = (("speed", "mm_s"), ("offset", "mm"), ("x", "mm"), ("y", "mm"), ("vx", "mm_s"), ("vy", "mm_s"))
 
@@ -113,7 +113,7 @@ def test_a_lift_is_valid_where_two_accelerometers_have_followed_the_contact(
     """Place and gain are three numbers, an accelerometer shows two."""
     mean, covariance = np.array([3.0, 4.0, 2.0, 0.0]), 0.01 * np.eye(4)
     judgement = (1.0, 1.0, 1.0, 0.6, 0.0, 0.02, 20, way_mm)
-    lifting = Track(mean, covariance, *judgement, evidence=10.0, channels=channels)
+    lifting = Track(mean, covariance, *judgement, evidence=ContactEvidence(10.0, channels))
     estimate = judged(lifting, 0.0, SlideState.SLIDE, (0.0, 0.0), 0.5, TrackLimits())
     assert estimate.valid is valid
     assert estimate.contact is (Contact.SLIDE if valid else Contact.PRESS)
@@ -123,7 +123,7 @@ def test_a_lift_is_valid_where_two_accelerometers_have_followed_the_contact(
 def test_what_shows_less_than_any_contact_is_not_valid(off_mm: float, reason: Reason) -> None:
     """The calibration's contacts are 0.5 mm deep: one that is 1.5 mm less deep does not touch."""
     mean, covariance = np.array([5.0, 5.0, 3.0, 0.0]), 1e-4 * np.eye(4)
-    track = Track(mean, covariance, 1.0, 1.0, 0.0, 1.0, off_mm, 0.1, 1, 20.0, evidence=10.0)
+    track = Track(mean, covariance, 1.0, 1.0, 0.0, 1.0, off_mm, 0.1, 1, 20.0, evidence=ContactEvidence(10.0))
     found = judged(track, 1.0, SlideState.SLIDE, (0.0, 0.0), 0.5, TrackLimits())
     assert (found.valid, found.reason) == (reason is Reason.NONE, reason)
 
@@ -131,6 +131,26 @@ def test_what_shows_less_than_any_contact_is_not_valid(off_mm: float, reason: Re
 @pytest.mark.parametrize(("triggers", "valid"), [(3.9, False), (4.1, True)])
 def test_a_track_of_a_weak_output_is_too_early(triggers: float, valid: bool) -> None:
     mean, covariance = np.array([5.0, 5.0, 3.0, 0.0]), 1e-4 * np.eye(4)
-    track = Track(mean, covariance, 1.0, 1.0, 0.0, 1.0, 0.0, 0.1, 1, 20.0, evidence=10.0, triggers=triggers)
+    evidence = ContactEvidence(10.0, triggers=triggers)
+    track = Track(mean, covariance, 1.0, 1.0, 0.0, 1.0, 0.0, 0.1, 1, 20.0, evidence=evidence)
     found = judged(track, 1.0, SlideState.SLIDE, (0.0, 0.0), 0.5, TrackLimits())
     assert (found.valid, found.reason) == (valid, Reason.NONE if valid else Reason.TOO_EARLY)
+
+
+@pytest.mark.parametrize(
+    ("log_odds", "distance", "way_mm", "triggers", "expected"),
+    [
+        (0.0, 2.0, 9.0, 8.0, True),
+        (0.0, 24.0, 9.0, 8.0, False),  # far from the track
+        (-8.0, 2.0, 9.0, 8.0, False),  # a smooth signal of no known origin is likelier
+        (-8.0, 2.0, 16.0, 8.0, True),  # such signals seldom fit a straight slide for so long
+        (9.0, 0.0, 20.0, 3.9, False),  # hardly more than the trigger
+    ],
+)
+def test_a_straight_slide_next_to_a_track_that_is_not_valid_needs_odds(
+    log_odds: float, distance: float, way_mm: float, triggers: float, expected: bool
+) -> None:
+    evidence = ContactEvidence(log_odds, triggers=triggers)
+    track = Track(np.zeros(4), np.eye(4), 1.0, 1.0, 0.0, 1.0, 0.0, 0.02, 20, way_mm, evidence=evidence)
+    assert likely(track, distance, TrackLimits()) is expected
+    assert likely(track._replace(evidence=ContactEvidence()), distance, TOUCH_LIMITS)

@@ -33,7 +33,9 @@ def chosen(batch: WindowBatch, which) -> WindowBatch:
 
 def refine(response, batch, start, steps=8, sd=0.5, vertical=None, cross_axis_sd=0.01):
     """heading (B, 2), state (B, 6), its variance, misfit and strain (B, 1), bends (B, 4), of one accelerometer."""
-    refinement = Refinement(response, BLOCK_S, RefinementConfig(steps=steps, trust=1.0, askew=cross_axis_sd))
+    refinement = Refinement(
+        response, BLOCK_S, RefinementConfig(steps=steps, trust=1.0, cross_axis_sd=cross_axis_sd)
+    )
     third = torch.zeros_like(batch.volts[:, :1]) if vertical is None else vertical
     with torch.no_grad():
         columns = refinement(
@@ -150,7 +152,7 @@ def test_a_straight_way_is_taken_for_one():
 
 def test_weights_are_the_inverse_of_the_residuals_covariance():
     response = bump_map(level_v=5e-4, output_share=0.004, place_mm=0.08)
-    refinement = Refinement(response, BLOCK_S, RefinementConfig(askew=0.05))
+    refinement = Refinement(response, BLOCK_S, RefinementConfig(cross_axis_sd=0.05))
     generator = torch.Generator().manual_seed(2)
     volts = 0.1 * torch.randn(1, 6, WINDOW_BINS, generator=generator, dtype=torch.float64)[:, :3]
     bins = volts.reshape(3, BINS, -1).mean(2)

@@ -16,6 +16,7 @@ from softslide.features.stream.tracker import SlideState
 from softslide.pipeline.atlas.atlas import read_atlas
 from softslide.pipeline.recordings.folder import Recording
 from softslide.pipeline.synthesis.distribution import Distribution
+from softslide.pipeline.synthesis.no_contact import SIGNALS, untouched
 from softslide.pipeline.synthesis.slide_plan import Slide
 from softslide.pipeline.synthesis.specimen import Specimen, draw_specimen
 from softslide.pipeline.synthesis.synthesize import noise_of, plan, record, sensor_of
@@ -156,3 +157,18 @@ def test_a_misfit_that_grows_for_a_while_does_not_give_up_the_line(
     off = np.concatenate([valid_errors(localizer, each, 0.3, (limit, 2 * limit)) for each in drawn])
     assert len(off) > 40
     assert (off.mean(axis=0) < [0.2, 0.5, 0.02]).all(), off.mean(axis=0)
+
+
+@pytest.mark.parametrize(("kind", "number"), [("tilt", 7), ("drift", 7)])
+def test_what_fits_a_straight_slide_and_no_contact_makes_is_not_valid(
+    localizer: Localizer, kind: str, number: int
+) -> None:
+    """For 0.5 s and more a straight slide fits these signals, next to a track that is not valid itself."""
+    contact = localizer.card.contact
+    assert contact is not None
+    random = np.random.default_rng([3, number])
+    volts = untouched(sensor_of(read_atlas()), np.array(contact.static_v), SIGNALS[kind], 25.0, random)
+    localizer.reset()
+    found = [e for e in localizer.push(volts) if e.state is SlideState.SLIDE]
+    assert len(found) > 300
+    assert not any(estimate.valid for estimate in found)

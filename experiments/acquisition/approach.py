@@ -43,8 +43,8 @@ def _level(listener: Listener, sensor: Sensor, timeout_s: float) -> np.ndarray:
     listener.take()
     rows = list[np.ndarray]()
     while sum(map(len, rows)) < READ_S * sensor.sample_rate_hz:
-        if listener.trouble or listener.silent_s > timeout_s:
-            raise InputError(listener.trouble or f"nothing has come for {timeout_s:g} s", "approach")
+        if reason := listener.why_silent(timeout_s):
+            raise InputError(reason, "approach")
         time.sleep(POLL_S)
         rows += [volts[:, tilt_channels(volts.shape[1])] for volts, _ in listener.take()]
     return np.concatenate(rows).mean(axis=0)

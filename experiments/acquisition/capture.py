@@ -52,10 +52,10 @@ class Listener:
             chunks, self._chunks = self._chunks, []
         return chunks
 
-    @property
-    def silent_s(self) -> float:
-        """How long ago the last sample came; infinite before the first."""
-        return time.monotonic() - self._heard_s
+    def why_silent(self, timeout_s: float) -> str:
+        """Why nothing comes, or has come for so long; empty where samples come."""
+        silent = time.monotonic() - self._heard_s > timeout_s
+        return self.trouble or (f"nothing has come for {timeout_s:g} s" if silent else "")
 
     def close(self) -> None:
         """Stops listening and closes the source."""
@@ -133,8 +133,10 @@ def capture(
     while count < wanted:
         time.sleep(POLL_S)
         new = listener.take()
-        if listener.opened != opened or listener.trouble or listener.silent_s > timeout_s:
-            raise Lost(listener.trouble or f"nothing has come for {timeout_s:g} s")
+        if reason := listener.why_silent(timeout_s):
+            raise Lost(reason)
+        if listener.opened != opened:
+            raise Lost("the source was opened anew; samples are missing")
         chunks += new
         count += sum(len(volts) for volts, _ in new)
         if new:

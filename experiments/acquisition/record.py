@@ -317,7 +317,7 @@ def _wait(bench: Bench) -> None:
     """
     listener, source, times = bench.listener, bench.source, bench.times
     begun_s, said = time.monotonic(), ""
-    while listener.trouble or listener.silent_s > times.timeout:
+    while listener.why_silent(times.timeout):
         reason = listener.trouble or "nothing comes"
         if reason != said:
             bench.operator.say(f"waiting for {source}: {reason}")

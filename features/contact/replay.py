@@ -1,4 +1,4 @@
-"""Takes back what an accelerometer said before it was found faulty."""
+"""Re-runs a tracker over the last 0.5 s without an accelerometer that was found faulty."""
 
 import copy
 from typing import NamedTuple

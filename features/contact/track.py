@@ -11,14 +11,25 @@ from softslide.features.contact.places import Place, likeliest_places
 NEAR_MM = 2.5  # hypotheses this near the best one are of the same place
 
 
+class ContactEvidence(NamedTuple):
+    """What all of the output since the touch says of its being a contact.
+
+    log_odds: of a contact against a signal that needs no map, forgotten as in `ContactTracker`. channels: that it is
+    read from. triggers: the largest output, over the trigger. one_press: whether a press at one place, or a drift, may
+    have made all of it. presses: whether then a press has made it, and neither a tilt of the device nor its pressure.
+    """
+
+    log_odds: float = 0.0
+    channels: int = 0
+    triggers: float = math.inf
+    one_press: bool = False
+    presses: bool = False
+
+
 class Track(NamedTuple):
     """One moment. mean: (4,) x, y (mm), vx, vy (mm/s); covariance: (4, 4). certain: weight of the hypotheses near the
     best one. misfit: chi-square over its degrees of freedom. partial: weight of hypotheses that the contact is being
     pressed on or lifted. gain, depth_mm (off the map's): means; depth_sd_mm. way_mm: since the touch, at most 25.
-    evidence: logarithm of the odds of a contact against a signal that needs no map, forgotten as in
-    `ContactTracker`. one_press: whether a press at one place, or a drift, may have made all of the output
-    since the touch. presses: whether then a press has made it, and neither a tilt of the device nor its pressure.
-    channels: that it is read from. triggers: the largest output since the touch, over the trigger.
     places: where the contact may be, while several places are left.
     """
 
@@ -32,12 +43,8 @@ class Track(NamedTuple):
     depth_sd_mm: float
     hypotheses: int
     way_mm: float
-    evidence: float = 0.0
-    one_press: bool = False
-    presses: bool = False
-    channels: int = 0
-    triggers: float = math.inf
     places: tuple[Place, ...] = ()
+    evidence: ContactEvidence = ContactEvidence()
 
 
 def read(bank: Hypotheses) -> Track:

@@ -36,7 +36,7 @@ from softslide.features.contact.manoeuvres import Manoeuvres, branched, merged
 from softslide.features.contact.response_surface import ResponseSurface
 from softslide.features.contact.smooth_signal import SmoothSignal
 from softslide.features.contact.touch import at_rest, at_touch, onset
-from softslide.features.contact.track import Track, moved_on, read, read_past
+from softslide.features.contact.track import ContactEvidence, Track, moved_on, read, read_past
 from softslide.features.contact.whole_device import beyond_device
 
 STEP_BLOCKS = (
@@ -61,7 +61,7 @@ EVIDENCE_AGAINST_S = (
 # A press rests sooner than this: an output that changes for longer along one direction is a slide's or a drift's, and
 # a slide's from this evidence on (synthetic slides and drifts).
 PRESS_S = 2.0
-SLIDE_EVIDENCE = 3.0
+SLIDE_LOG_ODDS = 3.0
 # A press that is distinguished from all that the whole device does: so large a share of the output is beyond that, the
 # output is so many times the trigger, and it never changed for longer than this (experiments/LOG.md).
 TOUCH_SHARE = 0.3
@@ -154,7 +154,7 @@ class ContactTracker:
         self._recent = np.zeros((ONSET_BLOCKS, len(noise_v)))
         self._every = self._watched = np.ones(len(noise_v), dtype=bool)
         self._smooth = self._alternatives()
-        self._evidence = 0.0
+        self._log_odds = 0.0
         self._beyond_device = beyond_device(np.array(inflation_v_per_mm)) if inflation_v_per_mm else None
         self.reset()
 
@@ -215,7 +215,7 @@ class ContactTracker:
         self._bank = None if bank is None else remembering(bank, self._config.remembered)
         self._watch(self._every if usable is None else usable, seen.level, seen.slope)
         self._blocks = self._steps = self._quiet = self._lost = 0
-        self._evidence = 0.0
+        self._log_odds = 0.0
         self._rested = False
         self._past.clear()
         self._track = None if self._bank is None else read(self._bank)
@@ -255,9 +255,9 @@ class ContactTracker:
         self.gained = gained
         way_mm = elapsed_s * abs(float(self._bank.state[self._bank.log_weight.argmax(), SPEED]))
         fades = elapsed_s / EVIDENCE_S + way_mm / EVIDENCE_MM
-        if self._evidence < 0.0:
+        if self._log_odds < 0.0:
             fades = elapsed_s / EVIDENCE_AGAINST_S
-        self._evidence += gained - self._evidence * min(fades, 1.0)
+        self._log_odds += gained - self._log_odds * min(fades, 1.0)
         self._leave_skin()
         self._steps += 1
         if whole and not self._rested and self._steps * elapsed_s < config.young_s:
@@ -273,17 +273,11 @@ class ContactTracker:
             return None
         since = self._blocks % STEP_BLOCKS
         steps = math.ceil((blocks - since) / STEP_BLOCKS)
-        track, now = read_past(self._bank, steps), self._track
+        track = read_past(self._bank, steps)
         if track is None:
             return None
         track = moved_on(track, (steps * STEP_BLOCKS + since - blocks) * self._block_s)
-        return track._replace(
-            evidence=now.evidence,
-            channels=now.channels,
-            triggers=now.triggers,
-            one_press=now.one_press,
-            presses=now.presses,
-        )
+        return track._replace(evidence=self._track.evidence)
 
     def offer(self, fit: StraightFit) -> None:
         """Takes a fit into the bank, with the weight that the last measurements give it.
@@ -338,16 +332,17 @@ class ContactTracker:
     def _read_track(self) -> Track:
         assert self._bank is not None
         one_press = self._smooth.one_way and (
-            self._smooth.changing_s < PRESS_S or self._evidence < SLIDE_EVIDENCE
+            self._smooth.changing_s < PRESS_S or self._log_odds < SLIDE_LOG_ODDS
         )
         volts = self._recent[-STEP_BLOCKS:].mean(axis=0)
-        return read(self._bank)._replace(
-            evidence=self._evidence,
+        evidence = ContactEvidence(
+            log_odds=self._log_odds,
             channels=int(self._watched.sum()),
             triggers=self._peak_v / self._trigger_v,
             one_press=one_press,
             presses=one_press and bool(self._watched.all()) and self._presses(volts),
         )
+        return read(self._bank)._replace(evidence=evidence)
 
     def _watch(self, use: np.ndarray, level_v: np.ndarray, slope_v_s: np.ndarray) -> None:
         """Starts the alternatives to a contact on these channels (C,) bool from a level (C,) and a slope (C,)."""

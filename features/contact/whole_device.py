@@ -1,4 +1,4 @@
-"""What the whole device does to the output by itself: it tilts, or the pressure in its chamber changes.
+"""Outputs common to all boards: the device tilts, or the pressure in its chamber changes.
 
 A tilt shows alike in all accelerometers, a change of pressure along one known direction of the channels. What an output
 has beyond these, something that touches the skin has made. With one accelerometer nothing is beyond them; with two a

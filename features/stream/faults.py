@@ -8,12 +8,14 @@ while another channel changes: a working channel has noise. And it is faulty whe
 samples of two blocks in a row have the same largest or the same least value.
 """
 
+from collections.abc import Mapping, Sequence
 from operator import eq
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from softslide.features.stream.conditioning import WHOLE, block_mean
+from softslide.features.stream.drift import measures_gravity
 
 # Blocks, 0.1 s, for which an old mean may be used before the accelerometer is faulty.
 BRIDGED_BLOCKS = 5
@@ -129,3 +131,17 @@ class SignalWatch:
     def _any(self, channels: np.ndarray) -> np.ndarray:
         """Channels (C,) -> accelerometers (A,): whether any channel of it that is read is marked."""
         return (channels & self._read).reshape(-1, 3).any(axis=1)
+
+
+def output_range(elements: Sequence[Mapping[str, Any]]) -> tuple[np.ndarray, np.ndarray]:
+    """Least and largest output (C,) V of a card's sensing elements.
+
+    Without acceleration an accelerometer's output is half its supply, and no output is outside the supply. Of other
+    kinds no range is known: every finite number is an output.
+    """
+    largest = float(np.finfo(float).max)
+    ranges = [
+        (0.0, 2.0 * float(a["zero_g_v"])) if measures_gravity(a) else (-largest, largest) for a in elements
+    ]
+    low, high = np.repeat(np.array(ranges), 3, axis=0).T
+    return low, high

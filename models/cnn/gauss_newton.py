@@ -54,7 +54,7 @@ class RefinementConfig:
         mm): so that a wrong proposal can be left.
     same_depth: prior probability that a slide has the calibration's contact depth; depth_sd_mm: standard deviation
         about it of those that do not. Where calibration slides have several depths, the map holds what is expected.
-    askew: standard deviation of V_z's coupling into V_x and V_y after a change of the mounting's tilt.
+    cross_axis_sd: standard deviation of V_z's coupling into V_x and V_y after a change of the mounting's tilt.
     lean_v: standard deviation, in V, of what a slow tilt of the sensor adds to every V_x, and to every V_y, by a
         slide's end; 0 for a sensor that does not tilt. An accelerometer off the skin measures it separately.
     """
@@ -64,12 +64,12 @@ class RefinementConfig:
     least_prior: tuple[float, float, float, float] = (0.1, 0.1, 1.5, 2.0)
     same_depth: float = 0.9
     depth_sd_mm: float = 0.35
-    askew: float = 0.02
+    cross_axis_sd: float = 0.02
     lean_v: float = 0.0
 
     def __post_init__(self) -> None:
         check_ranges(self, steps=(1, 100), trust=POSITIVE, least_prior=POSITIVE, same_depth=SHARE)
-        check_ranges(self, depth_sd_mm=POSITIVE, askew=SIZE, lean_v=SIZE)
+        check_ranges(self, depth_sd_mm=POSITIVE, cross_axis_sd=SIZE, lean_v=SIZE)
 
 
 class Refinement(nn.Module):
@@ -146,7 +146,7 @@ class Refinement(nn.Module):
         # In doubles: partial strokes leave the normal matrix nearly singular.
         for name, value in buffers.items():
             self.register_buffer(name, torch.tensor(value, dtype=torch.float64))
-        self.block_s, self.cross_axis_sd = block_s, config.askew
+        self.block_s, self.cross_axis_sd = block_s, config.cross_axis_sd
         self.depth_mm = response.depth_mm
         self.depth_sd_mm = config.depth_sd_mm
         self.same_depth = 0.0 if response.depth_sd_mm else config.same_depth
