@@ -120,7 +120,7 @@ def train(
     report_base(whole)
     last_s = last_duration_s({"command": "train", "model": model}, store) if track else None
     report_plan(model, whole.select(*LEARNT), folder, design is not None, last_s)
-    with _logged(out, folder, provenance, store) if track else nullcontext(Run()) as run:
+    with _logged(folder, provenance, store) if track else nullcontext(Run()) as run:
         fitted, losses = _fit(chosen, folder, settings, design, start, fresh)
         _warn_if_lost(fitted)
         if not design_alone:
@@ -161,7 +161,7 @@ def to_learn_from(whole: Folder, model: Model, design_alone: bool) -> Folder:
 
 
 @contextmanager
-def _logged(out: Path, folder: Folder, provenance: dict[str, Any], store: str | None) -> Iterator[Run]:
+def _logged(folder: Folder, provenance: dict[str, Any], store: str | None) -> Iterator[Run]:
     """The run, tagged with what its data, atlas and first bundle hash to."""
     configuration = provenance["configuration"]
     tags = {f"data.{name}": digest for name, digest in provenance["data"].items()}

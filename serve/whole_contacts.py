@@ -7,7 +7,7 @@ import numpy as np
 from softslide.features.angles import touch_channels
 from softslide.features.card import Card
 from softslide.features.contact.first_places import Measured
-from softslide.features.contact.track import Track
+from softslide.features.contact.track import ContactEvidence, Track
 from softslide.features.contact.whole_path import PathConfig, WholePath, whole_path
 from softslide.features.errors import InputError
 from softslide.features.estimate import Estimate, Reason
@@ -127,7 +127,7 @@ def _reported(card: Card, path: WholePath, part: slice, live: list[Estimate]) ->
             depth_sd_mm=contact.depth_sd_mm,
             hypotheses=1,
             way_mm=path.way_mm,
-            channels=len(contact.noise_v),
+            evidence=ContactEvidence(channels=len(contact.noise_v)),
         )
         estimate = judged(track, at.time_s, at.state, card.reference_mm, contact.depth_mm, TOUCH_LIMITS)
         reported.append(

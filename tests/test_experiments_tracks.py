@@ -16,8 +16,10 @@ import softslide
 from softslide.experiments.evaluation.tracks import estimate_table, judge, summarize
 from softslide.pipeline.atlas.atlas import read_atlas
 from softslide.pipeline.recordings.folder import Folder, Recording, write_folder
+from softslide.pipeline.synthesis.distribution import Distribution
 from softslide.pipeline.synthesis.paths.distribution import PathDistribution
-from softslide.pipeline.synthesis.synthesize import sensor_of, synthetic_paths
+from softslide.pipeline.synthesis.specimen import draw_specimen
+from softslide.pipeline.synthesis.synthesize import noise_of, path_plan, record, sensor_of
 
 REFERENCE = (5.0, 0.0)
 SCORER = Path(__file__).parents[1].parent / "shared" / "tools" / "score_track.py"
@@ -189,12 +191,15 @@ def test_figures_agree_with_the_outsides_scorer() -> None:
 def paths(tmp_path_factory: pytest.TempPathFactory) -> Folder:
     """A line and a curve, quickly done, with their truth; and the line once more, in a test split, without it."""
     quick = PathDistribution(speed_mm_s=(7.0, 8.0))
-    made = list(synthetic_paths(2, 3, paths=quick))
+    atlas, sensor = read_atlas(), sensor_of(read_atlas())
+    specimen = draw_specimen(sensor, Distribution(), 3)
+    drawn = [path_plan(n, 3, atlas, sensor, Distribution(), quick) for n in range(2)]
+    made = [(path, record(path, specimen, atlas, noise_of(n, 3))) for n, path in enumerate(drawn)]
     line, recording = made[0]
     rows = [path.labels() for path, _ in made] + [line.labels() | {"recording": "again", "split": "test"}]
     recordings = [each for _, each in made] + [replace(recording, name="again", truth=None)]
     root = tmp_path_factory.mktemp("paths") / "d"
-    return write_folder(root, sensor_of(read_atlas()), pd.DataFrame(rows), recordings)
+    return write_folder(root, sensor, pd.DataFrame(rows), recordings)
 
 
 def test_evaluate_scores_whole_contacts_next_to_the_live_ones(

@@ -1,4 +1,4 @@
-"""Slides that end with a stop on the skin, and others, through a real bundle: they keep their line and their speed.
+"""Slides that end with a stop on the skin, and others, through a real bundle: what evidence lets through and what not.
 
 The bundle in `docs/examples/bundle` is of a synthetic sensor: `softslide synthesize --slides 138 --seed 301 --config
 stop.toml` with `stopping = 0.3`, then `softslide train`. The slides are the same sensor's, drawn anew here.
@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from softslide.experiments.evaluation.tracks import estimate_table, judge
 from softslide.features.angles import wrapped_deg
 from softslide.features.estimate import Contact, Estimate
 from softslide.features.stream.tracker import SlideState
@@ -17,10 +18,12 @@ from softslide.pipeline.atlas.atlas import read_atlas
 from softslide.pipeline.recordings.folder import Recording
 from softslide.pipeline.synthesis.distribution import Distribution
 from softslide.pipeline.synthesis.no_contact import SIGNALS, untouched
+from softslide.pipeline.synthesis.paths.draw import draw_path
 from softslide.pipeline.synthesis.slide_plan import Slide
 from softslide.pipeline.synthesis.specimen import Specimen, draw_specimen
 from softslide.pipeline.synthesis.synthesize import noise_of, plan, record, sensor_of
 from softslide.serve.localizer import Localizer
+from softslide.serve.records import record as as_record
 
 SEED = 301
 # On less than half of the way not every slide is known yet.
@@ -172,3 +175,20 @@ def test_what_fits_a_straight_slide_and_no_contact_makes_is_not_valid(
     found = [e for e in localizer.push(volts) if e.state is SlideState.SLIDE]
     assert len(found) > 300
     assert not any(estimate.valid for estimate in found)
+
+
+@pytest.mark.parametrize(("number", "least"), [(42, 0.78), (50, 0.3)])
+def test_a_contact_that_came_down_in_mid_skin_is_valid_once_the_evidence_is_clear(
+    localizer: Localizer, specimen: Specimen, number: int, least: float
+) -> None:
+    """Their output keeps its shape for long, as a press's does: a straight slide is too early there, the track not."""
+    atlas, random = read_atlas(), np.random.default_rng([0, number])
+    path = draw_path(number, atlas, sensor_of(atlas), Distribution(), random, kind="touchdown")
+    recording = record(path, specimen, atlas, noise_of(number, SEED))
+    localizer.reset()
+    stream = estimate_table([as_record(estimate) for estimate in localizer.push(recording.volts)])
+    assert recording.truth is not None
+    judged = judge(stream, recording.truth, localizer.card.reference_mm)
+    contact = judged[judged["touching"]]
+    assert contact["live"].mean() > least
+    assert not (contact["live"] & contact["wrong"]).any()

@@ -88,22 +88,9 @@ class Atlas:
         Raises:
             InputError: a depth or a pressure lies outside the atlas.
         """
-        posture = self.posture(x_mm, y_mm, heading_deg, depth_mm, pressure_level)
-        return posture[..., :3]
-
-    def posture(
-        self,
-        x_mm: np.ndarray,
-        y_mm: np.ndarray,
-        heading_deg: np.ndarray | float | None,
-        depth_mm: np.ndarray | float,
-        pressure_level: np.ndarray | float,
-    ) -> np.ndarray:
-        """As `response`: (n, boards, 7) gravity (g), displacement (mm) and turn about the normal (rad)."""
-        values = self._values(
-            x_mm, y_mm, heading_deg, depth_mm, pressure_level, slice(0, PER_BOARD * self.boards)
-        )
-        return values.reshape(len(values), self.boards, PER_BOARD)
+        own = slice(0, PER_BOARD * self.boards)
+        values = _towards(heading_deg, self.friction_parts(x_mm, y_mm, depth_mm, pressure_level, own))
+        return values.reshape(len(values), self.boards, PER_BOARD)[..., :3]
 
     def force(
         self,
@@ -114,9 +101,8 @@ class Atlas:
         pressure_level: np.ndarray | float,
     ) -> np.ndarray:
         """The skin's force on the indenter (n, 3) N: along x and y, and normal (positive = out)."""
-        return self._values(
-            x_mm, y_mm, heading_deg, depth_mm, pressure_level, slice(PER_BOARD * self.boards, None)
-        )
+        forces = slice(PER_BOARD * self.boards, None)
+        return _towards(heading_deg, self.friction_parts(x_mm, y_mm, depth_mm, pressure_level, forces))
 
     def static(self, pressure_level: float) -> np.ndarray:
         """(boards, 3) g: what the accelerometers read when nothing touches the skin."""
@@ -184,22 +170,6 @@ class Atlas:
             parts[self._near_failure(*cells) & ~out] = np.nan
         return parts
 
-    def _values(
-        self,
-        x_mm: np.ndarray,
-        y_mm: np.ndarray,
-        heading_deg: np.ndarray | float | None,
-        depth_mm: np.ndarray | float,
-        pressure: np.ndarray | float,
-        wanted: slice,
-    ) -> np.ndarray:
-        """(n, channels) at the queries."""
-        parts = self.friction_parts(x_mm, y_mm, depth_mm, pressure, wanted)
-        if heading_deg is None:
-            return parts[:, 0]
-        heading = np.broadcast_to(np.deg2rad(heading_deg), len(parts))[:, None]
-        return parts[:, 0] + np.cos(heading) * parts[:, 1] + np.sin(heading) * parts[:, 2]
-
     @cached_property
     def _coefficients(self) -> tuple[tuple[np.ndarray, ...], np.ndarray, tuple[int, ...]]:
         """Knots, coefficients (nx, ny, nd, np, 3, channels) and degrees of the tensor spline."""
@@ -247,6 +217,14 @@ class Atlas:
         for corner in np.ndindex(2, 2, 2, 2):
             bad |= ~self.valid[tuple(r[c] for r, c in zip(ranges, corner, strict=True))]
         return bad
+
+
+def _towards(heading_deg: np.ndarray | float | None, parts: np.ndarray) -> np.ndarray:
+    """(n, channels) of friction's parts (n, 3, channels): the mean, and what motion along the heading adds."""
+    if heading_deg is None:
+        return parts[:, 0]
+    heading = np.broadcast_to(np.deg2rad(heading_deg), len(parts))[:, None]
+    return parts[:, 0] + np.cos(heading) * parts[:, 1] + np.sin(heading) * parts[:, 2]
 
 
 def check_atlas(atlas: Atlas, sensor: Sensor, source: str = "atlas") -> None:

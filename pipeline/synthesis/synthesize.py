@@ -69,23 +69,6 @@ def synthetic_slides(
         yield slide, record(slide, specimen, atlas, noise_of(number, seed))
 
 
-def synthetic_paths(
-    count: int,
-    seed: int,
-    atlas: Atlas | None = None,
-    sensor: Sensor | None = None,
-    distribution: Distribution | None = None,
-    paths: PathDistribution | None = None,
-) -> Iterator[tuple[ContactPath, Recording]]:
-    """As `synthetic_slides`, of contacts along any path, on the same specimen."""
-    atlas, distribution = atlas or read_atlas(), distribution or Distribution()
-    sensor = sensor or sensor_of(atlas)
-    specimen = draw_specimen(sensor, distribution, seed)
-    for number in range(count):
-        path = path_plan(number, seed, atlas, sensor, distribution, paths)
-        yield path, record(path, specimen, atlas, noise_of(number, seed, _PATH_NOISE))
-
-
 def plan(number: int, seed: int, atlas: Atlas, sensor: Sensor, distribution: Distribution) -> Slide:
     """The plan of a seed's slide."""
     return draw_slide(number, atlas, sensor, distribution, np.random.default_rng([seed, _PLAN, number]))
