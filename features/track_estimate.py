@@ -36,9 +36,9 @@ class TrackLimits:
     press_mm_s, press_sd_mm: largest speed and standard deviation of the place of a valid press. straight_way_mm: least
     way of a straight slide. straight_log_odds: least logarithm of the odds of a straight slide that a track agrees with
     which is not valid itself, against a signal that no contact makes; way_log_odds: what each mm of way adds to it.
-    unmoved_log_odds: least evidence of a track while the output has not moved on since the touch. shared: share of the
-    track's half-widths about its own estimate that the straight slide's intervals hold too; None: they stay as they
-    are.
+    sure_log_odds: evidence from which a track is sure: valid although the output has not moved on since the touch, and
+    up to sure_certain and sure_heading_sd_deg. shared: share of the track's half-widths about its own estimate that the
+    straight slide's intervals hold too; None: they stay as they are.
     """
 
     half_width: float = 1.9
@@ -67,7 +67,9 @@ class TrackLimits:
     straight_way_mm: float = 8.0
     straight_log_odds: float = -3.0
     way_log_odds: float = 1.0
-    unmoved_log_odds: float = 5.0
+    sure_log_odds: float = 5.0
+    sure_certain: float = 0.8
+    sure_heading_sd_deg: float = 16.0
     shared: float | None = 0.5
 
 
@@ -173,6 +175,11 @@ def _is_press(track: Track, limits: TrackLimits) -> bool:
     )
 
 
+def is_sure(track: Track, limits: TrackLimits) -> bool:
+    """Whether the evidence is clearly for a contact."""
+    return track.evidence.log_odds >= limits.sure_log_odds
+
+
 def _reason(
     track: Track,
     place_sd_mm: float,
@@ -188,11 +195,14 @@ def _reason(
     # A contact adds to the output: none has a negative gain.
     if track.evidence.log_odds < limits.evidence or track.gain <= 0.0:
         return Reason.NOT_THIS_SENSOR
+    most_deg, certain = limits.heading_sd_deg, limits.certain
+    if is_sure(track, limits):
+        most_deg, certain = limits.sure_heading_sd_deg, limits.sure_certain
     unclear = place_sd_mm > limits.place_sd_mm or (
-        heading_sd_deg > limits.heading_sd_deg and contact is not Contact.STOPPED
+        heading_sd_deg > most_deg and contact is not Contact.STOPPED
     )
     # What one press at a place nearby shows as well is ambiguous.
-    unclear = unclear or track.evidence.one_press or track.certain < limits.certain
+    unclear = unclear or track.evidence.one_press or track.certain < certain
     # A signal that comes and rests fits a contact that has hardly moved.
     unclear = unclear or (contact is Contact.STOPPED and track.way_mm < limits.stopped_way_mm)
     if unclear or (track.partial > limits.partial and not lifted):

@@ -32,6 +32,7 @@ from softslide.features.track_estimate import (
     crosses,
     earlier,
     explains,
+    is_sure,
     judged,
     likely,
     same_line,
@@ -196,7 +197,7 @@ class ContactEstimator:
                 self._lines.append(_Fit(self._count, straight))
         if straight.reason in _OF_THE_SIGNAL:
             # Where the output has not moved on since the touch, it may be a press's.
-            sure = tracked.valid and self.track.evidence.log_odds >= limits.unmoved_log_odds
+            sure = tracked.valid and is_sure(self.track, limits)
             if straight.reason is Reason.TOO_EARLY and (pressed or sure):
                 return tracked
             return tracked._replace(valid=False, reason=straight.reason)

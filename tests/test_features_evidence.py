@@ -46,6 +46,20 @@ def test_a_slide_earns_evidence_while_an_accelerometer_is_out() -> None:
     assert max(track.evidence.log_odds for track in followed(tracker(TWO), volts, FIRST_ALONE)) > 5.0
 
 
+@pytest.mark.parametrize("shown_v", [0.3, -1.7, np.nan])
+def test_what_a_dead_channel_shows_makes_no_difference(shown_v: float) -> None:
+    """A wire at 0 V shows the static output with its sign turned, more than any contact."""
+    volts, channels = volts_along(TWO, line(4.0)), np.array([True, True, False, True])
+    volts[:, 2] = 0.0
+    without = followed(tracker(TWO), volts, channels)
+    volts[:, 2] = shown_v
+    tracks = followed(tracker(TWO), volts, channels)
+    assert len(tracks) == len(without)
+    for track, other in zip(tracks, without, strict=True):
+        assert (track.mean == other.mean).all()
+        assert track.evidence == other.evidence
+
+
 def a_bank(count: int = 3, way_mm: float = 3.0) -> Hypotheses:
     state = np.zeros((count, 13))
     state[:, 0], state[:, 3], state[:, GAIN], state[:, 9] = np.linspace(-4.0, 4.0, count), 3.0, 1.0, 1.0

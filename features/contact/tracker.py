@@ -178,7 +178,8 @@ class ContactTracker:
         the static one, which starts a track; usable: (C,) bool. -> the contact, None if none is tracked."""
         self.gained = 0.0
         self._recent[:-1] = self._recent[1:]
-        self._recent[-1] = volts
+        # What a dead channel shows is not the contact's.
+        self._recent[-1] = volts if usable is None else np.where(usable, volts, 0.0)
         self._filled = min(self._filled + 1, ONSET_BLOCKS)
         if self._bank is None:
             # A slide's end is noticed later than the output is gone: no new track begins in what is left of it.
