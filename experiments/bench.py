@@ -151,8 +151,12 @@ def take(source: dict[str, Any], figures: Mapping[str, Any], code: str) -> None:
     """
     source.pop("stale", None)
     source |= {"hash": code, "date": datetime.datetime.now(datetime.UTC).date().isoformat()}
-    numbers = {key: float(f"{value:.{DIGITS}g}") for key, value in _flat(figures) if value is not None}
-    source["figures"] |= numbers
+    for key, value in _flat(figures):
+        if value is None:
+            # What could not be measured this time is not what it was.
+            source["figures"].pop(key, None)
+        else:
+            source["figures"][key] = float(f"{value:.{DIGITS}g}")
 
 
 def figures_in(folder: Path, name: str, commands: Sequence[str], tables: Mapping[str, str]) -> dict[str, Any]:

@@ -23,6 +23,7 @@ from softslide.experiments.bench import (
     read_results,
     read_tables,
     rewrite,
+    take,
 )
 from softslide.experiments.code_hash import ROOMS
 
@@ -176,6 +177,12 @@ def test_a_source_takes_the_figures_of_each_of_its_scripts(tmp_path: Path) -> No
     commands = ["python -m a --json a.json", "softslide plan", "python -m a --plan p --json b.json"]
     found = figures_in(tmp_path, "lab", commands, {})
     assert found == {"4/offset_mm": 0.2, "0/offset_mm": None, "12-planned/offset_mm": 0.3}
+
+
+def test_a_figure_that_could_not_be_measured_this_time_is_gone() -> None:
+    source = {"figures": {"a": 1.0, "b": 2.0}}
+    take(source, {"a": None, "c": 3.0000001}, "hash")
+    assert source["figures"] == {"b": 2.0, "c": 3.0}
 
 
 def test_a_table_names_each_stale_source_once() -> None:
