@@ -14,6 +14,7 @@ A model on features answers by itself: the track allows its estimate or forbids 
 
 import math
 from collections import deque
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -80,6 +81,7 @@ class ContactEstimator:
         self.touches_down = card.conditioning.onset == ONSETS[1]
         self._on_features = card.input == "features"
         self._limits = TOUCH_LIMITS if self.touches_down else TrackLimits()
+        self._strict = replace(self._limits, sure_log_odds=math.inf)
         self._count = 0
         # The last straight slide that was fitted, and the last ones that the track agreed with: the newest of a contact
         # that stops is of some of the stop.
@@ -207,11 +209,13 @@ class ContactEstimator:
             stopped = self._on_the_line(straight, tracked)
             if straight.valid and same_line(straight, self._lines[0].estimate):
                 # A track that has lost the contact says nothing against a line that it agreed with, nor does one that
-                # goes on along it at another speed: what fits all of the way so far knows more.
+                # is valid for its evidence alone or goes on along the line at another speed: what fits all of the way
+                # so far knows more.
+                contests = self._judged(self.track, time_s, self._strict).valid
                 slides = (
                     stopped is tracked and tracked.contact is Contact.SLIDE and self._stream.rested_s == 0.0
                 )
-                if not tracked.valid or (slides and not crosses(straight, tracked, limits)):
+                if not contests or (slides and not crosses(straight, tracked, limits)):
                     return with_track(straight, tracked, limits.shared)
             tracked = stopped
         turns = tracked.contact is Contact.SLIDE and crosses(straight, tracked, limits)
@@ -279,10 +283,10 @@ class ContactEstimator:
             return stopped_on(line.estimate, tracked, limits, ended or since_s > limits.pause_s)
         return tracked
 
-    def _judged(self, track: Track, time_s: float) -> Estimate:
+    def _judged(self, track: Track, time_s: float, limits: TrackLimits | None = None) -> Estimate:
         card, state = self._card, self._stream.state
         assert card.contact is not None
-        return judged(track, time_s, state, card.reference_mm, card.contact.depth_mm, self._limits)
+        return judged(track, time_s, state, card.reference_mm, card.contact.depth_mm, limits or self._limits)
 
     def _clear_track(self) -> tuple[Track, float]:
         """The track when the output was last above the trigger, and how long ago that was, s."""
