@@ -160,11 +160,14 @@ class ContactEstimator:
             if min(tracked.speed_lo_mm_s, straight.speed_lo_mm_s) > 0.0 and same_line(straight, tracked):
                 self._lines.append(self._fit)
             return
-        distance = self._apart(straight)
-        if distance <= self._limits.agreement:
-            if self._stands(tracked, distance):
-                self._lines.append(self._fit)
-        elif self._count % OFFER_BLOCKS == 0 and explains(straight) and not tracked.valid:
+        if self._agrees(straight, tracked):
+            self._lines.append(self._fit)
+        elif (
+            self._count % OFFER_BLOCKS == 0
+            and explains(straight)
+            and not tracked.valid
+            and self._apart(straight) > self._limits.agreement
+        ):
             assert self._tracker is not None
             assert not isinstance(self._tracker, TouchDownTracker)
             assert self._card.contact is not None
@@ -191,8 +194,7 @@ class ContactEstimator:
             return tracked._replace(valid=False, reason=Reason.TOO_EARLY if healthy else Reason.DEAD_CHANNEL)
         if tracked.valid and self._is_of_the_line(straight):
             straight = straight._replace(valid=True, reason=Reason.NONE)
-        distance = self._apart(straight)
-        if straight.valid and distance <= limits.agreement and self._stands(tracked, distance):
+        if straight.valid and self._agrees(straight, tracked):
             if self._stream.rested_s == 0.0:
                 return with_track(straight, tracked, limits.shared)
             if not self._lines:
@@ -211,7 +213,7 @@ class ContactEstimator:
                 # A track that has lost the contact says nothing against a line that it agreed with, nor does one that
                 # is valid for its evidence alone or goes on along the line at another speed: what fits all of the way
                 # so far knows more.
-                contests = self._judged(self.track, time_s, self._strict).valid
+                contests = tracked.valid and self._judged(self.track, time_s, self._strict).valid
                 slides = (
                     stopped is tracked and tracked.contact is Contact.SLIDE and self._stream.rested_s == 0.0
                 )
@@ -227,9 +229,11 @@ class ContactEstimator:
         """How far a straight slide is from the track when the output was last above the trigger."""
         return apart(straight, *self._clear_track(), self._limits)
 
-    def _stands(self, tracked: Estimate, distance: float) -> bool:
-        """Whether a straight slide so far from the track stands: the track is valid, or makes it likely."""
-        return tracked.valid or likely(self._clear_track()[0], distance, self._limits)
+    def _agrees(self, straight: Estimate, tracked: Estimate) -> bool:
+        """Whether the track agrees with a straight slide, and is valid or makes it likely."""
+        distance = self._apart(straight)
+        stands = tracked.valid or likely(self._clear_track()[0], distance, self._limits)
+        return distance <= self._limits.agreement and stands
 
     def _is_of_the_line(self, straight: Estimate) -> bool:
         """Whether a straight slide, its misfit over the bundle's limit, is of a line that the track agreed with and

@@ -101,7 +101,7 @@ def test_two_slides_give_two_estimates(localizer: Localizer) -> None:
 
 
 def test_an_object_beyond_the_rim_is_held_where_it_left(tmp_path: Path) -> None:
-    """A place 40 mm along a line of 30 deg, of a chamber of 50 mm: the line leaves over the side at x = 25."""
+    """A place 40 mm along a line of 30 deg, of a chamber of 50 mm: the line crosses the side at x = 25."""
     far = write_small_bundle(tmp_path / "far", a_sensor(), along_mm=40.0)
     estimates = [e for e in Localizer.load(far).push(TWO_SLIDES[:1800]) if e.valid]
     assert {(e.state, e.contact) for e in estimates} == {(SlideState.ENDED, "slide")}

@@ -53,7 +53,7 @@ class Conditioning:
         retardation time `tau_s` in s. It is undone in a slide's history; `delayed` 0: no lag is known.
     touch_axes: of each sensing element that answer to a touch: "xy", V_x and V_y, of accelerometers; "xyz" where V_z
         does too. The figures in V are in the sensor's own unit where that is another.
-    onset: how a slide begins and ends: "rim", the contact comes in over the chamber's rim and leaves over it, where
+    onset: how a slide begins and ends: "rim", the contact comes in over the chamber's rim and goes out across it, where
         nothing shows; "touch", it comes down and is lifted anywhere, and the output jumps. What lies before and after
         the jump is then no part of the slide.
     gravity_sd_g: standard deviation in g of the length of gravity over contacts, where accelerometers only tilt
