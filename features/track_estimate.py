@@ -77,8 +77,15 @@ LIKELY = 9.49  # 95 % quantile of chi-square with four degrees of freedom
 
 # Of a track from a touch anywhere, which is several times less sharp than the straight slide: its intervals would widen
 # those until 98 % hold. Tracks with a wider heading were wrong at sharp bends, and so were straight slides that are
-# less than likely (experiments/LOG.md).
-TOUCH_LIMITS = TrackLimits(heading_sd_deg=13.0, shared=None, agreement=LIKELY, straight_log_odds=-math.inf)
+# less than likely; the evidence of a contact was -40 at least, that of other signals -140 at most (experiments/LOG.md).
+TOUCH_LIMITS = TrackLimits(
+    heading_sd_deg=13.0,
+    shared=None,
+    agreement=LIKELY,
+    evidence=-60.0,
+    straight_log_odds=-math.inf,
+    sure_log_odds=math.inf,
+)
 
 
 PARTIAL_UNKNOWNS = 3  # of a contact that is being pressed on or lifted: its place and its gain

@@ -40,8 +40,10 @@ def contact_tracker(
             surface=surface,
             half_mm=half_mm,
             block_s=card.conditioning.block_s,
+            noise_v=noise_gain * np.array(contact.noise_v),
             floor_v=contact.floor_v,
             gain_sd=contact.gain_sd,
+            trigger_v=card.conditioning.trigger_v,
             release_v=card.conditioning.release_v,
             config=TouchDownConfig(remembered=lag_blocks + 1 if lag_blocks else 0),
         )

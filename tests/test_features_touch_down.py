@@ -19,7 +19,10 @@ USABLE = np.ones(6, dtype=bool)
 
 
 def tracker() -> TouchDownTracker:
-    return TouchDownTracker(SURFACE, (15.0, 15.0), BLOCK_S, RESPONSE.floor_v, 0.1, 3e-3, TouchDownConfig())
+    noise_v = np.full(6, 1e-3)
+    return TouchDownTracker(
+        SURFACE, (15.0, 15.0), BLOCK_S, noise_v, RESPONSE.floor_v, 0.1, 5e-3, 3e-3, TouchDownConfig()
+    )
 
 
 def circle(count: int, gain: float = 1.0) -> tuple[np.ndarray, np.ndarray]:

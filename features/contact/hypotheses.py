@@ -101,6 +101,11 @@ class Hypotheses:
         return np.maximum(np.abs(self.state[:, X]) - half_mm[0], np.abs(self.state[:, Y]) - half_mm[1])
 
     @property
+    def best_speed(self) -> float:
+        """mm/s, of the likeliest."""
+        return abs(float(self.state[self.log_weight.argmax(), SPEED]))
+
+    @property
     def weight(self) -> np.ndarray:
         """(N,), the sum is 1."""
         weight = np.exp(self.log_weight - self.log_weight.max())

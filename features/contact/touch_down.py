@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from softslide.features.contact.evidence import Evidence
 from softslide.features.contact.hypotheses import (
     ACCELERATION,
     CURVATURE,
@@ -49,6 +50,9 @@ BRANCH_STEPS = 3
 BEYOND_MM = 0.5  # of the chamber's edge; the map ends there
 TINY = 1e-9  # of what such a map does not know: friction, other depths, residuals along the way
 NEVER = 1e-9
+# Least logarithm of the odds of a contact that a block adds: while the residual of such a map stays as it is, from one
+# press to the next, a smooth signal predicts the output better (experiments/LOG.md).
+LEAST_LOG_ODDS = -2.0
 
 # Contacts bend and change speed, and no more: where presses stand for a motion, one that is held looks like a stop, and
 # hypotheses that stop, turn back or turn a corner follow these instead of the motion (experiments/LOG.md).
@@ -92,8 +96,8 @@ class TouchDownConfig:
 class TouchDownTracker:
     """One stream's tracker; it is pushed and read as `ContactTracker` is.
 
-    surface: the calibrated response. half_mm: half the chamber's sizes. floor_v: V, the map's residual. gain_sd: from
-    slide to slide. release_v: V, outputs that end a contact.
+    surface: the calibrated response. half_mm: half the chamber's sizes. noise_v: (C,) V of one block. floor_v: V, the
+    map's residual. gain_sd: from slide to slide. trigger_v, release_v: V, outputs that begin and end a contact.
     """
 
     def __init__(
@@ -101,14 +105,17 @@ class TouchDownTracker:
         surface: ResponseSurface,
         half_mm: tuple[float, float],
         block_s: float,
+        noise_v: np.ndarray,
         floor_v: float,
         gain_sd: float,
+        trigger_v: float,
         release_v: float,
         config: TouchDownConfig,
     ) -> None:
         self._surface, self._half, self._block_s, self._config = surface, half_mm, block_s, config
         self._variance = np.full(surface.channels, config.level_share * floor_v**2)
         self._gain_sd, self._release_v = gain_sd, release_v
+        self._evidence = Evidence(noise_v, block_s, trigger_v, least=LEAST_LOG_ODDS)
         self.reset()
 
     def reset(self) -> None:
@@ -155,24 +162,29 @@ class TouchDownTracker:
         if self._bank is None or self._lifted or not self._touched:
             return None
         track = read_past(self._bank, blocks)
-        return None if track is None else moved_on(track, self._block_s / 2)
+        if track is None or self._track is None:
+            return None
+        return moved_on(track, self._block_s / 2)._replace(evidence=self._track.evidence)
 
     def _noise(self, usable: np.ndarray | None) -> np.ndarray:
         return self._variance if usable is None else np.where(usable, self._variance, np.inf)
 
     def _start(self, usable: np.ndarray | None) -> None:
-        volts = np.mean(self._blocks[PARTIAL_BLOCKS:], axis=0)
-        bank = at_touch_down(
-            volts, self._noise(usable), self._surface, self._half, self._gain_sd, self._config
-        )
+        whole = self._blocks[PARTIAL_BLOCKS:]
+        volts, variance = np.mean(whole, axis=0), self._noise(usable)
+        slope_v_s = (whole[-1] - whole[0]) / ((START_BLOCKS - 1) * self._block_s)
+        self._evidence.begin(np.isfinite(variance), volts, slope_v_s)
+        bank = at_touch_down(volts, variance, self._surface, self._half, self._gain_sd, self._config)
         self._bank = remembering(bank, self._config.remembered)
         self._steps = 0
 
     def _step(self, volts: np.ndarray, usable: np.ndarray | None) -> None:
         assert self._bank is not None
-        config = self._config
+        config, variance = self._config, self._noise(usable)
         predict(self._bank, self._block_s, TINY, 0.0, config.noise)
-        update(self._bank, volts, self._noise(usable), self._surface, self._block_s, config.local)
+        gained = update(self._bank, volts, variance, self._surface, self._block_s, config.local)
+        gained -= self._evidence.against(volts, np.isfinite(variance))
+        self._evidence.add(gained, self._block_s * self._bank.best_speed)
         remember(self._bank)
         bank = self._bank
         outside_mm = np.maximum(bank.beyond_mm(self._half) - BEYOND_MM, 0.0)
@@ -194,7 +206,7 @@ class TouchDownTracker:
         # The state is that of the block's middle.
         now = bank.take(slice(None))
         predict(now, self._block_s / 2, TINY, 0.0, config.noise)
-        self._track = read(now)
+        self._track = read(now)._replace(evidence=self._evidence.read(volts))
 
 
 def at_touch_down(

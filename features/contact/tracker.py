@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from softslide.features.contact.evidence import Evidence
 from softslide.features.contact.hypotheses import (
     ACCELERATION,
     CURVATURE,
@@ -34,10 +35,8 @@ from softslide.features.contact.hypotheses import (
 )
 from softslide.features.contact.manoeuvres import Manoeuvres, branched, merged
 from softslide.features.contact.response_surface import ResponseSurface
-from softslide.features.contact.smooth_signal import SmoothSignal
 from softslide.features.contact.touch import at_rest, at_touch, onset
-from softslide.features.contact.track import ContactEvidence, Track, moved_on, read, read_past
-from softslide.features.contact.whole_device import beyond_device
+from softslide.features.contact.track import Track, moved_on, read, read_past
 
 STEP_BLOCKS = (
     2  # a filter's step: 40 ms, in which the fastest slide calibrated for (13 mm/s) goes half a millimetre
@@ -51,22 +50,6 @@ LOST_S = 0.5
 # pressed on at 2 mm/s rises tenfold as fast, the creep after it is below.
 SETTLED_SD = 5.0
 SETTLED_SHARE = 0.03
-# Memory of the evidence for a contact: of way, and of time, so that a signal that comes to rest earns nothing by it
-# (synthetic paths and tilts, experiments/LOG.md).
-EVIDENCE_MM = 15.0
-EVIDENCE_S = 20.0
-EVIDENCE_AGAINST_S = (
-    4.0  # and of the evidence against one: how a contact was pressed on says little of what follows
-)
-# A press rests sooner than this: an output that changes for longer along one direction is a slide's or a drift's, and
-# a slide's from this evidence on (synthetic slides and drifts).
-PRESS_S = 2.0
-SLIDE_LOG_ODDS = 3.0
-# A press that is distinguished from all that the whole device does: so large a share of the output is beyond that, the
-# output is so many times the trigger, and it never changed for longer than this (experiments/LOG.md).
-TOUCH_SHARE = 0.3
-PRESS_TRIGGERS = 4.0
-PRESS_ON_S = 4.0
 # A straight fit is weighed by the last 2 s of measurements, by a tenth of that at least; before them it is as likely as
 # not. With 0.8 s it won against true changes of speed (synthetic paths, experiments/LOG.md).
 PAST_STEPS = 50
@@ -152,10 +135,9 @@ class ContactTracker:
         self._floor_v, self._floor_share = floor_v, floor_share
         self._trigger_v, self._release_v = trigger_v, release_v
         self._recent = np.zeros((ONSET_BLOCKS, len(noise_v)))
-        self._every = self._watched = np.ones(len(noise_v), dtype=bool)
-        self._smooth = self._alternatives()
-        self._log_odds = 0.0
-        self._beyond_device = beyond_device(np.array(inflation_v_per_mm)) if inflation_v_per_mm else None
+        self._every = np.ones(len(noise_v), dtype=bool)
+        step_noise_v = noise_v / math.sqrt(STEP_BLOCKS)
+        self._evidence = Evidence(step_noise_v, STEP_BLOCKS * block_s, trigger_v, inflation_v_per_mm)
         self.reset()
 
     def reset(self) -> None:
@@ -165,7 +147,6 @@ class ContactTracker:
         self._track: Track | None = None
         self._rested = False
         self._filled = self._steps = self._blocks = self._quiet = self._lost = 0
-        self._peak_v = 0.0  # of the contact so far
         self._past: deque[_Step] = deque(maxlen=PAST_STEPS)
 
     @property
@@ -186,7 +167,6 @@ class ContactTracker:
             if touched and self._filled >= TRIGGER_BLOCKS:
                 level = self._recent[-TRIGGER_BLOCKS:].mean(axis=0)
                 if np.abs(level).max() > self._trigger_v:
-                    self._peak_v = 0.0
                     self._start(anywhere=False, usable=usable)
             return self._track
         self._blocks += 1
@@ -214,9 +194,9 @@ class ContactTracker:
             anywhere,
         )
         self._bank = None if bank is None else remembering(bank, self._config.remembered)
-        self._watch(self._every if usable is None else usable, seen.level, seen.slope)
+        begin = self._evidence.begin_anew if anywhere else self._evidence.begin
+        begin(self._every if usable is None else usable, seen.level, seen.slope)
         self._blocks = self._steps = self._quiet = self._lost = 0
-        self._log_odds = 0.0
         self._rested = False
         self._past.clear()
         self._track = None if self._bank is None else read(self._bank)
@@ -226,7 +206,6 @@ class ContactTracker:
         config, elapsed_s = self._config, STEP_BLOCKS * self._block_s
         volts = self._recent[-STEP_BLOCKS:].mean(axis=0)
         peak_v = float(np.abs(volts).max())
-        self._peak_v = max(self._peak_v, peak_v)
         self._quiet = self._quiet + 1 if peak_v < self._release_v else 0
         if self._quiet * elapsed_s > RELEASE_S:
             self._bank = self._track = None
@@ -237,14 +216,11 @@ class ContactTracker:
             return
         whole = bool(use.all())
         variance = np.where(use, self._noise_v**2 / STEP_BLOCKS, np.inf)
-        if not np.array_equal(use, self._watched):
-            # An accelerometer has failed: the alternatives, too, are of the channels that are left.
-            self._watch(use, volts, np.zeros_like(volts))
         predict(self._bank, elapsed_s, self._residual_v(peak_v), PARTIAL_SHARE * peak_v, config.noise)
         gained = update(self._bank, volts, variance, self._surface, elapsed_s)
         remember(self._bank)
         self._past.append(_Step(volts, variance, gained))
-        gained -= self._smooth.push(volts[use])
+        gained -= self._evidence.against(volts, use)
         sound = self._bank.sound
         if not sound.all():
             # A signal that no contact makes can drive a covariance out of the positive definite.
@@ -254,11 +230,7 @@ class ContactTracker:
             self._bank = self._bank.take(sound)
             gained = 0.0
         self.gained = gained
-        way_mm = elapsed_s * abs(float(self._bank.state[self._bank.log_weight.argmax(), SPEED]))
-        fades = elapsed_s / EVIDENCE_S + way_mm / EVIDENCE_MM
-        if self._log_odds < 0.0:
-            fades = elapsed_s / EVIDENCE_AGAINST_S
-        self._log_odds += gained - self._log_odds * min(fades, 1.0)
+        self._evidence.add(gained, elapsed_s * self._bank.best_speed)
         self._leave_skin()
         self._steps += 1
         if whole and not self._rested and self._steps * elapsed_s < config.young_s:
@@ -332,37 +304,8 @@ class ContactTracker:
 
     def _read_track(self) -> Track:
         assert self._bank is not None
-        one_press = self._smooth.one_way and (
-            self._smooth.changing_s < PRESS_S or self._log_odds < SLIDE_LOG_ODDS
-        )
         volts = self._recent[-STEP_BLOCKS:].mean(axis=0)
-        evidence = ContactEvidence(
-            log_odds=self._log_odds,
-            channels=int(self._watched.sum()),
-            triggers=self._peak_v / self._trigger_v,
-            one_press=one_press,
-            presses=one_press and bool(self._watched.all()) and self._presses(volts),
-        )
-        return read(self._bank)._replace(evidence=evidence)
-
-    def _watch(self, use: np.ndarray, level_v: np.ndarray, slope_v_s: np.ndarray) -> None:
-        """Starts the alternatives to a contact on these channels (C,) bool from a level (C,) and a slope (C,)."""
-        if not np.array_equal(use, self._watched):
-            self._watched = use.copy()
-            self._smooth = self._alternatives()
-        self._smooth.reset(level_v[use], slope_v_s[use])
-
-    def _alternatives(self) -> SmoothSignal:
-        noise_v = self._noise_v[self._watched] / math.sqrt(STEP_BLOCKS)
-        return SmoothSignal(noise_v, STEP_BLOCKS * self._block_s)
-
-    def _presses(self, volts: np.ndarray) -> bool:
-        """Whether an output (C,) V that has kept one direction is a press's, and not a tilt's or the pressure's."""
-        if self._beyond_device is None or self._smooth.changed_s > PRESS_ON_S:
-            return False
-        size = float(np.hypot.reduce(volts))
-        beyond = float(np.hypot.reduce(self._beyond_device @ volts))
-        return size > PRESS_TRIGGERS * self._trigger_v and beyond > TOUCH_SHARE * size
+        return read(self._bank)._replace(evidence=self._evidence.read(volts))
 
     def _branch(self) -> None:
         """Drops what is unlikely and gives the best hypotheses their children."""

@@ -1,0 +1,102 @@
+"""The evidence for a contact: odds of the response map against signals that need no map, and what shows a press."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from softslide.features.contact.smooth_signal import SmoothSignal
+from softslide.features.contact.track import ContactEvidence
+from softslide.features.contact.whole_device import beyond_device
+
+# Memory of the evidence for a contact: of way, and of time, so that a signal that comes to rest earns nothing by it
+# (synthetic paths and tilts, experiments/LOG.md).
+EVIDENCE_MM = 15.0
+EVIDENCE_S = 20.0
+EVIDENCE_AGAINST_S = (
+    4.0  # and of the evidence against one: how a contact was pressed on says little of what follows
+)
+# A press rests sooner than this: an output that changes for longer along one direction is a slide's or a drift's, and
+# a slide's from this evidence on (synthetic slides and drifts).
+PRESS_S = 2.0
+SLIDE_LOG_ODDS = 3.0
+# A press that is distinguished from all that the whole device does: so large a share of the output is beyond that, the
+# output is so many times the trigger, and it never changed for longer than this (experiments/LOG.md).
+TOUCH_SHARE = 0.3
+PRESS_TRIGGERS = 4.0
+PRESS_ON_S = 4.0
+
+
+class Evidence:
+    """Of one contact, step by step.
+
+    noise_v: (C,) V of a step's measurement; step_s: its length. trigger_v: V. inflation_v_per_mm: as in
+    ContactCalibration; without it no press is detected. least: of one step, the least logarithm of the odds.
+    """
+
+    def __init__(
+        self,
+        noise_v: np.ndarray,
+        step_s: float,
+        trigger_v: float,
+        inflation_v_per_mm: Sequence[float] = (),
+        least: float = -math.inf,
+    ) -> None:
+        self._noise_v, self._step_s, self._trigger_v, self._least = noise_v, step_s, trigger_v, least
+        self._beyond_device = beyond_device(np.array(inflation_v_per_mm)) if inflation_v_per_mm else None
+        self._use = np.ones(len(noise_v), dtype=bool)
+        self._smooth = SmoothSignal(noise_v, step_s)
+        self._log_odds = self._peak_v = 0.0
+
+    def begin(self, use: np.ndarray, level_v: np.ndarray, slope_v_s: np.ndarray) -> None:
+        """A contact begins, read from the channels `use` (C,) bool, at a level (C,) and a slope (C,)."""
+        self._peak_v = 0.0
+        self.begin_anew(use, level_v, slope_v_s)
+
+    def begin_anew(self, use: np.ndarray, level_v: np.ndarray, slope_v_s: np.ndarray) -> None:
+        """The contact goes on, but its track begins anew."""
+        self._log_odds = 0.0
+        self._watch(use, level_v, slope_v_s)
+
+    def against(self, volts: np.ndarray, use: np.ndarray) -> float:
+        """The logarithm of a measurement's (C,) V density without a map, less C/2 log(2 pi). use: (C,) bool."""
+        self._peak_v = max(self._peak_v, float(np.abs(volts[use]).max()))
+        if not np.array_equal(use, self._use):
+            # An accelerometer has failed: the alternatives, too, are of the channels that are left.
+            self._watch(use, volts, np.zeros_like(volts))
+        return self._smooth.push(volts[use])
+
+    def add(self, gained: float, way_mm: float) -> None:
+        """Takes a step's odds, by their logarithm, and forgets some of what was gained before."""
+        fades = self._step_s / EVIDENCE_S + way_mm / EVIDENCE_MM
+        if self._log_odds < 0.0:
+            fades = self._step_s / EVIDENCE_AGAINST_S
+        self._log_odds += max(gained, self._least) - self._log_odds * min(fades, 1.0)
+
+    def read(self, volts: np.ndarray) -> ContactEvidence:
+        """What it is now that the output is (C,) V."""
+        one_press = self._smooth.one_way and (
+            self._smooth.changing_s < PRESS_S or self._log_odds < SLIDE_LOG_ODDS
+        )
+        return ContactEvidence(
+            log_odds=self._log_odds,
+            channels=int(self._use.sum()),
+            triggers=self._peak_v / self._trigger_v,
+            one_press=one_press,
+            presses=one_press and bool(self._use.all()) and self._presses(volts),
+        )
+
+    def _watch(self, use: np.ndarray, level_v: np.ndarray, slope_v_s: np.ndarray) -> None:
+        """Starts the alternatives to a contact on these channels."""
+        if not np.array_equal(use, self._use):
+            self._use = use.copy()
+            self._smooth = SmoothSignal(self._noise_v[use], self._step_s)
+        self._smooth.reset(level_v[use], slope_v_s[use])
+
+    def _presses(self, volts: np.ndarray) -> bool:
+        """Whether an output (C,) V that has kept one direction is a press's, and not a tilt's or the pressure's."""
+        if self._beyond_device is None or self._smooth.changed_s > PRESS_ON_S:
+            return False
+        size = float(np.hypot.reduce(volts))
+        beyond = float(np.hypot.reduce(self._beyond_device @ volts))
+        return size > PRESS_TRIGGERS * self._trigger_v and beyond > TOUCH_SHARE * size
