@@ -83,7 +83,7 @@ TOUCH_LIMITS = TrackLimits(
     shared=None,
     agreement=LIKELY,
     evidence=-60.0,
-    straight_log_odds=-math.inf,
+    straight_log_odds=-60.0,
     sure_log_odds=math.inf,
 )
 

@@ -11,6 +11,8 @@ import optuna
 import pytest
 from small_bundle import write_small_bundle
 from streams import RATE_HZ, a_sensor, pass_over, still, stream
+from touched_bundle import write_touched_bundle
+from touched_skin import write_skin
 
 import softslide
 from softslide.experiments.studies import (
@@ -36,7 +38,7 @@ from softslide.pipeline.recordings.folder import SAMPLE, Folder, read_folder
 from softslide.pipeline.recordings.manifest import write_manifest
 from softslide.pipeline.sensor import check_design, read_sensor
 from softslide.pipeline.synthesis.distribution import Distribution
-from softslide.pipeline.synthesis.no_contact import SIGNALS
+from softslide.pipeline.synthesis.no_contact import OF_ACCELEROMETERS, SIGNALS
 from softslide.pipeline.synthesis.paths.draw import draw_path
 from softslide.pipeline.synthesis.specimen import draw_specimen
 from softslide.pipeline.synthesis.synthesize import noise_of, record, sensor_of
@@ -160,6 +162,18 @@ def test_false_alarms_are_counted_by_signal_and_alike_on_two_processes(
     printed = capsys.readouterr().out
     assert false_alarms.main([str(word) for word in (*words, "--jobs", 2)]) == 0
     assert capsys.readouterr().out == printed
+
+
+def test_of_a_skin_without_accelerometers_the_outputs_are_disturbed_and_none_is_followed(
+    tmp_path: Path,
+) -> None:
+    folder, bundle = write_skin(tmp_path / "skin", 1, 0), write_touched_bundle(tmp_path / "bundle")
+    figures = dict(false_alarms.false_alarms(bundle, folder, streams=3, seconds=8.0))
+    assert list(figures) == [kind for kind in SIGNALS if kind not in OF_ACCELEROMETERS]
+    tracked_s = [found["tracked_s"] for found in figures.values()]
+    assert sum(tracked_s) > 60.0
+    valid_percent = np.nan_to_num([found["valid_percent"] for found in figures.values()])
+    assert valid_percent @ tracked_s <= 0.5 * sum(tracked_s)
 
 
 @pytest.mark.long

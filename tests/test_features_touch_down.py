@@ -9,6 +9,7 @@ from dome_map import dome_map
 from softslide.features.contact.hypotheses import LocalErrors, update
 from softslide.features.contact.response_surface import ResponseSurface
 from softslide.features.contact.touch_down import TouchDownConfig, TouchDownTracker, at_touch_down
+from softslide.features.track_estimate import TOUCH_LIMITS
 
 BLOCK_S = 0.02
 RADIUS_MM, SPEED_MM_S = 6.0, 25.0
@@ -18,10 +19,11 @@ SURFACE = ResponseSurface(STACK, RESPONSE.half_mm, RESPONSE.spacing_mm)
 USABLE = np.ones(6, dtype=bool)
 
 
-def tracker() -> TouchDownTracker:
+def tracker(remembered: int = 0) -> TouchDownTracker:
+    config = TouchDownConfig(remembered=remembered)
     noise_v = np.full(6, 1e-3)
     return TouchDownTracker(
-        SURFACE, (15.0, 15.0), BLOCK_S, noise_v, RESPONSE.floor_v, 0.1, 5e-3, 3e-3, TouchDownConfig()
+        SURFACE, (15.0, 15.0), BLOCK_S, noise_v, RESPONSE.floor_v, 0.1, 5e-3, 3e-3, config
     )
 
 
@@ -65,6 +67,27 @@ def test_a_lifted_contact_stays_where_it_was_before_its_last_block() -> None:
     assert all(track is tracks[-1] for track in after[:3])
     assert after[3] is None
     assert not one.tracking
+
+
+def test_evidence_is_for_a_contact_and_against_a_smooth_signal() -> None:
+    """Waves of each channel as large as the circle's outputs; also of the past that a lag reads."""
+    blocks, _ = circle(80)
+    random = np.random.default_rng(2)
+    time_s = BLOCK_S * np.arange(len(blocks))[:, None]
+    waves = 0.1 * np.sin(2 * np.pi * (0.5 * time_s + random.random(6))) + 1e-3 * random.standard_normal(
+        blocks.shape
+    )
+    for shown, least, most in (
+        (blocks, TOUCH_LIMITS.evidence, np.inf),
+        (waves, -np.inf, TOUCH_LIMITS.evidence),
+    ):
+        one = tracker(remembered=10)
+        tracks = [one.push(block, True, USABLE) for block in shown]
+        assert tracks[-1] is not None
+        assert least < tracks[-1].evidence.log_odds < most
+        past = one.past(5)
+        assert past is not None
+        assert past.evidence == tracks[-1].evidence
 
 
 def test_errors_of_place_and_gain_add_their_own_covariance() -> None:

@@ -2,13 +2,15 @@
 
 Reads synthetic streams of a sensor that nothing touches, of 13 kinds: at rest; the device tilted, rocked and swayed;
 its pressure changed; waves, bumps, chirps, random walks, drifts, steps and taps of 5 to 300 mV. V_z stays in every
-second stream of the latter. Prints for each kind the time (s) for which something seemed to slide, the share of it (%)
-with a valid estimate, and how many streams have one. A second of signal takes about 50 ms.
+second stream of the latter. A sensor without accelerometers has the kinds that add to its outputs, as large for it, and
+the bundle's noise. Prints for each kind the time (s) for which something seemed to slide, the share of it (%) with a
+valid estimate, and how many streams have one. A second of signal takes about 50 ms.
 
     python -m softslide.experiments.studies.false_alarms --model my-model --recordings my-recordings
 """
 
 import argparse
+import math
 import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -19,9 +21,10 @@ from softslide.experiments.evaluation.readout import check_fits, open_localizer
 from softslide.experiments.studies.script import Part, bundle, count, parser, recordings, run
 from softslide.features.errors import InputError
 from softslide.features.stream.tracker import SlideState
+from softslide.pipeline.recordings.at_rest import REFERENCE_V_PER_G
 from softslide.pipeline.recordings.folder import Folder, read_folder
 from softslide.pipeline.sensor import Sensor
-from softslide.pipeline.synthesis.no_contact import SIGNALS, untouched
+from softslide.pipeline.synthesis.no_contact import OF_ACCELEROMETERS, SIGNALS, disturbed, untouched
 from softslide.pipeline.workers import results
 
 # Of a recording without labelled moments its beginning is taken for rest.
@@ -38,17 +41,20 @@ def false_alarms(
     jobs: processes.
 
     Raises:
-        InputError: the bundle is not valid, does not fit the folder, or reads a base, or the sensor is another than
-            accelerometers: no such streams are made of these.
+        InputError: the bundle is not valid, does not fit the folder, has no response map where the sensor
+            is without accelerometers, or reads a base: no such streams are made of these.
     """
     localizer = open_localizer(bundle)
     check_fits(localizer, folder)
-    if not folder.sensor.measures_gravity:
-        raise InputError(f"{folder.root}: is not of accelerometers; streams of other sensors are not made")
+    if not folder.sensor.measures_gravity and localizer.card.contact is None:
+        raise InputError(
+            f"{bundle}: has no response map, and with it no noise of such outputs; name one that has"
+        )
     if localizer.card.base is not None:
         raise InputError(f"{bundle}: reads a base, of which no streams are made; name a bundle without one")
     static_v, block_s = _static(folder), localizer.card.conditioning.block_s
-    for kind in SIGNALS:
+    others = () if folder.sensor.measures_gravity else OF_ACCELEROMETERS
+    for kind in (kind for kind in SIGNALS if kind not in others):
         calls = [(bundle, folder.sensor, static_v, kind, seconds, (seed, n)) for n in range(streams)]
         slid, valid = np.array(list(results(counts, calls, jobs))).T
         share = 100.0 * valid.sum() / slid.sum() if slid.any() else np.nan
@@ -63,7 +69,15 @@ def counts(
     localizer = open_localizer(bundle)
     localizer.reset()
     random = np.random.default_rng([seed[0], list(SIGNALS).index(kind), seed[1]])
-    volts = untouched(sensor, static_v, SIGNALS[kind], seconds, random)
+    if sensor.measures_gravity:
+        volts = untouched(sensor, static_v, SIGNALS[kind], seconds, random)
+    else:
+        contact, conditioning = localizer.card.contact, localizer.card.conditioning
+        assert contact is not None
+        samples = conditioning.block_s * sensor.sample_rate_hz
+        noise = np.array(contact.noise_v) * math.sqrt(samples) / conditioning.scale
+        per_g = REFERENCE_V_PER_G / conditioning.scale
+        volts = disturbed(static_v, noise, per_g, SIGNALS[kind], seconds, sensor.sample_rate_hz, random)
     valid = [e.valid for e in localizer.push(volts) if e.state is SlideState.SLIDE]
     return len(valid), sum(valid)
 

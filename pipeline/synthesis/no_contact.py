@@ -129,12 +129,14 @@ SIGNALS: dict[str, Signal] = {
     f.__name__: f
     for f in (rest, tilt, rocking, swaying, pressure, wave, line_wave, bumps, chirp, walk, drift, step, taps)
 }
+# Of the device's attitude, motion and pressure, as accelerometers show them.
+OF_ACCELEROMETERS = tuple(f.__name__ for f in (tilt, rocking, swaying, pressure))
 
 
 def untouched(
     sensor: Sensor, static_v: np.ndarray, signal: Signal, seconds: float, random: np.random.Generator
 ) -> np.ndarray:
-    """volts (n, C) V of a sensor that nothing touches: REST_S at rest, then `seconds` of the signal.
+    """volts (n, C) V of accelerometers that nothing touches: REST_S at rest, then `seconds` of the signal.
 
     static_v: (C,) V. The noise is the data sheet's.
     """
@@ -142,13 +144,37 @@ def untouched(
     zero_v = np.repeat([board.zero_g_v for board in boards], 3)
     volts_per_g = np.repeat([board.sensitivity_v_per_g for board in boards], 3)
     static_g = ((static_v - zero_v) / volts_per_g).reshape(-1, 3)
-    count = round(seconds * sensor.sample_rate_hz)
-    rests = round(REST_S * sensor.sample_rate_hz)
-    gravity_g = np.zeros((*static_g.shape, rests + count))
-    gravity_g[:, :, rests:] = signal(static_g, np.arange(count) / sensor.sample_rate_hz, random)
-    gravity_g += static_g[:, :, None]
+    gravity_g = static_g[:, :, None] + _added(static_g, signal, seconds, sensor.sample_rate_hz, random)
     exact = ElectronicsSpread(sensitivity=0.0, zero_g_v=0.0, cross_axis=0.0, turn_deg=0.0)
     return volts(gravity_g, draw_electronics(sensor, exact, random), random)
+
+
+def disturbed(
+    static: np.ndarray,
+    noise: np.ndarray,
+    per_g: float,
+    signal: Signal,
+    seconds: float,
+    rate_hz: float,
+    random: np.random.Generator,
+) -> np.ndarray:
+    """The same of any sensor's outputs (n, C), in their unit, for a signal that is not of gravity.
+
+    static: (C,); noise: (C,) of a sample; per_g: what stands for 1 g.
+    """
+    added = per_g * _added(static.reshape(-1, 3) / per_g, signal, seconds, rate_hz, random)
+    outputs = static + added.reshape(len(static), -1).T
+    noisy: np.ndarray = outputs + noise * random.standard_normal(outputs.shape)
+    return noisy
+
+
+def _added(
+    static_g: np.ndarray, signal: Signal, seconds: float, rate_hz: float, random: np.random.Generator
+) -> np.ndarray:
+    """(boards, 3, n) g: nothing for REST_S, then the signal."""
+    count = round(seconds * rate_hz)
+    rests = np.zeros((*static_g.shape, round(REST_S * rate_hz)))
+    return np.concatenate([rests, signal(static_g, np.arange(count) / rate_hz, random)], axis=2)
 
 
 def _largest(random: np.random.Generator) -> float:
