@@ -28,7 +28,8 @@ class TrackLimits:
     hypotheses near the best one. misfit: largest chi-square over its degrees of freedom. partial: largest weight of
     hypotheses that the contact is being pressed on or lifted, unless more channels than that has unknowns have followed
     it for partial_way_mm. evidence: least logarithm of the odds of a contact against a smooth signal of no known
-    origin. triggers: the largest output since the touch, over the trigger, is at least that. way_mm: least way.
+    origin. triggers: the largest output since the touch, over the trigger, is at least that. way_mm: least way, and
+    valid_way_mm: of a valid track. manoeuvres: most over the way of a track, and of one next to a straight slide.
     stopped_mm_s: a contact slower than this has stopped; stopped_way_mm: its least way.
     agreement: largest squared Mahalanobis distance of the straight slide from the track, four degrees of freedom.
     stopping_s: for which a line is held while a contact seems to be slower than slow_share of the slide, or is lost;
@@ -55,6 +56,8 @@ class TrackLimits:
     evidence: float = -1.0
     triggers: float = 4.0
     way_mm: float = 1.5
+    valid_way_mm: float = 1.5
+    manoeuvres: float = math.inf
     stopped_mm_s: float = 0.15
     stopped_way_mm: float = 4.0
     press_mm_s: float = 0.3
@@ -77,9 +80,13 @@ LIKELY = 9.49  # 95 % quantile of chi-square with four degrees of freedom
 
 # Of a track from a touch anywhere, which is several times less sharp than the straight slide: its intervals would widen
 # those until 98 % hold. Tracks with a wider heading were wrong at sharp bends, and so were straight slides that are
-# less than likely; the evidence of a contact was -40 at least, that of other signals -140 at most (experiments/LOG.md).
+# less than likely; the evidence of a contact was -40 at least, that of other signals -140 at most. A track that needed
+# a bend is wrong at the next one as often as it is right (experiments/LOG.md).
 TOUCH_LIMITS = TrackLimits(
     heading_sd_deg=13.0,
+    valid_way_mm=11.0,
+    straight_way_mm=9.0,
+    manoeuvres=0.3,
     shared=None,
     agreement=LIKELY,
     evidence=-60.0,
@@ -197,7 +204,7 @@ def _reason(
 ) -> Reason:
     if track.misfit > limits.misfit:
         return Reason.NOT_THIS_SENSOR
-    if track.way_mm < limits.way_mm or track.evidence.triggers < limits.triggers:
+    if track.way_mm < limits.valid_way_mm or track.evidence.triggers < limits.triggers:
         return Reason.TOO_EARLY
     # A contact adds to the output: none has a negative gain.
     if track.evidence.log_odds < limits.evidence or track.gain <= 0.0:
@@ -210,6 +217,7 @@ def _reason(
     )
     # What one press at a place nearby shows as well is ambiguous.
     unclear = unclear or track.evidence.one_press or track.certain < certain
+    unclear = unclear or track.manoeuvres > limits.manoeuvres
     # A signal that comes and rests fits a contact that has hardly moved.
     unclear = unclear or (contact is Contact.STOPPED and track.way_mm < limits.stopped_way_mm)
     if unclear or (track.partial > limits.partial and not lifted):
@@ -239,7 +247,11 @@ def likely(track: Track, distance: float, limits: TrackLimits) -> bool:
     """
     further_mm = track.way_mm - limits.straight_way_mm
     log_odds = track.evidence.log_odds - 0.5 * distance + limits.way_log_odds * further_mm
-    return log_odds >= limits.straight_log_odds and track.evidence.triggers >= limits.triggers
+    return (
+        log_odds >= limits.straight_log_odds
+        and track.evidence.triggers >= limits.triggers
+        and track.manoeuvres <= limits.manoeuvres
+    )
 
 
 def explains(straight: Estimate) -> bool:

@@ -30,7 +30,7 @@ class Track(NamedTuple):
     """One moment. mean: (4,) x, y (mm), vx, vy (mm/s); covariance: (4, 4). certain: weight of the hypotheses near the
     best one. misfit: chi-square over its degrees of freedom. partial: weight of hypotheses that the contact is being
     pressed on or lifted. gain, depth_mm (off the map's): means; depth_sd_mm. way_mm: since the touch, at most 25.
-    places: where the contact may be, while several places are left.
+    manoeuvres: how many it took over that way. places: where the contact may be, while several are left.
     """
 
     mean: np.ndarray
@@ -43,6 +43,7 @@ class Track(NamedTuple):
     depth_sd_mm: float
     hypotheses: int
     way_mm: float
+    manoeuvres: float = 0.0
     places: tuple[Place, ...] = ()
     evidence: ContactEvidence = ContactEvidence()
 
@@ -95,6 +96,7 @@ def _mixture(bank: Hypotheses, motion: np.ndarray, covariance: np.ndarray) -> Tr
         math.sqrt(max(variance, 0.0)),
         len(bank),
         float(share @ bank.age_mm),
+        float(share @ bank.manoeuvres),
         places=likeliest_places(mean[:, :2], weight, NEAR_MM),
     )
 
