@@ -29,7 +29,8 @@ class TrackLimits:
     hypotheses that the contact is being pressed on or lifted, unless more channels than that has unknowns have followed
     it for partial_way_mm. evidence: least logarithm of the odds of a contact against a smooth signal of no known
     origin. triggers: the largest output since the touch, over the trigger, is at least that. way_mm: least way, and
-    valid_way_mm: of a valid track. manoeuvres: most over the way of a track, and of one next to a straight slide.
+    valid_way_mm: of a valid track. manoeuvres, straight_manoeuvres: most over the way, of a track and of one that a
+    straight slide agrees with.
     stopped_mm_s: a contact slower than this has stopped; stopped_way_mm: its least way.
     agreement: largest squared Mahalanobis distance of the straight slide from the track, four degrees of freedom.
     stopping_s: for which a line is held while a contact seems to be slower than slow_share of the slide, or is lost;
@@ -58,6 +59,7 @@ class TrackLimits:
     way_mm: float = 1.5
     valid_way_mm: float = 1.5
     manoeuvres: float = math.inf
+    straight_manoeuvres: float = math.inf
     stopped_mm_s: float = 0.15
     stopped_way_mm: float = 4.0
     press_mm_s: float = 0.3
@@ -87,6 +89,7 @@ TOUCH_LIMITS = TrackLimits(
     valid_way_mm=11.0,
     straight_way_mm=9.0,
     manoeuvres=0.3,
+    straight_manoeuvres=0.8,
     shared=None,
     agreement=LIKELY,
     evidence=-60.0,
@@ -250,7 +253,7 @@ def likely(track: Track, distance: float, limits: TrackLimits) -> bool:
     return (
         log_odds >= limits.straight_log_odds
         and track.evidence.triggers >= limits.triggers
-        and track.manoeuvres <= limits.manoeuvres
+        and track.manoeuvres <= limits.straight_manoeuvres
     )
 
 

@@ -28,15 +28,28 @@ def tracker(remembered: int = 0) -> TouchDownTracker:
 
 
 def circle(count: int, gain: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
-    """Blocks (n, C) V of a circle, each off by its own place and gain as the tracker expects, and the truth at their
-    ends (n, 4): x, y, vx, vy."""
-    draw = np.random.default_rng(5)
+    """Blocks (n, C) V of a circle, and the truth at their ends (n, 4): x, y, vx, vy."""
     angle = SPEED_MM_S / RADIUS_MM * BLOCK_S * np.arange(2 * count + 1) / 2
     place = RADIUS_MM * np.stack([np.cos(angle), np.sin(angle)], axis=1)
     velocity = SPEED_MM_S * np.stack([-np.sin(angle), np.cos(angle)], axis=1)
-    middle = place[1::2] + 0.2 * draw.standard_normal((count, 2))
-    volts = gain * SURFACE.at(*middle.T)[:, 0, 0] * (1 + 0.03 * draw.standard_normal((count, 1)))
-    return volts + 2e-3 * draw.standard_normal(volts.shape), np.hstack([place, velocity])[2::2]
+    return blocks_along(place[1::2], gain), np.hstack([place, velocity])[2::2]
+
+
+def bent_line(count: int) -> np.ndarray:
+    """Blocks (n, C) V of a line that turns by 60 degrees within 4 mm, 14 mm from its start, and back 6 mm later."""
+    way_mm = SPEED_MM_S * BLOCK_S * (np.arange(count) + 0.5)
+    heading = np.radians(np.interp(way_mm, [14.0, 18.0, 24.0, 28.0], [0.0, 60.0, 60.0, 0.0]))
+    steps = SPEED_MM_S * BLOCK_S * np.stack([np.cos(heading), np.sin(heading)], axis=1)
+    return blocks_along(np.array([-13.0, -6.0]) + np.cumsum(steps, axis=0))
+
+
+def blocks_along(place: np.ndarray, gain: float = 1.0) -> np.ndarray:
+    """Blocks (n, C) V at places (n, 2), each off by its own place and gain as the tracker expects."""
+    draw = np.random.default_rng(5)
+    middle = place + 0.2 * draw.standard_normal(place.shape)
+    volts = gain * SURFACE.at(*middle.T)[:, 0, 0] * (1 + 0.03 * draw.standard_normal((len(place), 1)))
+    noisy: np.ndarray = volts + 2e-3 * draw.standard_normal(volts.shape)
+    return noisy
 
 
 @pytest.mark.parametrize(("gain", "dead"), [(1.0, False), (1.15, False), (1.0, True)])
@@ -88,6 +101,16 @@ def test_evidence_is_for_a_contact_and_against_a_smooth_signal() -> None:
         past = one.past(5)
         assert past is not None
         assert past.evidence == tracks[-1].evidence
+
+
+def test_bends_are_counted_and_a_circle_needs_none() -> None:
+    """A track that needed a bend is not believed: the next one shows 2 mm late."""
+    bent, one = bent_line(56), tracker()
+    turned = [track.manoeuvres for track in (one.push(block, True, USABLE) for block in bent) if track]
+    assert max(turned[:25]) < TOUCH_LIMITS.manoeuvres < max(turned)
+    round_it, one = circle(60)[0], tracker()
+    held = [track.manoeuvres for track in (one.push(block, True, USABLE) for block in round_it) if track]
+    assert np.median(held) < TOUCH_LIMITS.manoeuvres
 
 
 def test_errors_of_place_and_gain_add_their_own_covariance() -> None:

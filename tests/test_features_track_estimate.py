@@ -153,4 +153,18 @@ def test_a_straight_slide_next_to_a_track_that_is_not_valid_needs_odds(
     evidence = ContactEvidence(log_odds, triggers=triggers)
     track = Track(np.zeros(4), np.eye(4), 1.0, 1.0, 0.0, 1.0, 0.0, 0.02, 20, way_mm, evidence=evidence)
     assert likely(track, distance, TrackLimits()) is expected
-    assert likely(track._replace(evidence=ContactEvidence()), distance, TOUCH_LIMITS)
+
+
+@pytest.mark.parametrize(
+    ("way_mm", "manoeuvres", "valid"), [(15.0, 0.1, True), (15.0, 0.5, False), (10.0, 0.1, False)]
+)
+def test_without_a_rim_a_bent_or_short_track_is_not_believed(
+    way_mm: float, manoeuvres: float, valid: bool
+) -> None:
+    """Nor is a straight slide next to a bent one; over the rim both are."""
+    mean, covariance = np.array([1.0, 2.0, 20.0, 5.0]), np.diag([0.09, 0.09, 1.0, 1.0])
+    track = Track(mean, covariance, 1.0, 1.0, 0.0, 1.0, 0.0, 0.02, 20, way_mm, manoeuvres)
+    assert judged(track, 0.0, SlideState.SLIDE, (0.0, 0.0), 0.5, TOUCH_LIMITS).valid is valid
+    assert judged(track, 0.0, SlideState.SLIDE, (0.0, 0.0), 0.5, TrackLimits()).valid
+    assert likely(track, 2.0, TOUCH_LIMITS) is (manoeuvres < TOUCH_LIMITS.manoeuvres)
+    assert likely(track, 2.0, TrackLimits())
