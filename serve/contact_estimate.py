@@ -23,18 +23,11 @@ from softslide.features.card import Card
 from softslide.features.contact.touch_down import TouchDownTracker
 from softslide.features.contact.track import Track
 from softslide.features.estimate import Contact, Estimate, Reason
-from softslide.features.stream.conditioning import ONSETS, LagUndone
-from softslide.features.stream.tracker import SlideState, SlideTracker
-from softslide.features.track_estimate import (
-    LIKELY,
-    TOUCH_LIMITS,
-    TrackLimits,
+from softslide.features.straight_slide import (
     apart,
     crosses,
     earlier,
     explains,
-    is_sure,
-    judged,
     likely,
     same_line,
     stopped_on,
@@ -42,6 +35,9 @@ from softslide.features.track_estimate import (
     straight_fit,
     with_track,
 )
+from softslide.features.stream.conditioning import ONSETS, LagUndone
+from softslide.features.stream.tracker import SlideState, SlideTracker
+from softslide.features.track_estimate import LIKELY, TOUCH_LIMITS, TrackLimits, is_sure, judged
 from softslide.serve.contact_tracker import AnyTracker, contact_tracker
 
 # Blocks, 0.1 s, between two straight fits that are kept, and 0.2 s between two that the tracker is offered.

@@ -11,8 +11,9 @@ from softslide.features.angles import wrapped_deg
 from softslide.features.card import HALF_WIDTH_SD
 from softslide.features.contact.track import ContactEvidence, Track
 from softslide.features.estimate import Contact, Estimate, Reason, mixed_width
+from softslide.features.straight_slide import apart, likely, with_track
 from softslide.features.stream.tracker import SlideState
-from softslide.features.track_estimate import TOUCH_LIMITS, TrackLimits, apart, judged, likely, with_track
+from softslide.features.track_estimate import TOUCH_LIMITS, TrackLimits, judged
 
 QUANTITIES = (("speed", "mm_s"), ("offset", "mm"), ("x", "mm"), ("y", "mm"), ("vx", "mm_s"), ("vy", "mm_s"))
 

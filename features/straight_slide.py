@@ -1,0 +1,221 @@
+"""A straight slide next to the track of the contact: whether they agree, and what is estimated where it stops.
+
+Where the straight slide at constant speed, which the graph fits to the whole stroke, explains the output and agrees
+with the track, it is the estimate: it knows more, and is sharper.
+"""
+
+import math
+from typing import Any
+
+import numpy as np
+
+from softslide.features.angles import wrapped_deg
+from softslide.features.card import HALF_WIDTH_SD
+from softslide.features.contact.track import Track
+from softslide.features.contact.tracker import StraightFit
+from softslide.features.estimate import Contact, Estimate, Reason
+from softslide.features.stream.tracker import SlideState
+from softslide.features.track_estimate import TrackLimits
+
+
+def apart(straight: Estimate, track: Track, since_s: float, limits: TrackLimits) -> float:
+    """The squared Mahalanobis distance of a straight slide, as it was `since_s` ago, from the track; infinite
+    where the way is short."""
+    if track.way_mm < limits.straight_way_mm:
+        return math.inf
+    velocity = np.array([straight.vx_mm_s, straight.vy_mm_s])
+    place = np.array([straight.x_mm, straight.y_mm]) - since_s * velocity
+    off = np.concatenate([place, velocity]) - track.mean
+    # The floors of the intervals, as standard deviations: both read the same blocks.
+    floor = np.array([limits.place_mm, limits.place_mm, limits.speed_mm_s, limits.speed_mm_s])
+    spread = track.covariance + np.diag(floor**2)
+    return float(off @ np.linalg.solve(spread, off))
+
+
+def likely(track: Track, distance: float, limits: TrackLimits) -> bool:
+    """Whether a straight slide is likely at a distance, as of `apart`, from a track that is not valid itself.
+
+    The odds are of a contact against a signal that none makes, which seldom agrees with a straight slide for long, and
+    is often weak.
+    """
+    further_mm = track.way_mm - limits.straight_way_mm
+    log_odds = track.evidence.log_odds - 0.5 * distance + limits.way_log_odds * further_mm
+    return (
+        log_odds >= limits.straight_log_odds
+        and track.evidence.triggers >= limits.triggers
+        and track.manoeuvres <= limits.straight_manoeuvres
+    )
+
+
+def explains(straight: Estimate) -> bool:
+    """Whether a straight slide fits the output as well as those of the calibration do, be it sharp or not."""
+    return straight.reason in (Reason.NONE, Reason.AMBIGUOUS)
+
+
+def crosses(straight: Estimate, tracked: Estimate, limits: TrackLimits) -> bool:
+    """Whether the straight slide goes another way than the track, further than a valid heading may err."""
+    return abs(wrapped_deg(straight.direction_deg - tracked.direction_deg)) > limits.heading_sd_deg
+
+
+def straight_fit(straight: Estimate, elapsed_s: float, map_depth_mm: float) -> StraightFit:
+    """The straight slide as a hypothesis for the tracker. elapsed_s: that it was fitted to; map_depth_mm: the
+    calibration's contact depth."""
+    known = math.isfinite(straight.depth_mm)
+    return StraightFit(
+        x_mm=straight.x_mm,
+        y_mm=straight.y_mm,
+        heading=math.radians(straight.direction_deg),
+        speed_mm_s=straight.speed_mm_s,
+        depth_mm=straight.depth_mm - map_depth_mm if known else 0.0,
+        place_sd_mm=(straight.offset_hi_mm - straight.offset_mm) / HALF_WIDTH_SD,
+        heading_sd=math.radians(straight.direction_hi_deg - straight.direction_deg) / HALF_WIDTH_SD,
+        speed_sd=math.log(straight.speed_hi_mm_s / straight.speed_mm_s) / HALF_WIDTH_SD,
+        depth_sd_mm=(straight.depth_hi_mm - straight.depth_mm) / HALF_WIDTH_SD if known else 0.0,
+        way_mm=straight.speed_mm_s * elapsed_s,
+    )
+
+
+def same_line(straight: Estimate, line: Estimate) -> bool:
+    """Whether two straight slides go the same way, at one speed and distance: each is within what the other allows."""
+    turn = wrapped_deg(straight.direction_deg - line.direction_deg)
+    turn_half = (
+        straight.direction_hi_deg - straight.direction_lo_deg + line.direction_hi_deg - line.direction_lo_deg
+    ) / 2
+    offset_half = (straight.offset_hi_mm - straight.offset_lo_mm + line.offset_hi_mm - line.offset_lo_mm) / 2
+    faster = abs(math.log(straight.speed_mm_s / line.speed_mm_s))
+    return (
+        abs(turn) <= turn_half
+        and abs(straight.offset_mm - line.offset_mm) <= offset_half
+        and faster
+        <= math.log(straight.speed_hi_mm_s / straight.speed_lo_mm_s * line.speed_hi_mm_s / line.speed_lo_mm_s)
+        / 2
+    )
+
+
+def stops_on(
+    line: Estimate, track: Estimate, elapsed_s: float, longest_mm: float, limits: TrackLimits
+) -> bool:
+    """Whether a track is of a contact that slows down or rests on a line that it agreed with until `elapsed_s` ago.
+
+    longest_mm: how far it would be along the line, had it gone on.
+
+    A stop is quicker than the skin, whose creep shows as a motion: until it is over, a track that has lost the contact
+    says nothing against the line.
+    """
+    along_mm, across_mm = _on_line(line, track)
+    half_mm = math.hypot(
+        line.offset_hi_mm - line.offset_mm, track.x_hi_mm - track.x_mm, track.y_hi_mm - track.y_mm
+    )
+    near_mm = math.sqrt(limits.agreement) * half_mm / limits.half_width
+    if abs(across_mm) > near_mm or not -near_mm <= along_mm <= longest_mm + near_mm:
+        return False
+    if track.reason in (Reason.NONE, Reason.AMBIGUOUS) and rests(track, line, limits):
+        return True
+    slow = track.speed_mm_s < limits.slow_share * line.speed_mm_s
+    return elapsed_s <= limits.stopping_s and (slow or track.reason is Reason.NOT_THIS_SENSOR)
+
+
+def rests(track: Estimate, line: Estimate, limits: TrackLimits) -> bool:
+    """Whether a contact that slid along the line has come to rest, creep apart, as far as its track shows."""
+    creep_mm_s = max(limits.stopped_mm_s, limits.creep_share * line.speed_mm_s)
+    return track.speed_mm_s < creep_mm_s or track.speed_lo_mm_s <= 0.0
+
+
+def stopped_on(line: Estimate, track: Estimate, limits: TrackLimits, ended: bool) -> Estimate:
+    """The track of a contact that stops on a line: the line with its direction and distance, and how far it went.
+
+    ended: the stop is no pause, so that the slide has ended. Then, and until the contact rests, the speed is the
+    slide's.
+    """
+    along_mm, _ = _on_line(line, track)
+    angle = math.radians(line.direction_deg)
+    now = {"x_mm": line.x_mm + along_mm * math.cos(angle), "y_mm": line.y_mm + along_mm * math.sin(angle)}
+    at_rest = ended or rests(track, line, limits)
+    if at_rest:
+        now |= {"vx_mm_s": 0.0, "vy_mm_s": 0.0, "speed_mm_s": 0.0}
+    changed: dict[str, Any] = {}
+    for name, value in now.items():
+        low, high = _ends(name)
+        half = (getattr(track, high) - getattr(track, low)) / 2
+        changed |= {name: value, low: value - half, high: value + half}
+    for name in ("direction_deg", "offset_mm", "depth_mm", *(["speed_mm_s"] if ended or not at_rest else [])):
+        changed |= {each: getattr(line, each) for each in (name, *_ends(name))}
+    return track._replace(
+        state=SlideState.ENDED if ended else track.state,
+        valid=True,
+        reason=Reason.NONE,
+        contact=Contact.STOPPED if at_rest else Contact.SLIDE,
+        places=(),
+        **changed,
+    )
+
+
+def earlier(straight: Estimate, since_s: float) -> Estimate:
+    """A straight slide as it was so long ago."""
+    x_mm, y_mm = straight.x_mm - since_s * straight.vx_mm_s, straight.y_mm - since_s * straight.vy_mm_s
+    return straight._replace(x_mm=x_mm, y_mm=y_mm)
+
+
+def _ends(name: str) -> tuple[str, str]:
+    """Names of the interval of a quantity, x_lo_mm and x_hi_mm of x_mm."""
+    quantity, unit = name.split("_", 1)
+    return f"{quantity}_lo_{unit}", f"{quantity}_hi_{unit}"
+
+
+def _on_line(line: Estimate, track: Estimate) -> tuple[float, float]:
+    """How far (mm) a track is along a line from where the line was fitted, and across it to the left."""
+    angle = math.radians(line.direction_deg)
+    cos, sin = math.cos(angle), math.sin(angle)
+    dx, dy = track.x_mm - line.x_mm, track.y_mm - line.y_mm
+    return dx * cos + dy * sin, dy * cos - dx * sin
+
+
+_BENT = ("direction_deg", "speed_mm_s", "offset_mm")  # `Estimate.bent`
+
+
+def with_track(straight: Estimate, tracked: Estimate, shared: float | None) -> Estimate:
+    """The straight slide's estimate, with intervals of place and velocity.
+
+    Across the line the offset's interval holds; along it the track's own, which the straight slide only narrows.
+    A slide that bends or changes speed a little fits a straight one too: each interval is widened until it holds the
+    track's estimate and the share `shared` of its half-width on either side, unless that is None; but where the track's
+    estimate is nearer than that, by no more than what the window leaves of bends and changes (`Estimate.bent`).
+    """
+    angle = math.radians(straight.direction_deg)
+    cos, sin = abs(math.cos(angle)), abs(math.sin(angle))
+    across = (straight.offset_hi_mm - straight.offset_lo_mm) / 2
+    along_x, along_y = (tracked.x_hi_mm - tracked.x_lo_mm) / 2, (tracked.y_hi_mm - tracked.y_lo_mm) / 2
+    x_half, y_half = math.hypot(across * sin, along_x * cos), math.hypot(across * cos, along_y * sin)
+    if math.isnan(straight.depth_lo_mm):
+        straight = straight._replace(depth_lo_mm=tracked.depth_lo_mm, depth_hi_mm=tracked.depth_hi_mm)
+    speed_half = (straight.speed_hi_mm_s - straight.speed_lo_mm_s) / 2
+    turn_half = straight.speed_mm_s * math.radians(straight.direction_hi_deg - straight.direction_lo_deg) / 2
+    vx_half, vy_half = (
+        math.hypot(speed_half * cos, turn_half * sin),
+        math.hypot(speed_half * sin, turn_half * cos),
+    )
+    straight = straight._replace(
+        contact=Contact.SLIDE,
+        x_lo_mm=straight.x_mm - x_half,
+        x_hi_mm=straight.x_mm + x_half,
+        y_lo_mm=straight.y_mm - y_half,
+        y_hi_mm=straight.y_mm + y_half,
+        vx_lo_mm_s=straight.vx_mm_s - vx_half,
+        vx_hi_mm_s=straight.vx_mm_s + vx_half,
+        vy_lo_mm_s=straight.vy_mm_s - vy_half,
+        vy_hi_mm_s=straight.vy_mm_s + vy_half,
+    )
+    if shared is None:
+        return straight
+    wider = {}
+    bent = dict(zip(_BENT, straight.bent or (), strict=False))
+    for name in ("direction_deg", "speed_mm_s", "offset_mm", "x_mm", "y_mm", "vx_mm_s", "vy_mm_s"):
+        low, high = _ends(name)
+        value, apart = getattr(straight, name), getattr(tracked, name) - getattr(straight, name)
+        if name == "direction_deg":
+            apart = wrapped_deg(apart)
+        half = shared * (getattr(tracked, high) - getattr(tracked, low)) / 2
+        room = bent.get(name, math.inf) if abs(apart) <= half else math.inf
+        wider[low] = min(getattr(straight, low), max(value + apart - half, value - room))
+        wider[high] = max(getattr(straight, high), min(value + apart + half, value + room))
+    return straight._replace(**wider)
