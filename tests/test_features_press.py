@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from tracked_map import BLOCK_S, INFLATION, TWO_BOARDS, noisy_map, pressed, tracks_of
 
+from softslide.features.contact.evidence import PRESS_ON_S
 from softslide.features.contact.track import Track
-from softslide.features.contact.tracker import PRESS_ON_S
 from softslide.features.contact.whole_device import beyond_device
 from softslide.features.estimate import Contact, Estimate, Reason
 from softslide.features.stream.tracker import SlideState

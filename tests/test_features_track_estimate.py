@@ -1,108 +1,12 @@
-"""From a track and a straight slide to one estimate."""
-
-import math
+"""From a track to an estimate, and whether it may be believed."""
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from softslide.features.angles import wrapped_deg
-from softslide.features.card import HALF_WIDTH_SD
 from softslide.features.contact.track import ContactEvidence, Track
-from softslide.features.estimate import Contact, Estimate, Reason, mixed_width
-from softslide.features.straight_slide import apart, likely, with_track
+from softslide.features.estimate import Contact, Reason
 from softslide.features.stream.tracker import SlideState
 from softslide.features.track_estimate import TOUCH_LIMITS, TrackLimits, judged
-
-QUANTITIES = (("speed", "mm_s"), ("offset", "mm"), ("x", "mm"), ("y", "mm"), ("vx", "mm_s"), ("vy", "mm_s"))
-
-
-def estimate(direction_deg: float, speed: float, place: float, half: float) -> Estimate:
-    """Every interval is `half` to either side."""
-    angle = np.radians(direction_deg)
-    values = {"speed": speed, "offset": place, "x": place, "y": -place}
-    values |= {"vx": speed * float(np.cos(angle)), "vy": speed * float(np.sin(angle))}
-    numbers = {"direction_deg": direction_deg}
-    numbers |= {"direction_lo_deg": direction_deg - half, "direction_hi_deg": direction_deg + half}
-    for name, unit in QUANTITIES:
-        numbers |= {f"{name}_{unit}": values[name]}
-        numbers |= {f"{name}_lo_{unit}": values[name] - half, f"{name}_hi_{unit}": values[name] + half}
-    return Estimate(0.0, SlideState.SLIDE, valid=True, reason=Reason.NONE, **numbers)
-
-
-def interval(of: Estimate, name: str, unit: str) -> tuple[float, float]:
-    return getattr(of, f"{name}_lo_{unit}"), getattr(of, f"{name}_hi_{unit}")
-
-
-@given(
-    direction=st.floats(0.0, 359.9),
-    turn=st.floats(-170.0, 170.0),
-    place=st.floats(-15.0, 15.0),
-    half=st.floats(0.1, 5.0),
-    shared=st.sampled_from([0.0, 0.5, 1.0]),
-)
-def test_a_straight_slides_intervals_hold_what_the_track_says(
-    direction: float, turn: float, place: float, half: float, shared: float
-) -> None:
-    """The estimate stays the straight slide's; a track far off makes its intervals wide, one that agrees does not."""
-    straight = estimate(direction, 3.0, 1.0, 0.05)
-    track = estimate((direction + turn) % 360, 4.0, place, half)
-    both = with_track(straight, track, shared)
-    for name, unit in QUANTITIES:
-        low, high = interval(both, name, unit)
-        value = getattr(track, f"{name}_{unit}")
-        assert getattr(both, f"{name}_{unit}") == getattr(straight, f"{name}_{unit}")
-        assert low <= value - shared * half + 1e-9
-        assert high >= value + shared * half - 1e-9
-    apart = wrapped_deg(track.direction_deg - straight.direction_deg)
-    assert both.direction_lo_deg <= straight.direction_deg + apart - shared * half + 1e-9
-    assert both.direction_hi_deg >= straight.direction_deg + apart + shared * half - 1e-9
-
-
-def test_a_track_that_agrees_leaves_the_straight_slides_intervals() -> None:
-    """A sharp one, and a blunt one from a touch; along the line the place is as well known as the track knows it."""
-    sharp = estimate(30.0, 3.0, 1.0, 0.5), estimate(30.0, 3.0, 1.0, 0.05), 0.5
-    blunt = estimate(30.0, 20.0, 1.0, 0.5), estimate(33.0, 21.0, 1.3, 5.0), TOUCH_LIMITS.shared
-    for straight, track, shared in (sharp, blunt):
-        both = with_track(straight, track, shared)
-        for name, unit in (("direction", "deg"), ("speed", "mm_s"), ("offset", "mm")):
-            assert interval(both, name, unit) == pytest.approx(interval(straight, name, unit))
-    assert both.x_hi_mm - both.x_mm > 4.0
-
-
-@pytest.mark.parametrize("turn_deg", [0.0, 2.0, 5.0])
-def test_a_track_that_is_near_widens_no_further_than_a_bend_allows(turn_deg: float) -> None:
-    straight = estimate(30.0, 3.0, 1.0, 0.05)._replace(bent=(0.5, 0.3, 0.2))
-    track = estimate(30.0 + turn_deg, 3.0, 1.0, 6.0)
-    near, both = turn_deg <= 3.0, with_track(straight, track, 0.5)
-    assert both.direction_hi_deg - 30.0 == pytest.approx(0.5 if near else turn_deg + 3.0)
-    assert interval(both, "speed", "mm_s") == pytest.approx((2.7, 3.3))
-    assert interval(both, "offset", "mm") == pytest.approx((0.8, 1.2))
-
-
-@given(weight=st.floats(0.0, 1.0), wider=st.floats(1.0, 50.0))
-def test_a_mixture_s_interval_holds_90_percent_of_it(weight: float, wider: float) -> None:
-    width = HALF_WIDTH_SD * mixed_width(weight, wider)
-    held = weight * math.erf(width / math.sqrt(2)) + (1 - weight) * math.erf(width / wider / math.sqrt(2))
-    assert held == pytest.approx(0.9, abs=2e-4)
-
-
-@given(since_s=st.floats(0.0, 2.0), off_mm=st.floats(0.0, 3.0))
-def test_a_straight_slide_is_compared_where_it_was_when_the_track_was_clear(
-    since_s: float, off_mm: float
-) -> None:
-    """A track of `since_s` ago agrees with the slide that was there then, as far as its own 0.3 mm allow."""
-    straight = estimate(20.0, 3.0, 4.0, 0.5)._replace(misfit=1.0)
-    velocity = np.array([straight.vx_mm_s, straight.vy_mm_s])
-    then = np.array([straight.x_mm, straight.y_mm]) - since_s * velocity
-    across = np.array([-velocity[1], velocity[0]]) / 3.0
-    mean = np.concatenate([then + off_mm * across, velocity])
-    track = Track(mean, np.diag([0.09, 0.09, 0.01, 0.01]), 1.0, 1.0, 0.0, 1.0, 0.0, 0.02, 20, 20.0)
-    limits = TrackLimits()
-    farthest_mm = np.sqrt(limits.agreement * (0.09 + limits.place_mm**2))
-    if abs(off_mm - farthest_mm) > 1e-6:
-        assert (apart(straight, track, since_s, limits) <= limits.agreement) == (off_mm < farthest_mm)
 
 
 @pytest.mark.parametrize(
@@ -139,33 +43,12 @@ def test_a_track_of_a_weak_output_is_too_early(triggers: float, valid: bool) -> 
 
 
 @pytest.mark.parametrize(
-    ("log_odds", "distance", "way_mm", "triggers", "expected"),
-    [
-        (0.0, 2.0, 9.0, 8.0, True),
-        (0.0, 24.0, 9.0, 8.0, False),  # far from the track
-        (-8.0, 2.0, 9.0, 8.0, False),  # a smooth signal of no known origin is likelier
-        (-8.0, 2.0, 16.0, 8.0, True),  # such signals seldom fit a straight slide for so long
-        (9.0, 0.0, 20.0, 3.9, False),  # hardly more than the trigger
-    ],
-)
-def test_a_straight_slide_next_to_a_track_that_is_not_valid_needs_odds(
-    log_odds: float, distance: float, way_mm: float, triggers: float, expected: bool
-) -> None:
-    evidence = ContactEvidence(log_odds, triggers=triggers)
-    track = Track(np.zeros(4), np.eye(4), 1.0, 1.0, 0.0, 1.0, 0.0, 0.02, 20, way_mm, evidence=evidence)
-    assert likely(track, distance, TrackLimits()) is expected
-
-
-@pytest.mark.parametrize(
     ("way_mm", "manoeuvres", "valid"), [(15.0, 0.1, True), (15.0, 0.5, False), (10.0, 0.1, False)]
 )
 def test_without_a_rim_a_bent_or_short_track_is_not_believed(
     way_mm: float, manoeuvres: float, valid: bool
 ) -> None:
-    """Nor is a straight slide next to a bent one; over the rim both are."""
     mean, covariance = np.array([1.0, 2.0, 20.0, 5.0]), np.diag([0.09, 0.09, 1.0, 1.0])
     track = Track(mean, covariance, 1.0, 1.0, 0.0, 1.0, 0.0, 0.02, 20, way_mm, manoeuvres)
     assert judged(track, 0.0, SlideState.SLIDE, (0.0, 0.0), 0.5, TOUCH_LIMITS).valid is valid
     assert judged(track, 0.0, SlideState.SLIDE, (0.0, 0.0), 0.5, TrackLimits()).valid
-    assert likely(track, 2.0, TOUCH_LIMITS) is (manoeuvres < TOUCH_LIMITS.manoeuvres)
-    assert likely(track, 2.0, TrackLimits())
