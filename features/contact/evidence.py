@@ -95,7 +95,8 @@ class Evidence:
 
     def _presses(self, volts: np.ndarray) -> bool:
         """Whether an output (C,) V that has kept one direction is a press's, and not a tilt's or the pressure's."""
-        if self._beyond_device is None or self._smooth.changed_s > PRESS_ON_S:
+        changes = self._smooth.changing_s >= PRESS_S or self._smooth.changed_s > PRESS_ON_S
+        if self._beyond_device is None or changes:
             return False
         size = float(np.hypot.reduce(volts))
         beyond = float(np.hypot.reduce(self._beyond_device @ volts))
