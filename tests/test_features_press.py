@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from tracked_map import BLOCK_S, INFLATION, TWO_BOARDS, noisy_map, pressed, tracks_of
 
-from softslide.features.contact.evidence import PRESS_ON_S
+from softslide.features.contact.evidence import PRESS_ON_S, PRESS_S
 from softslide.features.contact.track import Track
 from softslide.features.contact.whole_device import beyond_device
 from softslide.features.estimate import Contact, Estimate, Reason
@@ -107,3 +107,18 @@ def test_a_press_that_comes_on_slowly_is_not_valid(seconds: float) -> None:
     late = found[round((PRESS_ON_S + 1.0) / BLOCK_S) :]
     assert late
     assert not any(e.valid and e.contact is Contact.PRESS for e in late)
+
+
+def test_a_press_that_still_grows_after_two_seconds_is_not_valid_before_it_rests() -> None:
+    """A drift grows so long, too."""
+    seconds, held_s = 3.0, 3.0
+    blocks = round((seconds + held_s) / BLOCK_S)
+    share = np.clip(np.arange(blocks) * BLOCK_S / seconds, 0.0, 1.0)
+    volts = share[:, None] * pressed(RESPONSE, (12.0, 9.0))
+    tracks = tracks_of(RESPONSE, volts + np.random.default_rng(2).normal(0.0, 1e-3, volts.shape), INFLATION)
+    of_press = [bool(e.valid and e.contact is Contact.PRESS) for e in estimates(tracks)]
+    began_s = (blocks - len(of_press)) * BLOCK_S
+    grows = slice(round((began_s + PRESS_S + 0.3) / BLOCK_S) - blocks, -round(held_s / BLOCK_S))
+    assert len(of_press[grows]) > 20
+    assert not any(of_press[grows])
+    assert any(of_press[-round(1.0 / BLOCK_S) :])

@@ -33,12 +33,10 @@ DETECTABLE_MM = (17.5, 25.0, 17.5, 25.0)
 EFFECTIVE_MM = (17.5, 22.5, 17.5, 22.5)
 # The lowest speed that a quadratic in t is fitted to here. The published one has its minimum at 1.57 mm/s.
 LEAST_SPEED_MM_S = 1.5
-MARGIN = (
-    0.02  # of the least and the largest abscissa fitted, by which an answered slide may leave their range
-)
-ROUNDS = (
-    30  # of v = chi(t + way / v); each shrinks the error by the way to the trigger over that to the extreme
-)
+# Of the least and the largest abscissa fitted, by which an answered slide may leave their range.
+MARGIN = 0.02
+# Of v = chi(t + way / v); each shrinks the error by the way to the trigger over that to the extreme.
+ROUNDS = 30
 SPEEDS_MM_S = (0.1, 50.0)  # that those rounds are held to
 _ELAPSED = feature_names(1).index("elapsed_s")
 

@@ -13,9 +13,8 @@ from softslide.features.contact.whole_device import beyond_device
 # (synthetic paths and tilts, experiments/LOG.md).
 EVIDENCE_MM = 15.0
 EVIDENCE_S = 20.0
-EVIDENCE_AGAINST_S = (
-    4.0  # and of the evidence against one: how a contact was pressed on says little of what follows
-)
+# And of the evidence against one: how a contact was pressed on says little of what follows.
+EVIDENCE_AGAINST_S = 4.0
 # A press rests sooner than this: an output that changes for longer along one direction is a slide's or a drift's, and
 # a slide's from this evidence on (synthetic slides and drifts).
 PRESS_S = 2.0

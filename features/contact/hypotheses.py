@@ -20,17 +20,14 @@ FRICTION = slice(FRICTION_X, FRICTION_Y + 1)
 MOTION = slice(X, SPEED + 1)  # what is reported, and remembered
 RESIDUAL = 11
 
-FRICTION_MM = (
-    0.35  # of way, over which the friction's direction follows the motion's (measured on the emulator)
-)
-RESIDUAL_MM = (
-    4.0  # of way, over which the map's residual is correlated: between one and two knots of its splines
-)
+# Of way, over which the friction's direction follows the motion's (measured on the emulator).
+FRICTION_MM = 0.35
+# Of way, over which the map's residual is correlated: between one and two knots of its splines.
+RESIDUAL_MM = 4.0
 ACCELERATION_MM = 12.0  # of way, over which a change of speed goes on
 MANOEUVRE_MM = 25.0  # of way, over which manoeuvres are remembered
-PEAK_SHARE = (
-    0.01  # of the present output: what friction's dependence on the path adds at 0.1 (rms, simulated)
-)
+# Of the present output: what friction's dependence on the path adds at 0.1 (rms, simulated).
+PEAK_SHARE = 0.01
 # Of the present output, over 1 s: how much the shape of the response changes while a contact is pressed on.
 PARTIAL_SHARE = 0.02
 MISFIT_S = 0.5  # memory of the misfit

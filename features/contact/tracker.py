@@ -38,9 +38,8 @@ from softslide.features.contact.response_surface import ResponseSurface
 from softslide.features.contact.touch import at_rest, at_touch, onset
 from softslide.features.contact.track import Track, moved_on, read, read_past
 
-STEP_BLOCKS = (
-    2  # a filter's step: 40 ms, in which the fastest slide calibrated for (13 mm/s) goes half a millimetre
-)
+# A filter's step: 40 ms, in which the fastest slide calibrated for (13 mm/s) goes half a millimetre.
+STEP_BLOCKS = 2
 BRANCH_STEPS = 5
 ONSET_BLOCKS = 12
 TRIGGER_BLOCKS = 5

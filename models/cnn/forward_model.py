@@ -15,9 +15,8 @@ from torch.nn import functional as F
 from softslide.models.graph.packing import rounded
 from softslide.models.response_map.map import ResponseMap
 
-BINS = (
-    16  # of time in a window: its own in fours; residuals of finer ones are correlated (experiments/LOG.md)
-)
+# Of time in a window: its own in fours; residuals of finer ones are correlated (experiments/LOG.md).
+BINS = 16
 STATE = 6  # numbers in the state: turn rad, log speed, offset mm, along mm, log gain, depth mm
 # The map's coefficients in an exported graph: (cells, 4 C), the four parts of a channel side by side.
 TABLE = "refinement.predicted.table"

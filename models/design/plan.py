@@ -56,9 +56,8 @@ PLACES_MM = 4.0  # between the places of a slide that are looked at
 # How much more a slide may gain than when it was last looked at, as one that was chosen since is taken out again.
 # 2, and places 2 mm apart, give plans as good in 2.7 times the time (experiments/LOG.md).
 GAIN_RISES = 1.5
-PLAN_SWEEPS = (
-    1  # of exchanges; a second changes nothing on the sample's sensor or one of three accelerometers
-)
+# Of exchanges; a second changes nothing on the sample's sensor or one of three accelerometers.
+PLAN_SWEEPS = 1
 
 
 @dataclass(frozen=True)
