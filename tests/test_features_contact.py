@@ -147,6 +147,7 @@ def test_a_straight_slide_is_followed_by_a_small_bank_until_its_release(speed_mm
     assert tracks[-1] is None
 
 
+BOTH = np.ones(2, dtype=bool)  # channels
 OUT_MM = np.arange(-29.0, 6.0, 0.06)
 TURN_RAD = np.arange(0.0, 2 * np.pi, 3.0 * BLOCK_S / 8.0)  # 3 mm/s along a radius of 8 mm
 ROUND_MM = 8.0 * np.stack([np.sin(TURN_RAD), 1 - np.cos(TURN_RAD)], axis=1) - [0.0, 4.0]
@@ -198,7 +199,9 @@ def test_a_contact_that_is_lifted_from_rest_stays_in_its_place() -> None:
 
 def test_noise_alone_starts_nothing() -> None:
     still = tracker(noisy_map())
-    assert all(still.push(v, False) is None for v in np.random.default_rng(2).normal(0.0, 1e-3, (500, 2)))
+    assert all(
+        still.push(v, False, BOTH) is None for v in np.random.default_rng(2).normal(0.0, 1e-3, (500, 2))
+    )
 
 
 def test_two_accelerometers_are_sharper_than_one_and_do_without_one() -> None:
@@ -314,7 +317,7 @@ def test_a_slide_is_valid_and_a_wave_seldom() -> None:
         wave = 0.15 * np.stack([np.sin(phase), along_y * np.sin(phase)], axis=1)
         wave = wave + np.random.default_rng(3).normal(0.0, 1e-3, wave.shape)
         tracked = tracker(response)
-        waves.append(share_valid([tracked.push(v, n > 10) for n, v in enumerate(wave)]))
+        waves.append(share_valid([tracked.push(v, n > 10, BOTH) for n, v in enumerate(wave)]))
     slide = followed(response, line(3.0))
     assert np.median([t.evidence.log_odds for t in slide if t is not None]) > 2.0
     assert share_valid(slide) > 0.6
@@ -328,5 +331,5 @@ def test_no_signal_makes_the_tracker_fail(seed: int) -> None:
     tracked = tracker(noisy_map())
     walk = np.cumsum(generator.normal(0.0, 0.05, (400, 2)), axis=0)
     for volts in walk + (generator.random((400, 1)) < 0.02) * 2.0:
-        track = tracked.push(volts, True)
+        track = tracked.push(volts, True, BOTH)
         assert track is None or np.isfinite(track.mean).all()

@@ -13,7 +13,7 @@ ONE, TWO = noisy_map(), noisy_map(places=TWO_BOARDS)
 FIRST_ALONE = np.array([True, True, False, False])
 
 
-def followed(tracked: ContactTracker, volts: np.ndarray, usable: np.ndarray | None = None) -> list[Track]:
+def followed(tracked: ContactTracker, volts: np.ndarray, usable: np.ndarray) -> list[Track]:
     tracks = [tracked.push(v, bool(t), usable) for v, t in zip(volts, touched(volts[:, :2]), strict=True)]
     return [track for track in tracks if track is not None]
 
@@ -91,7 +91,7 @@ def test_likelihood_decides_whether_a_fit_leads_that_is_offered(lost: bool) -> N
     path = line(4.0)
     volts, tracked = volts_along(ONE, path), tracker(ONE)
     half = len(volts) // 2
-    followed(tracked, volts[:half])
+    followed(tracked, volts[:half], FIRST_ALONE[:2])
     assert tracked._bank is not None
     x_mm, y_mm = path[half - 1]
     heading = 0.0
@@ -100,6 +100,6 @@ def test_likelihood_decides_whether_a_fit_leads_that_is_offered(lost: bool) -> N
     else:
         y_mm, heading = y_mm + 6.0, 1.0
     tracked.offer(StraightFit(x_mm, y_mm, heading, 4.0, 0.0, 0.1, 0.02, 0.02, 0.02, 20.0))
-    last = followed(tracked, volts[half : half + 10])[-1]
+    last = followed(tracked, volts[half : half + 10], FIRST_ALONE[:2])[-1]
     assert last.mean[:2] == pytest.approx(path[half + 9], abs=0.5)
     assert last.mean[2:] == pytest.approx([4.0, 0.0], abs=0.8)

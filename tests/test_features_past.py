@@ -67,7 +67,7 @@ def test_a_corner_is_seen_where_it_was_from_what_comes_after_it() -> None:
     volts = volts_along(response, corner)
     live, past = [], []
     for v, touch in zip(volts, touched(volts), strict=True):
-        live.append(followed.push(v, bool(touch)))
+        live.append(followed.push(v, bool(touch), np.ones(len(v), dtype=bool)))
         past.append(followed.past(blocks))
     at_once, later = (
         [np.hypot(*(track.mean[2:] - [0.0, 2.5])) for track in tracks if track is not None]

@@ -50,9 +50,9 @@ def gained(blocks: Blocks, card: Card, config: TrackingConfig) -> float:
     noise_gain = LagUndone(card.conditioning, len(blocks[0][0])).noise_gain
     tracker = contact_tracker(card, noise_gain, np.nan, config, replays=False)
     assert isinstance(tracker, ContactTracker)
-    total = 0.0
+    total, every = 0.0, np.ones(len(blocks[0][0]), dtype=bool)
     for volts, touched in blocks:
-        tracker.push(volts, touched)
+        tracker.push(volts, touched, every)
         total += tracker.gained
     return total
 

@@ -132,7 +132,7 @@ class TouchDownTracker:
         """Whether a contact is tracked."""
         return self._bank is not None
 
-    def push(self, volts: np.ndarray, touched: bool, usable: np.ndarray | None = None) -> Track | None:
+    def push(self, volts: np.ndarray, touched: bool, usable: np.ndarray) -> Track | None:
         """One block: volts (C,) V, subtracted; touched: whether the output is off the static one; usable: (C,) bool.
         -> the contact, once it is lifted as it was before; None if none is tracked."""
         if not touched:
@@ -143,8 +143,7 @@ class TouchDownTracker:
         self._touched = True
         if self._lifted:
             return self._track
-        shown = volts if usable is None else volts[usable]
-        if np.abs(shown).max(initial=0.0) < self._release_v:
+        if np.abs(volts[usable]).max(initial=0.0) < self._release_v:
             # The block before this one may have shown a part of a contact that was being lifted.
             self._lifted, self._track = True, self._before
             return self._track
@@ -166,24 +165,21 @@ class TouchDownTracker:
             return None
         return moved_on(track, self._block_s / 2)._replace(evidence=self._track.evidence)
 
-    def _noise(self, usable: np.ndarray | None) -> np.ndarray:
-        return self._variance if usable is None else np.where(usable, self._variance, np.inf)
-
-    def _start(self, usable: np.ndarray | None) -> None:
+    def _start(self, usable: np.ndarray) -> None:
         whole = self._blocks[PARTIAL_BLOCKS:]
-        volts, variance = np.mean(whole, axis=0), self._noise(usable)
+        volts, variance = np.mean(whole, axis=0), np.where(usable, self._variance, np.inf)
         slope_v_s = (whole[-1] - whole[0]) / ((START_BLOCKS - 1) * self._block_s)
-        self._evidence.begin(np.isfinite(variance), volts, slope_v_s)
+        self._evidence.begin(usable, volts, slope_v_s)
         bank = at_touch_down(volts, variance, self._surface, self._half, self._gain_sd, self._config)
         self._bank = remembering(bank, self._config.remembered)
         self._steps = 0
 
-    def _step(self, volts: np.ndarray, usable: np.ndarray | None) -> None:
+    def _step(self, volts: np.ndarray, usable: np.ndarray) -> None:
         assert self._bank is not None
-        config, variance = self._config, self._noise(usable)
+        config, variance = self._config, np.where(usable, self._variance, np.inf)
         predict(self._bank, self._block_s, TINY, 0.0, config.noise)
         gained = update(self._bank, volts, variance, self._surface, self._block_s, config.local)
-        gained -= self._evidence.against(volts, np.isfinite(variance))
+        gained -= self._evidence.against(volts, usable)
         self._evidence.add(gained, self._block_s * self._bank.best_speed)
         remember(self._bank)
         bank = self._bank

@@ -134,7 +134,6 @@ class ContactTracker:
         self._floor_v, self._floor_share = floor_v, floor_share
         self._trigger_v, self._release_v = trigger_v, release_v
         self._recent = np.zeros((ONSET_BLOCKS, len(noise_v)))
-        self._every = np.ones(len(noise_v), dtype=bool)
         step_noise_v = noise_v / math.sqrt(STEP_BLOCKS)
         self._evidence = Evidence(step_noise_v, STEP_BLOCKS * block_s, trigger_v, inflation_v_per_mm)
         self.reset()
@@ -153,13 +152,13 @@ class ContactTracker:
         """Whether a contact is tracked."""
         return self._bank is not None
 
-    def push(self, volts: np.ndarray, touched: bool, usable: np.ndarray | None = None) -> Track | None:
+    def push(self, volts: np.ndarray, touched: bool, usable: np.ndarray) -> Track | None:
         """One block: volts (C,) V of the tilt channels, subtracted, the lag undone; touched: whether the output is off
         the static one, which starts a track; usable: (C,) bool. -> the contact, None if none is tracked."""
         self.gained = 0.0
         self._recent[:-1] = self._recent[1:]
         # What a dead channel shows is not the contact's.
-        self._recent[-1] = volts if usable is None else np.where(usable, volts, 0.0)
+        self._recent[-1] = np.where(usable, volts, 0.0)
         self._filled = min(self._filled + 1, ONSET_BLOCKS)
         if self._bank is None:
             # A slide's end is noticed later than the output is gone: no new track begins in what is left of it.
@@ -178,10 +177,9 @@ class ContactTracker:
             self._step(usable)
         return self._track
 
-    def _start(self, anywhere: bool, usable: np.ndarray | None) -> None:
+    def _start(self, anywhere: bool, usable: np.ndarray) -> None:
         recent = self._recent[-self._filled :]
-        noise_v = self._noise_v if usable is None else np.where(usable, self._noise_v, np.inf)
-        seen = onset(recent, self._block_s, noise_v)
+        seen = onset(recent, self._block_s, np.where(usable, self._noise_v, np.inf))
         bank = at_touch(
             seen,
             self._surface,
@@ -194,13 +192,13 @@ class ContactTracker:
         )
         self._bank = None if bank is None else remembering(bank, self._config.remembered)
         begin = self._evidence.begin_anew if anywhere else self._evidence.begin
-        begin(self._every if usable is None else usable, seen.level, seen.slope)
+        begin(usable, seen.level, seen.slope)
         self._blocks = self._steps = self._quiet = self._lost = 0
         self._rested = False
         self._past.clear()
         self._track = None if self._bank is None else read(self._bank)
 
-    def _step(self, usable: np.ndarray | None) -> None:
+    def _step(self, usable: np.ndarray) -> None:
         assert self._bank is not None
         config, elapsed_s = self._config, STEP_BLOCKS * self._block_s
         volts = self._recent[-STEP_BLOCKS:].mean(axis=0)
@@ -209,17 +207,15 @@ class ContactTracker:
         if self._quiet * elapsed_s > RELEASE_S:
             self._bank = self._track = None
             return
-        use = self._every if usable is None else usable
-        if not use.any():
+        if not usable.any():
             self._bank = remembering(self._bank, config.remembered)
             return
-        whole = bool(use.all())
-        variance = np.where(use, self._noise_v**2 / STEP_BLOCKS, np.inf)
+        variance = np.where(usable, self._noise_v**2 / STEP_BLOCKS, np.inf)
         predict(self._bank, elapsed_s, self._residual_v(peak_v), PARTIAL_SHARE * peak_v, config.noise)
         gained = update(self._bank, volts, variance, self._surface, elapsed_s)
         remember(self._bank)
         self._past.append(_Step(volts, variance, gained))
-        gained -= self._evidence.against(volts, use)
+        gained -= self._evidence.against(volts, usable)
         sound = self._bank.sound
         if not sound.all():
             # A signal that no contact makes can drive a covariance out of the positive definite.
@@ -232,7 +228,7 @@ class ContactTracker:
         self._evidence.add(gained, elapsed_s * self._bank.best_speed)
         self._leave_skin()
         self._steps += 1
-        if whole and not self._rested and self._steps * elapsed_s < config.young_s:
+        if usable.all() and not self._rested and self._steps * elapsed_s < config.young_s:
             self._rest()
         self._track = self._read_track()
         self._lost = self._lost + 1 if self._track.misfit > config.lost else 0

@@ -68,8 +68,8 @@ def tracks_of(
     response: ResponseMap, volts: np.ndarray, inflation_v_per_mm: tuple[float, ...] = ()
 ) -> list[Track | None]:
     """The tracks of blocks (m, C) V; 5 mV are a touch."""
-    tracked = tracker(response, inflation_v_per_mm)
-    return [tracked.push(v, bool(touch)) for v, touch in zip(volts, touched(volts), strict=True)]
+    tracked, every = tracker(response, inflation_v_per_mm), np.ones(volts.shape[1], dtype=bool)
+    return [tracked.push(v, bool(touch), every) for v, touch in zip(volts, touched(volts), strict=True)]
 
 
 def line(speed_mm_s: float, y_mm: float = 6.0, half_mm: float = 29.0) -> np.ndarray:
