@@ -227,9 +227,11 @@ class ContactEstimator:
 
     def _agrees(self, straight: Estimate, tracked: Estimate) -> bool:
         """Whether the track agrees with a straight slide, and is valid or makes it likely."""
-        distance = self._apart(straight)
-        stands = tracked.valid or likely(self._clear_track()[0], distance, self._limits)
-        return distance <= self._limits.agreement and stands
+        return self._stands(self._apart(straight), tracked, self._clear_track()[0])
+
+    def _stands(self, distance: float, tracked: Estimate, track: Track) -> bool:
+        """Whether a straight slide stands at a distance from the track, which is valid or makes it likely."""
+        return distance <= self._limits.agreement and (tracked.valid or likely(track, distance, self._limits))
 
     def _is_of_the_line(self, straight: Estimate) -> bool:
         """Whether a straight slide, its misfit over the bundle's limit, is of a line that the track agreed with and
@@ -262,7 +264,9 @@ class ContactEstimator:
         limits, tracked = self._limits, self._judged(past, time_s)
         since = () if self.touches_down else ((now, blocks * self._card.conditioning.block_s), (then, 0.0))
         for line, since_s in since:
-            if line is not None and line.valid and apart(line, past, since_s, limits) <= limits.agreement:
+            if line is None or not line.valid:
+                continue
+            if self._stands(apart(line, past, since_s, limits), tracked, past):
                 return with_track(earlier(line, since_s), tracked, limits.shared)
         return tracked
 
