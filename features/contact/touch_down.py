@@ -18,6 +18,7 @@ from softslide.features.contact.hypotheses import (
     FRICTION,
     GAIN,
     HEADING,
+    MISFIT_S,
     RESIDUAL,
     SPEED,
     Hypotheses,
@@ -125,7 +126,8 @@ class TouchDownTracker:
         self._before: Track | None = None
         self._blocks: list[np.ndarray] = []  # of the touch
         self._touched = self._lifted = False
-        self._steps = 0
+        # Of the contact so far: blocks, and the likeliest hypotheses' chi-square over C in each.
+        self._steps, self._misfits, self._count = 0, 1.0, 1
 
     @property
     def tracking(self) -> bool:
@@ -165,6 +167,17 @@ class TouchDownTracker:
             return None
         return moved_on(track, self._block_s / 2)._replace(evidence=self._track.evidence)
 
+    def _by_scale(self, before: np.ndarray, channels: int) -> float:
+        """What a block's log density gains where the residual's variance is that of the contact so far, and not the
+        calibration's, which counts as one block. before: (N,) misfits before the block."""
+        assert self._bank is not None
+        best = int(self._bank.log_weight.argmax())
+        share = min(self._block_s / MISFIT_S, 1.0)
+        misfit = float(before[best] + (self._bank.misfit[best] - before[best]) / share)
+        scale = self._misfits / self._count
+        self._misfits, self._count = self._misfits + misfit, self._count + 1
+        return 0.5 * channels * (misfit * (1.0 - 1.0 / scale) - math.log(scale))
+
     def _start(self, usable: np.ndarray) -> None:
         whole = self._blocks[PARTIAL_BLOCKS:]
         volts, variance = np.mean(whole, axis=0), np.where(usable, self._variance, np.inf)
@@ -172,14 +185,15 @@ class TouchDownTracker:
         self._evidence.begin(usable, volts, slope_v_s)
         bank = at_touch_down(volts, variance, self._surface, self._half, self._gain_sd, self._config)
         self._bank = remembering(bank, self._config.remembered)
-        self._steps = 0
+        self._steps, self._misfits, self._count = 0, 1.0, 1
 
     def _step(self, volts: np.ndarray, usable: np.ndarray) -> None:
         assert self._bank is not None
         config, variance = self._config, np.where(usable, self._variance, np.inf)
         predict(self._bank, self._block_s, TINY, 0.0, config.noise)
+        before = self._bank.misfit.copy()
         gained = update(self._bank, volts, variance, self._surface, self._block_s, config.local)
-        gained -= self._evidence.against(volts, usable)
+        gained += self._by_scale(before, int(usable.sum())) - self._evidence.against(volts, usable)
         self._evidence.add(gained, self._block_s * self._bank.best_speed)
         remember(self._bank)
         bank = self._bank
