@@ -54,6 +54,9 @@ NEVER = 1e-9
 # Least logarithm of the odds of a contact that a block adds: while the residual of such a map stays as it is, from one
 # press to the next, a smooth signal predicts the output better (experiments/LOG.md).
 LEAST_LOG_ODDS = -2.0
+# As many blocks count as what the calibration says of the residual's size: slides on smooth skins leave less than that
+# (a formula's map: 5 and 10 mm/s reach -74 and -37 of log odds; with one block -95 and -65).
+PRIOR_BLOCKS = 0.1
 
 # Contacts bend and change speed, and no more: where presses stand for a motion, one that is held looks like a stop, and
 # hypotheses that stop, turn back or turn a corner follow these instead of the motion (experiments/LOG.md).
@@ -127,7 +130,7 @@ class TouchDownTracker:
         self._blocks: list[np.ndarray] = []  # of the touch
         self._touched = self._lifted = False
         # Of the contact so far: blocks, and the likeliest hypotheses' chi-square over C in each.
-        self._steps, self._misfits, self._count = 0, 1.0, 1
+        self._steps, self._misfits, self._count = 0, PRIOR_BLOCKS, PRIOR_BLOCKS
 
     @property
     def tracking(self) -> bool:
@@ -169,7 +172,7 @@ class TouchDownTracker:
 
     def _by_scale(self, before: np.ndarray, channels: int) -> float:
         """What a block's log density gains where the residual's variance is that of the contact so far, and not the
-        calibration's, which counts as one block. before: (N,) misfits before the block."""
+        calibration's alone. before: (N,) misfits before the block."""
         assert self._bank is not None
         best = int(self._bank.log_weight.argmax())
         share = min(self._block_s / MISFIT_S, 1.0)
@@ -185,7 +188,7 @@ class TouchDownTracker:
         self._evidence.begin(usable, volts, slope_v_s)
         bank = at_touch_down(volts, variance, self._surface, self._half, self._gain_sd, self._config)
         self._bank = remembering(bank, self._config.remembered)
-        self._steps, self._misfits, self._count = 0, 1.0, 1
+        self._steps, self._misfits, self._count = 0, PRIOR_BLOCKS, PRIOR_BLOCKS
 
     def _step(self, volts: np.ndarray, usable: np.ndarray) -> None:
         assert self._bank is not None
