@@ -74,7 +74,7 @@ LIKELY = 9.49  # 95 % quantile of chi-square with four degrees of freedom
 
 # Of a track from a touch anywhere, which is several times less sharp than the straight slide: its intervals would widen
 # those until 98 % hold. Tracks with a wider heading were wrong at sharp bends, and so were straight slides that are
-# less than likely; the evidence of a contact was -40 at least, that of other signals -140 at most. A track that needed
+# less than likely; the evidence of a contact was -74 at least, that of other signals -129 at most. A track that needed
 # a bend is wrong at the next one as often as it is right (experiments/LOG.md).
 TOUCH_LIMITS = TrackLimits(
     heading_sd_deg=13.0,
@@ -84,8 +84,8 @@ TOUCH_LIMITS = TrackLimits(
     straight_manoeuvres=0.8,
     shared=None,
     agreement=LIKELY,
-    evidence=-60.0,
-    straight_log_odds=-60.0,
+    evidence=-80.0,
+    straight_log_odds=-80.0,
     sure_log_odds=math.inf,
 )
 

@@ -87,9 +87,8 @@ def test_evidence_is_for_a_contact_and_against_a_smooth_signal() -> None:
     blocks, _ = circle(80)
     random = np.random.default_rng(2)
     time_s = BLOCK_S * np.arange(len(blocks))[:, None]
-    waves = 0.1 * np.sin(2 * np.pi * (0.5 * time_s + random.random(6))) + 1e-3 * random.standard_normal(
-        blocks.shape
-    )
+    noise = 1e-3 * random.standard_normal(blocks.shape)
+    waves = 0.1 * np.sin(2 * np.pi * (0.5 * time_s + random.random(6))) + noise
     for shown, least, most in (
         (blocks, TOUCH_LIMITS.evidence, np.inf),
         (waves, -np.inf, TOUCH_LIMITS.evidence),
@@ -101,6 +100,24 @@ def test_evidence_is_for_a_contact_and_against_a_smooth_signal() -> None:
         past = one.past(5)
         assert past is not None
         assert past.evidence == tracks[-1].evidence
+
+
+@pytest.mark.parametrize("speed_mm_s", [10.0, 25.0])
+def test_on_a_smooth_skin_a_contact_has_its_evidence(speed_mm_s: float) -> None:
+    """Where the map leaves far less than its calibration did, a smooth signal predicts nearly as well."""
+    angle = speed_mm_s / RADIUS_MM * BLOCK_S * (np.arange(120) + 0.5)
+    place = RADIUS_MM * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    volts = SURFACE.at(*place.T)[:, 0, 0]
+    one = tracker()
+    tracks = [one.push(v + n, True, USABLE) for v, n in zip(volts, noise_of(volts.shape), strict=True)]
+    log_odds = [track.evidence.log_odds for track in tracks if track is not None]
+    assert min(log_odds) > TOUCH_LIMITS.evidence
+    assert log_odds[-1] > -30.0
+
+
+def noise_of(shape: tuple[int, ...]) -> np.ndarray:
+    """Noise of a block, 1 mV."""
+    return 1e-3 * np.random.default_rng(4).standard_normal(shape)
 
 
 def test_bends_are_counted_and_a_circle_needs_none() -> None:

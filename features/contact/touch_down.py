@@ -177,7 +177,7 @@ class TouchDownTracker:
         best = int(self._bank.log_weight.argmax())
         share = min(self._block_s / MISFIT_S, 1.0)
         misfit = float(before[best] + (self._bank.misfit[best] - before[best]) / share)
-        scale = self._misfits / self._count
+        scale = min(self._misfits / self._count, 1.0)
         self._misfits, self._count = self._misfits + misfit, self._count + 1
         return 0.5 * channels * (misfit * (1.0 - 1.0 / scale) - math.log(scale))
 
