@@ -129,8 +129,9 @@ class TouchDownTracker:
         self._before: Track | None = None
         self._blocks: list[np.ndarray] = []  # of the touch
         self._touched = self._lifted = False
-        # Of the contact so far: blocks, and the likeliest hypotheses' chi-square over C in each.
-        self._steps, self._misfits, self._count = 0, PRIOR_BLOCKS, PRIOR_BLOCKS
+        self._steps = 0
+        # Of the contact so far: the sum of the likeliest hypotheses' chi-square over C, from step to step.
+        self._misfits = PRIOR_BLOCKS
 
     @property
     def tracking(self) -> bool:
@@ -177,8 +178,8 @@ class TouchDownTracker:
         best = int(self._bank.log_weight.argmax())
         share = min(self._block_s / MISFIT_S, 1.0)
         misfit = float(before[best] + (self._bank.misfit[best] - before[best]) / share)
-        scale = min(self._misfits / self._count, 1.0)
-        self._misfits, self._count = self._misfits + misfit, self._count + 1
+        scale = min(self._misfits / (PRIOR_BLOCKS + self._steps), 1.0)
+        self._misfits += misfit
         return 0.5 * channels * (misfit * (1.0 - 1.0 / scale) - math.log(scale))
 
     def _start(self, usable: np.ndarray) -> None:
@@ -188,7 +189,6 @@ class TouchDownTracker:
         self._evidence.begin(usable, volts, slope_v_s)
         bank = at_touch_down(volts, variance, self._surface, self._half, self._gain_sd, self._config)
         self._bank = remembering(bank, self._config.remembered)
-        self._steps, self._misfits, self._count = 0, PRIOR_BLOCKS, PRIOR_BLOCKS
 
     def _step(self, volts: np.ndarray, usable: np.ndarray) -> None:
         assert self._bank is not None
