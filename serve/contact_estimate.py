@@ -20,7 +20,6 @@ from typing import NamedTuple
 import numpy as np
 
 from softslide.features.card import Card
-from softslide.features.contact.touch_down import TouchDownTracker
 from softslide.features.contact.track import Track
 from softslide.features.estimate import Contact, Estimate, Reason
 from softslide.features.straight_slide import (
@@ -165,7 +164,6 @@ class ContactEstimator:
             and self._apart(straight) > self._limits.agreement
         ):
             assert self._tracker is not None
-            assert not isinstance(self._tracker, TouchDownTracker)
             assert self._card.contact is not None
             self._tracker.offer(straight_fit(straight, elapsed_s, self._card.contact.depth_mm))
 

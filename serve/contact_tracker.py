@@ -8,11 +8,11 @@ import numpy as np
 from softslide.features.card import Card
 from softslide.features.contact.replay import ReplayingTracker
 from softslide.features.contact.response_surface import ResponseSurface
-from softslide.features.contact.touch_down import TouchDownConfig, TouchDownTracker
-from softslide.features.contact.tracker import STEP_BLOCKS, ContactTracker, TrackingConfig
+from softslide.features.contact.tracker import ContactTracker
+from softslide.features.contact.tracking_config import TOUCH_DOWN, TrackingConfig
 from softslide.features.stream.conditioning import ONSETS
 
-AnyTracker = ContactTracker | TouchDownTracker | ReplayingTracker
+AnyTracker = ContactTracker | ReplayingTracker
 
 
 def contact_tracker(
@@ -25,46 +25,33 @@ def contact_tracker(
 ) -> AnyTracker | None:
     """The tracker that a card describes; None for a bundle that knows straight slides alone.
 
-    height_mm: of the skin, for a card over heights; NaN: the card's. config: of contacts over the rim, but for the
-    card's depth; None: TrackingConfig(). replays: whether one of several accelerometers goes back where one has failed.
+    height_mm: of the skin, for a card over heights; NaN: the card's. config: but for the card's depth; None: by how
+    contacts come on the card's skin. replays: whether one of several accelerometers goes back where one has failed.
     lag_blocks: how far back `past` reads.
     """
-    contact = card.contact
+    contact, conditioning = card.contact, card.conditioning
     if contact is None:
         return None
-    surface = response_surface(card, height_mm)
-    half_mm = (contact.chamber_mm[0] / 2, contact.chamber_mm[1] / 2)
-    tracker: ContactTracker | TouchDownTracker
-    if card.conditioning.onset == ONSETS[1]:
-        tracker = TouchDownTracker(
-            surface=surface,
-            half_mm=half_mm,
-            block_s=card.conditioning.block_s,
-            noise_v=noise_gain * np.array(contact.noise_v),
-            floor_v=contact.floor_v,
-            gain_sd=contact.gain_sd,
-            trigger_v=card.conditioning.trigger_v,
-            release_v=card.conditioning.release_v,
-            config=TouchDownConfig(remembered=lag_blocks + 1 if lag_blocks else 0),
-        )
-    else:
-        tracker = ContactTracker(
-            surface=surface,
-            half_mm=half_mm,
-            block_s=card.conditioning.block_s,
-            noise_v=noise_gain * np.array(contact.noise_v),
-            floor_v=contact.floor_v,
-            gain_sd=contact.gain_sd,
-            trigger_v=card.conditioning.trigger_v,
-            release_v=card.conditioning.release_v,
-            config=replace(
-                config or TrackingConfig(),
-                depth_sd_mm=contact.depth_sd_mm,
-                remembered=math.ceil(lag_blocks / STEP_BLOCKS) + 1 if lag_blocks else 0,
-            ),
-            inflation_v_per_mm=contact.inflation_v_per_mm,
-            floor_share=contact.floor_share,
-        )
+    if config is None:
+        config = TOUCH_DOWN if conditioning.onset == ONSETS[1] else TrackingConfig()
+    tracker = ContactTracker(
+        surface=response_surface(card, height_mm),
+        half_mm=(contact.chamber_mm[0] / 2, contact.chamber_mm[1] / 2),
+        block_s=conditioning.block_s,
+        noise_v=noise_gain * np.array(contact.noise_v),
+        floor_v=contact.floor_v,
+        gain_sd=contact.gain_sd,
+        trigger_v=conditioning.trigger_v,
+        release_v=conditioning.release_v,
+        config=replace(
+            config,
+            depth_sd_mm=contact.depth_sd_mm,
+            remembered=math.ceil(lag_blocks / config.step_blocks) + 1 if lag_blocks else 0,
+        ),
+        # A press of a contact that comes down anywhere is not distinguished from the whole device's motion.
+        inflation_v_per_mm=() if config.comes_down else contact.inflation_v_per_mm,
+        floor_share=contact.floor_share,
+    )
     # Where the only accelerometer fails, nothing is left to track with.
     return ReplayingTracker(tracker) if replays and len(card.channels) > 3 else tracker
 

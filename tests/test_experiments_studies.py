@@ -31,7 +31,7 @@ from softslide.experiments.studies import (
 )
 from softslide.experiments.studies.skin_changes import CHANGES, DEPTH_MM, HEIGHT_MM, changed
 from softslide.features.card import read_card
-from softslide.features.contact.tracker import TrackingConfig
+from softslide.features.contact.tracking_config import TrackingConfig
 from softslide.features.stream.conditioning import Conditioning
 from softslide.pipeline.atlas.atlas import DEFAULT_SENSOR, read_atlas
 from softslide.pipeline.recordings.folder import SAMPLE, Folder, read_folder

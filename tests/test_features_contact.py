@@ -36,7 +36,7 @@ from softslide.features.contact.manoeuvres import HALF, Manoeuvres, branched
 from softslide.features.contact.packed import packed
 from softslide.features.contact.smooth_signal import SmoothSignal
 from softslide.features.contact.track import Track
-from softslide.features.contact.tracker import TrackingConfig
+from softslide.features.contact.tracking_config import TrackingConfig
 from softslide.features.stream.tracker import SlideState
 from softslide.features.track_estimate import TrackLimits, judged
 from softslide.models.response_map.card import contact_calibration

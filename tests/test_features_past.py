@@ -11,7 +11,7 @@ from tracked_map import TWO_BOARDS, noisy_map, touched, tracker, volts_along
 
 import softslide
 from softslide.features.contact.hypotheses import correct, remember, remembering, started
-from softslide.features.contact.tracker import TrackingConfig
+from softslide.features.contact.tracking_config import TrackingConfig
 from softslide.features.errors import InputError
 from softslide.features.estimate import Estimate
 from softslide.pipeline.atlas.atlas import read_atlas

@@ -8,7 +8,9 @@ from dome_map import dome_map
 
 from softslide.features.contact.hypotheses import LocalErrors, update
 from softslide.features.contact.response_surface import ResponseSurface
-from softslide.features.contact.touch_down import TouchDownConfig, TouchDownTracker, at_touch_down
+from softslide.features.contact.touch_down import at_touch_down
+from softslide.features.contact.tracker import ContactTracker
+from softslide.features.contact.tracking_config import TOUCH_DOWN
 from softslide.features.track_estimate import TOUCH_LIMITS
 
 BLOCK_S = 0.02
@@ -17,14 +19,13 @@ RESPONSE = dome_map(2, floor_v=4e-3)
 STACK = np.concatenate([RESPONSE.coefficients, RESPONSE.depth_slope[None]])
 SURFACE = ResponseSurface(STACK, RESPONSE.half_mm, RESPONSE.spacing_mm)
 USABLE = np.ones(6, dtype=bool)
+LOCAL = LocalErrors(0.42, 0.07)
 
 
-def tracker(remembered: int = 0) -> TouchDownTracker:
-    config = TouchDownConfig(remembered=remembered)
+def tracker(remembered: int = 0) -> ContactTracker:
+    config = replace(TOUCH_DOWN, remembered=remembered)
     noise_v = np.full(6, 1e-3)
-    return TouchDownTracker(
-        SURFACE, (15.0, 15.0), BLOCK_S, noise_v, RESPONSE.floor_v, 0.1, 5e-3, 3e-3, config
-    )
+    return ContactTracker(SURFACE, (15.0, 15.0), BLOCK_S, noise_v, RESPONSE.floor_v, 0.1, 5e-3, 3e-3, config)
 
 
 def circle(count: int, gain: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
@@ -133,8 +134,8 @@ def test_bends_are_counted_and_a_circle_needs_none() -> None:
 def test_errors_of_place_and_gain_add_their_own_covariance() -> None:
     """One linear update, against the Kalman gain with the whole covariance of the measurement."""
     level = SURFACE.at(np.array([2.0]), np.array([-1.0]))[0, 0, 0]
-    variance, config = np.full(6, 1e-5), TouchDownConfig()
-    before = at_touch_down(level, variance, SURFACE, (15.0, 15.0), 0.1, config).take(slice(0, 1))
+    variance = np.full(6, 1e-5)
+    before = at_touch_down(level, variance, SURFACE, (15.0, 15.0), 0.1, LOCAL).take(slice(0, 1))
     response = SURFACE.at(*before.state[:, :2].T)[0, :, 0]
     shown, slopes = response[0], response[1:]
     whole = np.diag(variance) + 0.3**2 * slopes.T @ slopes + 0.05**2 * np.outer(shown, shown)
@@ -147,9 +148,8 @@ def test_errors_of_place_and_gain_add_their_own_covariance() -> None:
 
 
 def test_places_are_found_by_the_first_output_whatever_its_gain() -> None:
-    config = replace(TouchDownConfig(), level_share=1.0)
     for place in ((8.0, -3.0), (-5.0, 10.0)):
         level = 1.1 * SURFACE.at(*np.array([place]).T)[0, 0, 0]
-        bank = at_touch_down(level, np.full(6, 1e-5), SURFACE, (15.0, 15.0), 0.15, config)
+        bank = at_touch_down(level, np.full(6, 1e-5), SURFACE, (15.0, 15.0), 0.15, LOCAL)
         assert np.hypot(*(bank.state[0, :2] - place)) < 1.0
         assert len({tuple(heading) for heading in bank.state[:, 2:4]}) == 24

@@ -20,7 +20,8 @@ import numpy as np
 
 from softslide.experiments.studies.script import Part, bundle, count, parser, recordings, run
 from softslide.features.card import Card, read_card
-from softslide.features.contact.tracker import ContactTracker, TrackingConfig
+from softslide.features.contact.tracker import ContactTracker
+from softslide.features.contact.tracking_config import TrackingConfig
 from softslide.features.errors import InputError
 from softslide.features.stream.conditioning import LagUndone, block_means
 from softslide.features.stream.tracker import SlideState, SlideTracker

@@ -30,7 +30,8 @@ class Evidence:
     """Of one contact, step by step.
 
     noise_v: (C,) V of a step's measurement; step_s: its length. trigger_v: V. inflation_v_per_mm: as in
-    ContactCalibration; without it no press is detected. least: of one step, the least logarithm of the odds.
+    ContactCalibration; without it no press is detected. least, prior_steps: `least_log_odds` and `prior_steps` of
+    TrackingConfig.
     """
 
     def __init__(
@@ -40,12 +41,16 @@ class Evidence:
         trigger_v: float,
         inflation_v_per_mm: Sequence[float] = (),
         least: float = -math.inf,
+        prior_steps: float | None = None,
     ) -> None:
-        self._noise_v, self._step_s, self._trigger_v, self._least = noise_v, step_s, trigger_v, least
+        self._noise_v, self._step_s, self._trigger_v = noise_v, step_s, trigger_v
+        self._least, self._prior_steps = least, prior_steps
         self._beyond_device = beyond_device(np.array(inflation_v_per_mm)) if inflation_v_per_mm else None
         self._use = np.ones(len(noise_v), dtype=bool)
         self._smooth = SmoothSignal(noise_v, step_s)
         self._log_odds = self._peak_v = 0.0
+        # How many steps the contact has, and the sum of their misfits.
+        self._steps, self._misfits = prior_steps or 0.0, prior_steps or 0.0
 
     def begin(self, use: np.ndarray, level_v: np.ndarray, slope_v_s: np.ndarray) -> None:
         """A contact begins, read from the channels `use` (C,) bool, at a level (C,) and a slope (C,)."""
@@ -55,22 +60,31 @@ class Evidence:
     def begin_anew(self, use: np.ndarray, level_v: np.ndarray, slope_v_s: np.ndarray) -> None:
         """The contact goes on, but its track begins anew."""
         self._log_odds = 0.0
+        self._steps = self._misfits = self._prior_steps or 0.0
         self._watch(use, level_v, slope_v_s)
 
-    def against(self, volts: np.ndarray, use: np.ndarray) -> float:
-        """The logarithm of a measurement's (C,) V density without a map, less C/2 log(2 pi). use: (C,) bool."""
+    def add(
+        self, volts: np.ndarray, use: np.ndarray, log_density: float, misfit: float, way_mm: float
+    ) -> float:
+        """Takes a measurement (C,) V of the channels `use` (C,) bool, and forgets some of what was gained before.
+
+        log_density: the logarithm of its density under the map, less C/2 log(2 pi), NaN where that is not known;
+        misfit: its chi-square over C; way_mm: of the step. -> the logarithm of the step's odds.
+        """
         self._peak_v = max(self._peak_v, float(np.abs(volts[use]).max()))
         if not np.array_equal(use, self._use):
             # An accelerometer has failed: the alternatives, too, are of the channels that are left.
             self._watch(use, volts, np.zeros_like(volts))
-        return self._smooth.push(volts[use])
-
-    def add(self, gained: float, way_mm: float) -> None:
-        """Takes a step's odds, by their logarithm, and forgets some of what was gained before."""
+        gained = log_density - self._smooth.push(volts[use])
+        if self._prior_steps is not None:
+            gained += self._by_scale(misfit)
+        if math.isnan(gained):
+            gained = 0.0
         fades = self._step_s / EVIDENCE_S + way_mm / EVIDENCE_MM
         if self._log_odds < 0.0:
             fades = self._step_s / EVIDENCE_AGAINST_S
         self._log_odds += max(gained, self._least) - self._log_odds * min(fades, 1.0)
+        return gained
 
     def read(self, volts: np.ndarray) -> ContactEvidence:
         """What it is now that the output is (C,) V."""
@@ -84,6 +98,14 @@ class Evidence:
             one_press=one_press,
             presses=one_press and bool(self._use.all()) and self._presses(volts),
         )
+
+    def _by_scale(self, misfit: float) -> float:
+        """What a step's log density gains where the residual's variance is that of the contact so far, at most that of
+        the calibration."""
+        scale = min(self._misfits / self._steps, 1.0)
+        self._misfits += misfit
+        self._steps += 1.0
+        return 0.5 * int(self._use.sum()) * (misfit * (1.0 - 1.0 / scale) - math.log(scale))
 
     def _watch(self, use: np.ndarray, level_v: np.ndarray, slope_v_s: np.ndarray) -> None:
         """Starts the alternatives to a contact on these channels."""

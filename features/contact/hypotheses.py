@@ -243,16 +243,17 @@ def update(
     surface: ResponseSurface,
     elapsed_s: float,
     local: LocalErrors | None = None,
-) -> float:
+) -> tuple[float, float]:
     """Corrects every hypothesis by one measurement and weighs it by its likelihood.
 
     volts: (C,) V, subtracted; variance: (C,) V^2 of its noise, infinite for a dead channel; local: further errors.
-    -> the logarithm of the measurement's predicted density, less C/2 log(2 pi).
+    -> the logarithm of the measurement's predicted density, less C/2 log(2 pi), and the chi-square over C of the
+    hypothesis that is the likeliest after it.
     """
     count = len(bank)
     channels = np.flatnonzero(np.isfinite(variance))
     if not len(channels):
-        return 0.0
+        return 0.0, 0.0
     shown, by_state = expected(bank, surface)
     volts, shown, by_state = volts[channels], shown[:, channels], by_state[:, channels]
     spread = by_state @ bank.covariance @ by_state.transpose(0, 2, 1)
@@ -274,8 +275,9 @@ def update(
     best = bank.log_weight.max()
     if np.isfinite(best):
         bank.log_weight -= best
-    bank.misfit += min(elapsed_s / MISFIT_S, 1.0) * (chi_square / len(channels) - bank.misfit)
-    return log_density
+    misfit = chi_square / len(channels)
+    bank.misfit += min(elapsed_s / MISFIT_S, 1.0) * (misfit - bank.misfit)
+    return log_density, float(misfit[bank.log_weight.argmax()])
 
 
 def _log_determinants(spread: np.ndarray) -> np.ndarray:

@@ -5,7 +5,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softslide.features.contact.touch_down import TouchDownTracker
 from softslide.features.contact.track import Track
 from softslide.features.contact.tracker import ContactTracker, StraightFit
 from softslide.features.stream.faults import FROZEN_BLOCKS
@@ -25,7 +24,7 @@ class ReplayingTracker:
     accelerometer.
     """
 
-    def __init__(self, tracker: ContactTracker | TouchDownTracker) -> None:
+    def __init__(self, tracker: ContactTracker) -> None:
         self._tracker = tracker
         self.reset()
 
@@ -53,7 +52,6 @@ class ReplayingTracker:
 
     def offer(self, fit: StraightFit) -> None:
         """As `ContactTracker.offer`."""
-        assert isinstance(self._tracker, ContactTracker)
         self._tracker.offer(fit)
 
     def _start_anew(self) -> None:

@@ -3,7 +3,6 @@
 import math
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -23,7 +22,6 @@ from softslide.features.contact.hypotheses import (
     RISE,
     SPEED,
     Hypotheses,
-    MotionNoise,
     X,
     Y,
     joined,
@@ -33,16 +31,18 @@ from softslide.features.contact.hypotheses import (
     started,
     update,
 )
-from softslide.features.contact.manoeuvres import Manoeuvres, branched, merged
+from softslide.features.contact.manoeuvres import branched, merged
 from softslide.features.contact.response_surface import ResponseSurface
 from softslide.features.contact.touch import at_rest, at_touch, onset
+from softslide.features.contact.touch_down import at_touch_down
 from softslide.features.contact.track import Track, moved_on, read, read_past
+from softslide.features.contact.tracking_config import TINY, TrackingConfig
 
-# A filter's step: 40 ms, in which the fastest slide calibrated for (13 mm/s) goes half a millimetre.
-STEP_BLOCKS = 2
-BRANCH_STEPS = 5
 ONSET_BLOCKS = 12
 TRIGGER_BLOCKS = 5
+# A contact comes down and is lifted within a block, which then shows a part of it; so many whole ones show the place.
+PARTIAL_BLOCKS = 1
+PLACE_BLOCKS = 2
 RELEASE_S = 0.3
 LOST_S = 0.5
 # An output rests when its slope is within so many standard deviations and so large a share of it a second: a contact
@@ -54,31 +54,6 @@ SETTLED_SHARE = 0.03
 PAST_STEPS = 50
 LEAST_PAST_STEPS = 5
 STRAIGHT = 0.5
-
-
-@dataclass(frozen=True)
-class TrackingConfig:
-    """most, most_partial: hypotheses kept after a branching, of a whole contact and of one pressed on or lifted;
-    touch_most: at a touch.
-    young_s: after the touch, in which an output that comes to rest may have been pressed on there, with log odds `rest`
-    to the other hypotheses. parents: hypotheses that get children, within parent_odds of the best. log_odds: of a
-    hypothesis to the best, beyond which it is dropped. depth_sd_mm: contact depth about the calibration's. lost: misfit
-    of a track that is lost. remembered: steps of the past that
-    the track can be read at."""
-
-    noise: MotionNoise = field(default_factory=MotionNoise)
-    manoeuvres: Manoeuvres = field(default_factory=Manoeuvres)
-    most: int = 14
-    most_partial: int = 12
-    touch_most: int = 100
-    young_s: float = 4.0
-    rest: float = -2.0
-    parents: int = 3
-    parent_odds: float = 5.0
-    log_odds: float = 15.0
-    depth_sd_mm: float = 0.02
-    lost: float = 5.0
-    remembered: int = 0
 
 
 class StraightFit(NamedTuple):
@@ -133,9 +108,22 @@ class ContactTracker:
         self._noise_v, self._gain_sd = noise_v, gain_sd
         self._floor_v, self._floor_share = floor_v, floor_share
         self._trigger_v, self._release_v = trigger_v, release_v
+        self._step_s = config.step_blocks * block_s
+        # Of a measurement about what a hypothesis expects, V^2: the noise, or all that the map leaves.
+        self._variance = noise_v**2 / config.step_blocks
+        # The state of a contact that comes down is that of its block's middle.
+        self._ahead_s = 0.0
+        if config.comes_down:
+            self._variance, self._ahead_s = np.full_like(noise_v, floor_v**2), block_s / 2
         self._recent = np.zeros((ONSET_BLOCKS, len(noise_v)))
-        step_noise_v = noise_v / math.sqrt(STEP_BLOCKS)
-        self._evidence = Evidence(step_noise_v, STEP_BLOCKS * block_s, trigger_v, inflation_v_per_mm)
+        self._evidence = Evidence(
+            noise_v / math.sqrt(config.step_blocks),
+            self._step_s,
+            trigger_v,
+            inflation_v_per_mm,
+            config.least_log_odds,
+            config.prior_steps,
+        )
         self.reset()
 
     def reset(self) -> None:
@@ -143,7 +131,8 @@ class ContactTracker:
         self.gained = 0.0
         self._bank: Hypotheses | None = None
         self._track: Track | None = None
-        self._rested = False
+        self._before: Track | None = None
+        self._touched = self._lifted = self._rested = False
         self._filled = self._steps = self._blocks = self._quiet = self._lost = 0
         self._past: deque[_Step] = deque(maxlen=PAST_STEPS)
 
@@ -154,54 +143,87 @@ class ContactTracker:
 
     def push(self, volts: np.ndarray, touched: bool, usable: np.ndarray) -> Track | None:
         """One block: volts (C,) V of the tilt channels, subtracted, the lag undone; touched: whether the output is off
-        the static one, which starts a track; usable: (C,) bool. -> the contact, None if none is tracked."""
+        the static one, which starts a track; usable: (C,) bool. -> the contact, None if none is tracked; one that comes
+        down anywhere, once it is lifted, as it was before."""
         self.gained = 0.0
+        if self._config.comes_down and not self._is_down(volts, touched, usable):
+            return self._track
         self._recent[:-1] = self._recent[1:]
         # What a dead channel shows is not the contact's.
         self._recent[-1] = np.where(usable, volts, 0.0)
         self._filled = min(self._filled + 1, ONSET_BLOCKS)
         if self._bank is None:
-            # A slide's end is noticed later than the output is gone: no new track begins in what is left of it.
-            if touched and self._filled >= TRIGGER_BLOCKS:
-                level = self._recent[-TRIGGER_BLOCKS:].mean(axis=0)
-                if np.abs(level).max() > self._trigger_v:
-                    self._start(anywhere=False, usable=usable)
+            if self._begins(touched):
+                self._start(usable)
             return self._track
         self._blocks += 1
-        if self._blocks % STEP_BLOCKS:
+        if self._blocks % self._config.step_blocks == 0:
+            self._step(usable)
+        else:
             self._track = None if self._track is None else moved_on(self._track, self._block_s)
             # Between two measurements, so that no block takes much longer than the others.
-            if self._steps and self._steps % BRANCH_STEPS == 0:
-                self._branch()
-        else:
-            self._step(usable)
+            self._branch()
         return self._track
 
-    def _start(self, anywhere: bool, usable: np.ndarray) -> None:
-        recent = self._recent[-self._filled :]
-        seen = onset(recent, self._block_s, np.where(usable, self._noise_v, np.inf))
-        bank = at_touch(
-            seen,
-            self._surface,
-            self._half,
-            self._floor_v,
-            self._gain_sd,
-            self._config.depth_sd_mm,
-            self._config.touch_most,
-            anywhere,
-        )
-        self._bank = None if bank is None else remembering(bank, self._config.remembered)
-        begin = self._evidence.begin_anew if anywhere else self._evidence.begin
-        begin(usable, seen.level, seen.slope)
+    def _is_down(self, volts: np.ndarray, touched: bool, usable: np.ndarray) -> bool:
+        """Whether a contact that comes down and is lifted within a block is there."""
+        if not touched and not self._touched:
+            self.reset()
+        self._touched = touched
+        if not touched or self._lifted:
+            return False
+        if np.abs(volts[usable]).max(initial=0.0) < self._release_v:
+            # The block before this one may have shown a part of a contact that was being lifted.
+            self._lifted, self._track = True, self._before
+            return False
+        self._before = self._track
+        return True
+
+    def _begins(self, touched: bool) -> bool:
+        """Whether the last blocks show enough of a contact for a track to start."""
+        if self._config.comes_down:
+            return self._filled >= PARTIAL_BLOCKS + PLACE_BLOCKS
+        # A slide's end is noticed later than the output is gone: no new track begins in what is left of it.
+        level = self._recent[-TRIGGER_BLOCKS:].mean(axis=0)
+        return touched and self._filled >= TRIGGER_BLOCKS and float(np.abs(level).max()) > self._trigger_v
+
+    def _start(self, usable: np.ndarray, anew: bool = False) -> None:
+        """anew: the contact goes on, but its track was lost."""
+        config, recent = self._config, self._recent[-self._filled :]
+        if config.local is not None:
+            recent = recent[-PLACE_BLOCKS:]
+            level = recent.mean(axis=0)
+            slope = (recent[-1] - recent[0]) / ((PLACE_BLOCKS - 1) * self._block_s)
+            variance = np.where(usable, self._variance, np.inf)
+            bank: Hypotheses | None = at_touch_down(
+                level, variance, self._surface, self._half, self._gain_sd, config.local
+            )
+        else:
+            seen = onset(recent, self._block_s, np.where(usable, self._noise_v, np.inf))
+            level, slope = seen.level, seen.slope
+            bank = at_touch(
+                seen,
+                self._surface,
+                self._half,
+                self._floor_v,
+                self._gain_sd,
+                config.depth_sd_mm,
+                config.touch_most,
+                anywhere=anew,
+            )
+        self._bank = None if bank is None else remembering(bank, config.remembered)
+        begin = self._evidence.begin_anew if anew else self._evidence.begin
+        begin(usable, level, slope)
         self._blocks = self._steps = self._quiet = self._lost = 0
         self._rested = False
         self._past.clear()
-        self._track = None if self._bank is None else read(self._bank)
+        # Places with a fan of headings each are no motion yet.
+        self._track = None if self._bank is None or config.comes_down else read(self._bank)
 
     def _step(self, usable: np.ndarray) -> None:
         assert self._bank is not None
-        config, elapsed_s = self._config, STEP_BLOCKS * self._block_s
-        volts = self._recent[-STEP_BLOCKS:].mean(axis=0)
+        config, elapsed_s = self._config, self._step_s
+        volts = self._recent[-config.step_blocks :].mean(axis=0)
         peak_v = float(np.abs(volts).max())
         self._quiet = self._quiet + 1 if peak_v < self._release_v else 0
         if self._quiet * elapsed_s > RELEASE_S:
@@ -210,41 +232,46 @@ class ContactTracker:
         if not usable.any():
             self._bank = remembering(self._bank, config.remembered)
             return
-        variance = np.where(usable, self._noise_v**2 / STEP_BLOCKS, np.inf)
-        predict(self._bank, elapsed_s, self._residual_v(peak_v), PARTIAL_SHARE * peak_v, config.noise)
-        gained = update(self._bank, volts, variance, self._surface, elapsed_s)
+        variance = np.where(usable, self._variance, np.inf)
+        predict(self._bank, elapsed_s, *self._residual_v(peak_v), config.noise)
+        log_density, misfit = update(self._bank, volts, variance, self._surface, elapsed_s, config.local)
         remember(self._bank)
-        self._past.append(_Step(volts, variance, gained))
-        gained -= self._evidence.against(volts, usable)
+        self._past.append(_Step(volts, variance, log_density))
         sound = self._bank.sound
         if not sound.all():
             # A signal that no contact makes can drive a covariance out of the positive definite.
             if not sound.any():
-                self._start(anywhere=True, usable=usable)
+                self._start(usable, anew=True)
                 return
-            self._bank = self._bank.take(sound)
-            gained = 0.0
-        self.gained = gained
-        self._evidence.add(gained, elapsed_s * self._bank.best_speed)
+            self._bank, log_density = self._bank.take(sound), math.nan
+        way_mm = elapsed_s * self._bank.best_speed
+        self.gained = self._evidence.add(volts, usable, log_density, misfit, way_mm)
         self._leave_skin()
         self._steps += 1
+        if self._steps <= config.first_steps:
+            self._bank = self._bank.likeliest(config.touch_most)
         if usable.all() and not self._rested and self._steps * elapsed_s < config.young_s:
             self._rest()
+        if config.step_blocks == 1:
+            self._branch()
         self._track = self._read_track()
         self._lost = self._lost + 1 if self._track.misfit > config.lost else 0
         if self._lost * elapsed_s > LOST_S:
-            self._start(anywhere=True, usable=usable)
+            self._start(usable, anew=True)
 
     def past(self, blocks: int) -> Track | None:
         """The contact so many blocks ago, by what was measured since; None where it was not tracked then."""
         if self._bank is None or self._track is None:
             return None
-        since = self._blocks % STEP_BLOCKS
-        steps = math.ceil((blocks - since) / STEP_BLOCKS)
+        if self._config.comes_down and (self._lifted or not self._touched):
+            return None
+        each = self._config.step_blocks
+        since = self._blocks % each
+        steps = math.ceil((blocks - since) / each)
         track = read_past(self._bank, steps)
         if track is None:
             return None
-        track = moved_on(track, (steps * STEP_BLOCKS + since - blocks) * self._block_s)
+        track = moved_on(track, (steps * each + since - blocks) * self._block_s + self._ahead_s)
         return track._replace(evidence=self._track.evidence)
 
     def offer(self, fit: StraightFit) -> None:
@@ -255,13 +282,13 @@ class ContactTracker:
         """
         if self._bank is None or len(self._past) < LEAST_PAST_STEPS:
             return
-        elapsed_s, since_s = STEP_BLOCKS * self._block_s, self._blocks % STEP_BLOCKS * self._block_s
+        elapsed_s, since_s = self._step_s, self._blocks % self._config.step_blocks * self._block_s
         line = self._on_line(fit, len(self._past) * elapsed_s + since_s)
         odds = math.log(STRAIGHT)
         for volts, variance, log_density in self._past:
-            peak_v = float(np.abs(volts).max())
-            predict(line, elapsed_s, self._residual_v(peak_v), 0.0, self._config.noise)
-            odds += update(line, volts, variance, self._surface, elapsed_s) - log_density
+            residual_v = self._residual_v(float(np.abs(volts).max()))
+            predict(line, elapsed_s, *residual_v, self._config.noise)
+            odds += update(line, volts, variance, self._surface, elapsed_s)[0] - log_density
             remember(line)
         if not line.sound.all() or not math.isfinite(odds):
             return
@@ -271,11 +298,15 @@ class ContactTracker:
         self._bank.log_weight -= self._bank.log_weight.max()
         self._track = moved_on(self._read_track(), since_s)
 
-    def _residual_v(self, peak_v: float) -> float:
-        """What the map leaves of an output (V) of this size."""
+    def _residual_v(self, peak_v: float) -> tuple[float, float]:
+        """What is correlated over the way of what the map leaves of an output (V) of this size, and what that grows by
+        in 1 s while a contact is pressed on or lifted."""
+        if self._config.comes_down:
+            return TINY, 0.0
+        partial_v = PARTIAL_SHARE * peak_v
         if self._floor_share is None:
-            return self._floor_v + PEAK_SHARE * peak_v
-        return math.hypot(self._floor_v, self._floor_share * peak_v, PEAK_SHARE * peak_v)
+            return self._floor_v + PEAK_SHARE * peak_v, partial_v
+        return math.hypot(self._floor_v, self._floor_share * peak_v, PEAK_SHARE * peak_v), partial_v
 
     def _on_line(self, fit: StraightFit, ago_s: float) -> Hypotheses:
         """The hypothesis that a straight fit was so long ago."""
@@ -299,15 +330,24 @@ class ContactTracker:
 
     def _read_track(self) -> Track:
         assert self._bank is not None
-        volts = self._recent[-STEP_BLOCKS:].mean(axis=0)
-        return read(self._bank)._replace(evidence=self._evidence.read(volts))
+        now = self._bank
+        if self._ahead_s:
+            now = now.take(slice(None))
+            predict(now, self._ahead_s, TINY, 0.0, self._config.noise)
+        volts = self._recent[-self._config.step_blocks :].mean(axis=0)
+        return read(now)._replace(evidence=self._evidence.read(volts))
 
     def _branch(self) -> None:
-        """Drops what is unlikely and gives the best hypotheses their children."""
+        """Every few steps drops what is unlikely and gives the best hypotheses their children."""
         assert self._bank is not None
         config = self._config
-        bank = merged(self._bank, config.most, config.most_partial, config.log_odds)
-        self._bank = branched(bank, config.parents, config.parent_odds, self._gain_sd, config.manoeuvres)
+        if self._steps == 0 or self._steps % config.branch_steps:
+            return
+        self._bank = merged(self._bank, config.most, config.most_partial, config.log_odds)
+        if self._steps > config.first_steps:
+            self._bank = branched(
+                self._bank, config.parents, config.parent_odds, self._gain_sd, config.manoeuvres
+            )
 
     def _rest(self) -> None:
         """When the output first settles after the touch: the contact may have been pressed on where it rests."""
@@ -327,7 +367,9 @@ class ContactTracker:
     def _leave_skin(self) -> None:
         """A place far off the chamber, or a gain beyond reason, is unlikely."""
         assert self._bank is not None
-        gain, beyond_mm = self._bank.state[:, GAIN], self._bank.beyond_mm(self._half)
-        unlikely = 0.3 * np.maximum(beyond_mm - 4.0, 0.0) + 10.0 * np.maximum(gain - 1.15, 0.0) ** 2
-        self._bank.log_weight -= unlikely + 0.5 * (gain < 0.0)
+        config, gain = self._config, self._bank.state[:, GAIN]
+        beyond_mm = np.maximum(self._bank.beyond_mm(self._half) - config.edge_mm, 0.0)
+        unlikely = config.edge_cost * beyond_mm**config.edge_power
+        unlikely += 10.0 * np.maximum(gain - config.most_gain, 0.0) ** 2 + 0.5 * (gain < 0.0)
+        self._bank.log_weight -= unlikely
         self._bank.log_weight -= self._bank.log_weight.max()

@@ -6,7 +6,8 @@ import numpy as np
 from bump_map import bump_map
 
 from softslide.features.contact.track import Track
-from softslide.features.contact.tracker import ContactTracker, TrackingConfig
+from softslide.features.contact.tracker import ContactTracker
+from softslide.features.contact.tracking_config import TrackingConfig
 from softslide.models.response_map.card import contact_calibration
 from softslide.models.response_map.map import ResponseMap
 
