@@ -80,7 +80,7 @@ def _left_out(left_out: dict[str, str]) -> list[str]:
     reasons: dict[str, list[str]] = {}
     for name, reason in left_out.items():
         reasons.setdefault(reason, []).append(name)
-    return [f"left out {len(names)}: {reason} ({_some(names)})" for reason, names in reasons.items()]
+    return [f"left out {len(names)}: {reason} ({some(names)})" for reason, names in reasons.items()]
 
 
 def _assumed(chosen: Folder, folder: Folder, fitted: FittedModel) -> list[str]:
@@ -115,5 +115,6 @@ def _over_heights(heights: HeightCalibration, summary: dict[str, float]) -> str:
     return f"{line}; the static output shows the height"
 
 
-def _some(names: list[str]) -> str:
-    return ", ".join(names[:EXAMPLES]) + (", ..." if len(names) > EXAMPLES else "")
+def some(names: list[str], most: int = EXAMPLES) -> str:
+    """The first of these in a line."""
+    return ", ".join(names[:most]) + (", ..." if len(names) > most else "")

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from softslide.experiments.evaluate import Evaluation, evaluate
-from softslide.experiments.evaluation.scoring import QUANTITIES
+from softslide.experiments.evaluation.scoring import QUANTITIES, WORDS
 from softslide.experiments.pages.page import number, render
 from softslide.experiments.train import train
 from softslide.pipeline.recordings.folder import SAMPLE
@@ -17,7 +17,6 @@ HERE = Path(__file__).parent
 DEMO_MODELS = ("interpolation", "trees", "cnn")
 # Enough for proposals that the refinement converges from; a full training takes four times as many.
 DEMO_BUDGET = {"steps": 2500, "batch": 128, "average": 0.99}
-MEANS = {"direction_deg": "direction", "speed_percent": "speed", "offset_mm": "distance"}
 
 
 def demo(out: str | Path) -> str:
@@ -70,7 +69,7 @@ def _rows(evaluations: dict[str, Evaluation]) -> list[tuple[str, list[str]]]:
     rows += [(note, []), ("", []), ("mean valid error at the end", columns)]
     splits = next(iter(evaluations.values())).metrics["splits"]
     for split in splits:
-        for quantity, title in MEANS.items():
+        for quantity, title in WORDS.items():
             ends = [e.metrics["splits"][split]["1.0"][quantity] for e in evaluations.values()]
             cells = [number(end.get("mean")) for end in ends]
             rows.append((f"{split}: {title}, {QUANTITIES[quantity]}", ["", *cells]))

@@ -30,8 +30,8 @@ from softslide.experiments.evaluation.scoring import (
     score,
     summary,
 )
-from softslide.experiments.evaluation.tracks import Track, by_split, line, tracks, with_truth
-from softslide.experiments.provenance import bundle_hash, data_tags
+from softslide.experiments.evaluation.tracks import Track, line, summaries, tracks, with_truth
+from softslide.experiments.provenance import bundle_hash, data_hashes, data_tags
 from softslide.experiments.tracking import Run, flattened, tracked
 from softslide.features.errors import InputError
 from softslide.pipeline.progress import progress_bar
@@ -107,7 +107,7 @@ def evaluate(
     configuration = {"bundle": str(bundle), "recordings": str(recordings), "splits": names}
     digest = bundle_hash(bundle)
     of_run: dict[str, Any] = {
-        "tags": {"bundle": digest} | data_tags(folder),
+        "tags": {"bundle": digest} | data_tags(data_hashes(folder)),
         "parent": {"bundle": digest, "command": "train"},
         "store": store,
     }
@@ -156,8 +156,8 @@ def _evaluated(
             "sensor": folder.sensor.name,
             "over_bound": over_bound(unseen, pd.concat(least)) if least else None,
         }
-        metrics |= {"tracks": by_split(followed)} if followed else {}
-        metrics |= {"whole_contacts": by_split(whole_paths)} if whole_paths else {}
+        metrics |= {"tracks": summaries(followed)} if followed else {}
+        metrics |= {"whole_contacts": summaries(whole_paths)} if whole_paths else {}
         text = json.dumps(_finite(metrics), indent=1, allow_nan=False)
         (scratch / "metrics.json").write_text(text + "\n", encoding="utf-8")
         if report:

@@ -161,7 +161,7 @@ def _write_frames(
                 "index": np.arange(begin, begin + count),
                 "task_index": np.zeros(count, int),
             }
-            columns = [_column(frames[field.name], field.type) for field in schema]
+            columns = [pa.array(frames[field.name].tolist(), field.type) for field in schema]
             writer.write_table(pa.table(columns, schema=schema))
             rows.append({"episode_index": episode, "recording": name, "tasks": [TASK], "length": count})
             rows[-1] |= {"dataset_from_index": begin, "dataset_to_index": begin + count}
@@ -187,12 +187,6 @@ def _frames(
 def _type(feature: dict[str, Any]) -> pa.DataType:
     kind = pa.bool_() if feature["dtype"] == "bool" else pa.type_for_alias(feature["dtype"])
     return pa.list_(kind, feature["shape"][0]) if feature["names"] else kind
-
-
-def _column(values: np.ndarray, kind: pa.DataType) -> pa.Array:
-    if not pa.types.is_fixed_size_list(kind):
-        return pa.array(values, kind)
-    return pa.FixedSizeListArray.from_arrays(pa.array(values.ravel(), kind.value_type), kind.list_size)
 
 
 def _statistics(path: Path) -> dict[str, dict[str, list[float]]]:

@@ -8,8 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from softslide.experiments.configuration import read_configuration
+from softslide.experiments.data_use import some
 from softslide.experiments.provenance import code_revision, data_hashes, machine, packages
-from softslide.experiments.tracking import LoggedRun, flattened, logged_run
+from softslide.experiments.tracking import flattened, logged_run
 from softslide.experiments.train import BUNDLE_FILES, to_learn_from, train
 from softslide.features.errors import InputError
 from softslide.models.registry import model_named
@@ -33,13 +34,14 @@ def train_from_run(
         InputError: no such run, or not a training that has finished; or what it read is gone.
     """
     with tempfile.TemporaryDirectory() as scratch:
-        run = logged_run(identifier, Path(scratch) / "logged", store)
-        configuration = read_configuration(run.files / "configuration.json")
-        if configuration.get("command") != "train" or not (run.files / "bundle" / BUNDLE_FILES[0]).is_file():
+        files = Path(scratch) / "logged"
+        tags = logged_run(identifier, files, store)
+        configuration = read_configuration(files / "configuration.json")
+        if configuration.get("command") != "train" or not (files / "bundle" / BUNDLE_FILES[0]).is_file():
             raise InputError(f"run {identifier}: not a training that has finished; name one")
         were = configuration["recordings"]
         source = list(recordings) or [Path(root) for root in ([were] if isinstance(were, str) else were)]
-        for line in _not_as_it_was(run, configuration, source):
+        for line in _not_as_it_was(tags, files, configuration, source):
             print(line, file=sys.stderr)
         train(
             source[0] if len(source) == 1 else source,
@@ -53,7 +55,7 @@ def train_from_run(
             fresh=True,
             store=store,
         )
-        return {name: difference(run.files / "bundle" / name, out / name) for name in BUNDLE_FILES}
+        return {name: difference(files / "bundle" / name, out / name) for name in BUNDLE_FILES}
 
 
 def difference(then: Path, now: Path) -> str:
@@ -65,33 +67,31 @@ def difference(then: Path, now: Path) -> str:
         return "differs"
     a, b = flattened(json.loads(before)), flattened(json.loads(after))
     names = [name for name in {**a, **b} if a.get(name) != b.get(name)]
-    return f"differs in {_some(names)}" if names else "differs in its layout"
+    return f"differs in {some(names, SHOWN)}" if names else "differs in its layout"
 
 
-def _not_as_it_was(run: LoggedRun, configuration: dict[str, Any], source: Sequence[Path]) -> Iterator[str]:
-    """What the run was made from and is different now, a line each."""
+def _not_as_it_was(
+    tags: dict[str, str], files: Path, configuration: dict[str, Any], source: Sequence[Path]
+) -> Iterator[str]:
+    """What the run was made from and is different now, a line each. tags, files: of the run."""
     whole = without_base_motion(read_folders(source, configuration["weights"]))
     folder = to_learn_from(whole, model_named(configuration["model"]), configuration["design_alone"])
     for name, digest in data_hashes(folder).items():
-        if run.tags.get(f"data.{name}") != digest:
+        if tags.get(f"data.{name}") != digest:
             yield f"not as it was: the recordings' {name}"
-    if (now := code_revision()) != run.tags.get("code"):
-        yield f"not as it was: code {run.tags.get('code')}, now {now}"
+    if (now := code_revision()) != tags.get("code"):
+        yield f"not as it was: code {tags.get('code')}, now {now}"
     then, installed = (
         dict(line.split("==") for line in text.split())
-        for text in ((run.files / "environment.txt").read_text(encoding="utf-8"), packages())
+        for text in ((files / "environment.txt").read_text(encoding="utf-8"), packages())
     )
     if changes := [
         f"{name} {then.get(name, 'absent')}, now {installed.get(name, 'absent')}"
         for name in {**then, **installed}
         if then.get(name) != installed.get(name)
     ]:
-        yield f"not as it was: {_some(changes)}"
+        yield f"not as it was: {some(changes, SHOWN)}"
     here = machine()
-    for name, value in json.loads((run.files / "machine.json").read_text(encoding="utf-8")).items():
+    for name, value in json.loads((files / "machine.json").read_text(encoding="utf-8")).items():
         if here.get(name) != value:
             yield f"not as it was: {name} {value}, now {here.get(name)}"
-
-
-def _some(names: list[str]) -> str:
-    return ", ".join(names[:SHOWN]) + (", ..." if len(names) > SHOWN else "")

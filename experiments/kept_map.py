@@ -32,6 +32,8 @@ MOST = 50
 # What computes the map.
 MAKER = "softslide.models.response_map.select"
 LIBRARIES = ("numpy", "scipy")
+# What a CalibratedMap holds as JSON takes it.
+PLAIN = ("slides", "summary", "untimed", "left_out", "static_heights_mm")
 
 
 def kept_map(
@@ -74,15 +76,10 @@ def _packed(found: CalibratedMap) -> Arrays:
         values = {field.name: getattr(response, field.name) for field in fields(ResponseMap)}
         arrays |= {f"map.{n}.{k}": v for k, v in values.items() if isinstance(v, np.ndarray)}
         numbers.append({k: v for k, v in values.items() if not isinstance(v, np.ndarray)})
-    rest = {
+    rest = {name: getattr(found, name) for name in PLAIN} | {
         "maps": numbers,
         "conditioning": asdict(found.conditioning),
-        "slides": found.slides,
-        "summary": found.summary,
-        "untimed": found.untimed,
-        "left_out": found.left_out,
         "heights": None if found.heights is None else asdict(found.heights),
-        "static_heights_mm": found.static_heights_mm,
     }
     return {
         **{name: np.ascontiguousarray(values) for name, values in arrays.items()},
@@ -105,13 +102,9 @@ def _unpacked(arrays: Arrays, folder: Folder) -> CalibratedMap:
         response=maps[0],
         held_out=[(response, arrays[f"unseen.{n}"]) for n, response in enumerate(maps[1:])],
         conditioning=Conditioning(**rest["conditioning"]),
-        slides=rest["slides"],
-        summary=rest["summary"],
         folder=replace(folder, manifest=table.assign(**motion)),
-        untimed=rest["untimed"],
-        left_out=rest["left_out"],
         heights=None if rest["heights"] is None else HeightCalibration(**_tuples(rest["heights"])),
-        static_heights_mm=rest["static_heights_mm"],
+        **{name: rest[name] for name in PLAIN},
     )
 
 

@@ -33,9 +33,9 @@ def data_hashes(folder: Folder) -> dict[str, str]:
     }
 
 
-def data_tags(folder: Folder) -> dict[str, str]:
+def data_tags(hashes: dict[str, str]) -> dict[str, str]:
     """`data_hashes` as tags of a run."""
-    return {f"data.{name}": digest for name, digest in data_hashes(folder).items()}
+    return {f"data.{name}": digest for name, digest in hashes.items()}
 
 
 def bundle_hash(bundle: Path) -> str:

@@ -14,8 +14,6 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -45,8 +43,8 @@ LOCAL = "sqlite:///"
 EXPERIMENT = MODEL = "softslide"
 # What a store raises that is down, full, locked or refuses a record.
 STORE_ERRORS = (MlflowException, SQLAlchemyError, OSError)
-# MLflow's limits: a parameter's length (configuration.json has the whole), rows of one request.
-LONGEST, BATCH = 6000, 100
+# MLflow's limit of a parameter's length; configuration.json has the whole.
+LONGEST = 6000
 # Free disk that a new local store needs (MLflow 3.17: 1.0 MB, and its journal).
 TABLES_BYTES = 3_000_000
 
@@ -95,7 +93,7 @@ class Run:
     def parameters(self, configuration: Mapping[str, Any]) -> None:
         """Logs a configuration whole as `configuration.json` and, flattened, as parameters."""
         rows = [Param(name, str(value)[:LONGEST]) for name, value in flattened(configuration).items()]
-        self._batches("params", rows)
+        self.log(lambda client, run: client.log_batch(run, params=rows))
         self.text(json.dumps(configuration, indent=1) + "\n", "configuration.json")
 
     def text(self, content: str, name: str) -> None:
@@ -131,12 +129,7 @@ class Run:
     def _metrics(self, values: Sequence[tuple[str, int, float]]) -> None:
         now = _now_ms()
         rows = [Metric(_name(name), value, now, step) for name, step, value in values if math.isfinite(value)]
-        self._batches("metrics", rows)
-
-    def _batches(self, name: str, rows: Sequence[Any]) -> None:
-        for first in range(0, len(rows), BATCH):
-            batch: dict[str, Any] = {name: rows[first : first + BATCH]}
-            self.log(partial(_log_batch, batch))
+        self.log(lambda client, run: client.log_batch(run, metrics=rows))
 
 
 @contextmanager
@@ -185,8 +178,15 @@ def client_of(address: str) -> mlflow.MlflowClient:
     # A new store logs each of its migrations, a lost connection each attempt.
     for chatty in ("alembic", "mlflow.store.db.utils", "mlflow.tracking.fluent", "urllib3.connectionpool"):
         logging.getLogger(chatty).setLevel(logging.ERROR)
-    with _one_at_a_time(address):
-        _make_local(address)
+    place = _local(address)
+    if place is None:
+        return mlflow.MlflowClient(address, address)
+    folder = place.resolve().parent
+    folder.mkdir(parents=True, exist_ok=True)
+    # One process at a time makes a local store.
+    with locked(folder):
+        if not place.exists():
+            _make_local(place)
         return mlflow.MlflowClient(address, address)
 
 
@@ -229,27 +229,18 @@ def last_duration_s(tags: Mapping[str, str], named: str | None = None) -> float 
     return None if run is None else (run.info.end_time - run.info.start_time) / 1000
 
 
-@dataclass(frozen=True)
-class LoggedRun:
-    """A run as the store holds it: its tags, and a folder with its files."""
-
-    identifier: str
-    tags: dict[str, str]
-    files: Path
-
-
-def logged_run(identifier: str, folder: Path, named: str | None = None) -> LoggedRun:
-    """A run of the store, its files fetched into a new folder.
+def logged_run(identifier: str, folder: Path, named: str | None = None) -> dict[str, str]:
+    """The tags of a run of the store; its files are fetched into a new folder.
 
     Raises:
         InputError: no such run, or the store does not answer.
     """
 
-    def fetch(client: mlflow.MlflowClient) -> LoggedRun:
-        run = client.get_run(identifier)
+    def fetch(client: mlflow.MlflowClient) -> dict[str, str]:
+        tags = dict(client.get_run(identifier).data.tags)
         folder.mkdir(parents=True)
         client.download_artifacts(identifier, "", str(folder))
-        return LoggedRun(identifier, dict(run.data.tags), folder)
+        return tags
 
     return _asked(fetch, f"run {identifier}", named)
 
@@ -310,11 +301,8 @@ def _local(address: str) -> Path | None:
     return Path(address.removeprefix(LOCAL)) if address.startswith(LOCAL) and "?" not in address else None
 
 
-def _make_local(address: str) -> None:
+def _make_local(place: Path) -> None:
     """Makes a local store whole or not at all: killed between two tables it would take no run."""
-    place = _local(address)
-    if place is None or place.exists():
-        return
     # MLflow tries again where a full disk ended the first try, and fails on what that left.
     if shutil.disk_usage(place.resolve().parent).free < TABLES_BYTES:
         raise OSError(f"no space left on device: '{place}'")
@@ -323,23 +311,6 @@ def _make_local(address: str) -> None:
     scratch.with_name(f"{scratch.name}-journal").unlink(missing_ok=True)
     mlflow.MlflowClient(f"{LOCAL}{scratch}", f"{LOCAL}{scratch}")
     scratch.replace(place)
-
-
-@contextmanager
-def _one_at_a_time(address: str) -> Iterator[None]:
-    """One process at a time makes a local store."""
-    place = _local(address)
-    if place is None:
-        yield
-        return
-    folder = place.resolve().parent
-    folder.mkdir(parents=True, exist_ok=True)
-    with locked(folder):
-        yield
-
-
-def _log_batch(batch: Mapping[str, Any], client: mlflow.MlflowClient, run: str) -> None:
-    client.log_batch(run, **batch)
 
 
 def _name(name: str) -> str:

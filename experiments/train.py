@@ -1,8 +1,8 @@
 """One training: recordings in, a bundle out, a run logged that suffices to repeat it."""
 
 import sys
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, nullcontext
+from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -19,7 +19,7 @@ from softslide.experiments.evaluation.readout import predictions
 from softslide.experiments.evaluation.scoring import score, summary
 from softslide.experiments.kept_map import kept_map
 from softslide.experiments.pages.page import panels_page
-from softslide.experiments.provenance import bundle_hash, code_revision, data_hashes
+from softslide.experiments.provenance import bundle_hash, code_revision, data_hashes, data_tags
 from softslide.experiments.tracking import Run, last_duration_s, tracked
 from softslide.features.card import read_card
 from softslide.features.errors import InputError
@@ -37,12 +37,12 @@ from softslide.pipeline.recordings.derived_labels import (
     with_derived_labels,
 )
 from softslide.pipeline.recordings.folder import Folder
+from softslide.pipeline.recordings.learned import CALIBRATION
 from softslide.pipeline.recordings.pooled import read_folders
 from softslide.pipeline.recordings.windows import labelled_windows
 from softslide.pipeline.staging import check_replaceable
 from softslide.serve.localizer import Localizer
 
-LEARNT = ("calibration", "train")
 BUNDLE_FILES = ("model.onnx", "model.json")
 # Share of the held-out slides whose direction is lost (models/cnn/fit.py) above which `train` says so.
 LOST = 0.1
@@ -89,7 +89,8 @@ def train(
             labels can be used and the design alone was not asked for.
         ParityError: the exported graph and the original disagree; nothing is written.
     """
-    out, atlas, init, config = Path(out), _path(atlas), _path(init), _path(config)
+    out = Path(out)
+    atlas, init, config = (None if path is None else Path(path) for path in (atlas, init, config))
     chosen = model_named(model)
     roots = [Path(recordings)] if isinstance(recordings, str | Path) else [Path(root) for root in recordings]
     if weight and not chosen.uses_design:
@@ -99,7 +100,9 @@ def train(
     whole = without_base_motion(read_folders(roots, weight))
     folder = to_learn_from(whole, chosen, design_alone)
     settings = configured(change(chosen.config()), config, model)
-    start = None if init is None else _graph_of(init)
+    if init is not None:
+        Localizer.load(init)  # sees that it is whole
+    start = None if init is None else read_graph(init)
     check_replaceable(out, BUNDLE_FILES)
     design = design_for(chosen, folder, atlas)
     configuration = {
@@ -119,12 +122,20 @@ def train(
         provenance["init"] = read_card(init / "model.json").graph_sha256
     report_base(whole)
     last_s = last_duration_s({"command": "train", "model": model}, store) if track else None
-    report_plan(model, whole.select(*LEARNT), folder, design is not None, last_s)
-    with _logged(folder, provenance, store) if track else nullcontext(Run()) as run:
+    report_plan(model, whole.select(*CALIBRATION), folder, design is not None, last_s)
+    run_name = f"{model} on {folder.sensor.name}"
+    tags = data_tags(provenance["data"]) | {"model": model}
+    tags |= {name: provenance[name] for name in ("atlas", "init") if name in provenance}
+    logged = (
+        tracked("train", run_name, configuration, tags=tags, store=store) if track else nullcontext(Run())
+    )
+    with logged as run:
+        if len(folder) and track:
+            run.data(folder, "training")
         fitted, losses = _fit(chosen, folder, settings, design, start, fresh)
         _warn_if_lost(fitted)
         if not design_alone:
-            report_use(whole.select(*LEARNT), folder, fitted, chosen.several_heights)
+            report_use(whole.select(*CALIBRATION), folder, fitted, chosen.several_heights)
         windows = fitted.windows or labelled_windows(folder, fitted.conditioning)
         parity = write_bundle(fitted, folder.sensor, windows, provenance, out, folder.base_motion)
         run.files(out, "bundle")
@@ -139,14 +150,14 @@ def train(
 
 
 def to_learn_from(whole: Folder, model: Model, design_alone: bool) -> Folder:
-    """The recordings to learn from: of the splits LEARNT, those whose line is known.
+    """The recordings to learn from: of the splits CALIBRATION, those whose line is known.
 
     A model that can learn from several heights of the skin takes those too that are not at the pressure of most.
 
     Raises:
         InputError: some have labels and none can be used.
     """
-    chosen = whole.select(*LEARNT)
+    chosen = whole.select(*CALIBRATION)
     if design_alone:
         return replace(chosen, manifest=chosen.manifest.iloc[:0])
     folder = recordings_to_learn_from(chosen, model.several_heights)
@@ -158,24 +169,6 @@ def to_learn_from(whole: Folder, model: Model, design_alone: bool) -> Folder:
             "add the labels, or train from the design alone"
         )
     return folder
-
-
-@contextmanager
-def _logged(folder: Folder, provenance: dict[str, Any], store: str | None) -> Iterator[Run]:
-    """The run, tagged with what its data, atlas and first bundle hash to."""
-    configuration = provenance["configuration"]
-    tags = {f"data.{name}": digest for name, digest in provenance["data"].items()}
-    tags |= {name: provenance[name] for name in ("atlas", "init") if name in provenance}
-    tags["model"] = configuration["model"]
-    name = f"{configuration['model']} on {folder.sensor.name}"
-    with tracked("train", name, configuration, tags=tags, store=store) as run:
-        if len(folder):
-            run.data(folder, "training")
-        yield run
-
-
-def _path(given: str | Path | None) -> Path | None:
-    return None if given is None else Path(given)
 
 
 def _fit(
@@ -222,16 +215,6 @@ def _warn_if_lost(fitted: FittedModel) -> None:
             "train for more steps ([training] in the configuration), or run 'softslide check' on the recordings",
             file=sys.stderr,
         )
-
-
-def _graph_of(bundle: Path) -> onnx.ModelProto:
-    """The graph of a bundle that is whole.
-
-    Raises:
-        InputError: the bundle is missing or broken.
-    """
-    Localizer.load(bundle)
-    return read_graph(bundle)
 
 
 def design_for(model: Model, folder: Folder, atlas: Path | None) -> Atlas | None:

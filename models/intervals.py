@@ -42,25 +42,18 @@ def misfit_limit(misfit: np.ndarray, slide: np.ndarray) -> float:
 def conformal_interval(
     errors: np.ndarray,
     sd: np.ndarray,
-    slide: np.ndarray | None = None,
-    coverage: float = COVERAGE,
+    slide: np.ndarray,
     least: float = 0.0,
 ) -> Interval:
-    """errors, sd (n,) in one unit; sd all zero gives a constant half-width.
+    """errors, sd (n,) in one unit, one at least; sd all zero gives a constant half-width.
 
     slide: (n,), which slide each is of: windows of one slide err alike, so that only slides count for how many there
         are (hierarchical conformal prediction, Lee, Barber and Willett 2023, as if each had equally many windows; with
-        fewer than nine slides the largest ratio). None: each is of its own.
+        fewer than nine slides the largest ratio).
     least: half-width below which the held-out errors show nothing (`step_between`).
-
-    Raises:
-        ValueError: there are no errors to calibrate on.
     """
     errors, sd = np.abs(np.asarray(errors, float)), np.asarray(sd, float)
-    if not errors.size:
-        raise ValueError("no held-out errors to calibrate an interval on")
-    count = len(errors) if slide is None else len(np.unique(slide))
-    rank = conformal_rank(len(errors), count, coverage)
+    rank = conformal_rank(len(errors), len(np.unique(slide)), COVERAGE)
     # A model that is mostly right to the last bit has a median of 0.
     floors = max(float(np.median(errors)), LEAST_FLOOR * float(errors.max()), 1e-9) * np.geomspace(
         0.02, 5.0, 60
@@ -70,7 +63,7 @@ def conformal_interval(
     for floor in floors:
         ratios = errors / np.hypot(sd, floor)
         scale = float(np.sort(ratios)[rank])
-        uneven = sum((float(np.mean(ratios[group] <= scale)) - coverage) ** 2 for group in groups)
+        uneven = sum((float(np.mean(ratios[group] <= scale)) - COVERAGE) ** 2 for group in groups)
         if best is None or uneven < best[0] - 1e-12:
             best = uneven, Interval(scale=scale, floor=float(floor))
     assert best is not None

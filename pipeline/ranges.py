@@ -35,7 +35,8 @@ def check_positive(settings: Any, *names: str) -> None:
     for name in names:
         value = getattr(settings, name)
         if not all(each > 0 for each in (value if isinstance(value, tuple) else (value,))):
-            raise ValueError(f"{name} is {_shown(value)}; it must be positive")
+            shown = list(value) if isinstance(value, tuple) else value
+            raise ValueError(f"{name} is {shown}; it must be positive")
 
 
 def check_one_of(known: Sequence[str], **settings: str) -> None:
@@ -60,7 +61,3 @@ def check_pairs(settings: Any, least: float = -math.inf) -> None:
         if isinstance(value, tuple) and not (value[0] >= least and value[0] <= value[-1]):
             below = "" if least < 0 else " and not be negative"
             raise ValueError(f"{field.name} is {list(value)}; it must rise{below}")
-
-
-def _shown(value: Any) -> Any:
-    return list(value) if isinstance(value, tuple) else value

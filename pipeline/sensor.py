@@ -22,7 +22,7 @@ from softslide.pipeline.toml_tables import from_table, read_toml
 # Noise density of an accelerometer by its data sheet, g / sqrt(Hz). MMA7361L: Freescale, rev. 0, 350 ug / sqrt(Hz).
 NOISE_G_RTHZ = {"MMA7361L": 350e-6}
 # Skin left between a board and the clamped rim, and between two boards: less would be a sliver of an element.
-_RIM_MM = 0.5
+RIM_MM = 0.5
 _BOARD_GAP_MM = 0.5
 # Of skin on the base: a wider border adds elements that hardly move.
 MOST_OVERLAP_MM = 20.0
@@ -299,12 +299,12 @@ def check_design(sensor: Sensor, source: str = "sensor") -> None:
         )
     for n, a in enumerate(sensor.accelerometers):
         if (
-            abs(a.x_mm) + width / 2 > sensor.chamber_mm[0] / 2 - _RIM_MM
-            or abs(a.y_mm) + length / 2 > sensor.chamber_mm[1] / 2 - _RIM_MM
+            abs(a.x_mm) + width / 2 > sensor.chamber_mm[0] / 2 - RIM_MM
+            or abs(a.y_mm) + length / 2 > sensor.chamber_mm[1] / 2 - RIM_MM
         ):
             raise InputError(
                 f"{source}: accelerometer {n + 1}: the board of '{a.name}' at ({a.x_mm:g}, {a.y_mm:g}) "
-                f"is not within the chamber by {_RIM_MM:g} mm; move it or shrink [board] size_mm"
+                f"is not within the chamber by {RIM_MM:g} mm; move it or shrink [board] size_mm"
             )
         for b in sensor.accelerometers[:n]:
             if abs(a.x_mm - b.x_mm) < width + _BOARD_GAP_MM and abs(a.y_mm - b.y_mm) < length + _BOARD_GAP_MM:

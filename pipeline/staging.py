@@ -9,7 +9,7 @@ import shutil
 import stat
 import tempfile
 from collections.abc import Collection, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from glob import escape
 from pathlib import Path
 
@@ -60,14 +60,15 @@ def staged(out: Path) -> Iterator[Path]:
         InputError: `out` is a file or holds other files, or its parent cannot be written.
     """
     check_replaceable(out)
-    with writing(out):
-        out.parent.mkdir(parents=True, exist_ok=True)
-        with locked(out.parent):
-            _clear_leftovers(out)
-            room = Path(tempfile.mkdtemp(prefix=f".{out.name}{UNFINISHED}", dir=out.parent))
-            lock = _lock(room)
-    new = room / "new"
-    try:
+    with ExitStack() as stack:
+        with writing(out):
+            out.parent.mkdir(parents=True, exist_ok=True)
+            with locked(out.parent):
+                _clear_leftovers(out)
+                room = Path(tempfile.mkdtemp(prefix=f".{out.name}{UNFINISHED}", dir=out.parent))
+                stack.enter_context(locked(room))
+        stack.callback(_remove, room, out)
+        new = room / "new"
         with writing(out):
             new.mkdir()
         yield new
@@ -77,10 +78,6 @@ def staged(out: Path) -> Iterator[Path]:
                 check_replaceable(out, {path.name for path in new.iterdir()})
                 os.replace(out, room / "old")
             os.replace(new, out)
-    finally:
-        _remove(room, out)
-        if lock is not None:
-            os.close(lock)
 
 
 def check_replaceable(out: Path, names: Collection[str] | None = None) -> None:
@@ -110,11 +107,9 @@ def check_replaceable(out: Path, names: Collection[str] | None = None) -> None:
 def _clear_leftovers(out: Path) -> None:
     """Removes what processes left that were killed."""
     for room in out.parent.glob(f".{escape(out.name)}{UNFINISHED}*"):
-        with suppress(BlockingIOError):
-            lock = _lock(room, wait=False)
-            if lock is not None:
+        with suppress(BlockingIOError), locked(room, wait=False) as is_ours:
+            if is_ours:
                 _remove(room, out)
-                os.close(lock)
 
 
 def _remove(room: Path, out: Path) -> None:
@@ -126,14 +121,31 @@ def _remove(room: Path, out: Path) -> None:
 
 
 @contextmanager
-def locked(folder: Path) -> Iterator[None]:
-    """Keeps other processes from the block, where there are locks."""
-    lock = _lock(folder)
+def locked(folder: Path, wait: bool = True) -> Iterator[bool]:
+    """Keeps other processes from the block, until it or this process ends; gives whether there are such locks here (not
+    on Windows and some network disks).
+
+    Raises:
+        BlockingIOError: another process has the folder, and this one does not wait.
+    """
     try:
-        yield
+        import fcntl
+
+        descriptor = os.open(folder, os.O_RDONLY)
+    except (ImportError, OSError):
+        yield False
+        return
+    try:
+        is_ours = True
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+        except BlockingIOError:
+            raise
+        except OSError:
+            is_ours = False
+        yield is_ours
     finally:
-        if lock is not None:
-            os.close(lock)
+        os.close(descriptor)
 
 
 @contextmanager
@@ -148,39 +160,15 @@ def alone(work: Path, out: Path) -> Iterator[None]:
         raise InputError(f"{work}: is a link, and work on {out} goes there; take it away")
     with writing(out):
         work.mkdir(parents=True, exist_ok=True)
-    try:
-        lock = _lock(work, wait=False)
-    except BlockingIOError:
-        raise InputError(
-            f"{out}: another call is at work on it; wait for it, or name another folder"
-        ) from None
-    try:
-        yield
-    finally:
-        with suppress(OSError):
-            work.rmdir()
-        if lock is not None:
-            os.close(lock)
-
-
-def _lock(folder: Path, wait: bool = True) -> int | None:
-    """An open descriptor that locks the folder until it is closed or the process ends, however it ends; None: there are
-    no such locks here (Windows, some network disks).
-
-    Raises:
-        BlockingIOError: another process has it, and this one does not wait.
-    """
-    try:
-        import fcntl
-
-        descriptor = os.open(folder, os.O_RDONLY)
-    except (ImportError, OSError):
-        return None
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
-    except OSError as error:
-        os.close(descriptor)
-        if isinstance(error, BlockingIOError):
-            raise
-        return None
-    return descriptor
+    with ExitStack() as stack:
+        try:
+            stack.enter_context(locked(work, wait=False))
+        except BlockingIOError:
+            raise InputError(
+                f"{out}: another call is at work on it; wait for it, or name another folder"
+            ) from None
+        try:
+            yield
+        finally:
+            with suppress(OSError):
+                work.rmdir()

@@ -8,7 +8,7 @@ field whose key in the file has another name carries it as `field(metadata={"key
 import math
 import tomllib
 from collections.abc import Iterator, Mapping
-from dataclasses import MISSING, Field, fields, is_dataclass, replace
+from dataclasses import MISSING, fields, is_dataclass, replace
 from pathlib import Path
 from types import NoneType, UnionType
 from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
@@ -69,12 +69,13 @@ def from_table(kind: type[T], table: Any, place: str, default: T | None = None, 
     """
     if not isinstance(table, Mapping):
         raise InputError(f"{place} is {_shown(table)}; write a table, its keys under a [heading]")
-    known = {_key(f): f for f in fields(kind) if f.name not in given}  # type: ignore[arg-type]
+    known = {f.metadata.get("key", f.name): f for f in fields(kind) if f.name not in given}  # type: ignore[arg-type]
     for key in table:
         if key not in known:
             raise InputError(f"{place}: unknown key {key!r}; known are {', '.join(known) or 'none'}")
     for key, field in known.items():
-        if key not in table and default is None and _required(field):
+        is_required = field.default is MISSING and field.default_factory is MISSING
+        if key not in table and default is None and is_required:
             raise InputError(f"{place}: {key} is missing; add it")
     hints = get_type_hints(kind)
     values = {
@@ -156,14 +157,6 @@ def _shown(value: Any) -> str:
 def _bare(key: str) -> str:
     """A key as it stands in a file: without quotes if it needs none."""
     return key if key.replace("_", "").replace("-", "").isalnum() else repr(key)
-
-
-def _key(field: Field) -> str:
-    return field.metadata.get("key", field.name)
-
-
-def _required(field: Field) -> bool:
-    return field.default is MISSING and field.default_factory is MISSING
 
 
 def _leaves(table: Mapping[str, Any]) -> Iterator[tuple[tuple[str, ...], Any]]:

@@ -2,9 +2,10 @@
 
 import struct
 from collections.abc import Callable
+from concurrent.futures import Future
 from pathlib import Path
 from threading import Thread
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 import onnxruntime as ort
@@ -154,25 +155,21 @@ def _check_golden(card: Card, session: ort.InferenceSession, path: Path) -> None
 
 def _in_time(call: Callable[[], T], path: Path) -> T:
     """What the call returns or raises; after LOADING_S it is left behind, in a thread that ends with the process."""
-    outcome: list[tuple[bool, Any]] = []
+    outcome: Future[T] = Future()
 
     def work() -> None:
         try:
-            outcome.append((True, call()))
+            outcome.set_result(call())
         except Exception as error:
-            outcome.append((False, error))
+            outcome.set_exception(error)
 
-    worker = Thread(target=work, daemon=True)
-    worker.start()
-    worker.join(LOADING_S)
-    if not outcome:
+    Thread(target=work, daemon=True).start()
+    try:
+        return outcome.result(LOADING_S)
+    except TimeoutError:
         raise InputError(
             f"{path}: not loaded and run once in {LOADING_S:g} s; take the bundle from its source again"
-        )
-    done, value = outcome[0]
-    if not done:
-        raise value
-    return value
+        ) from None
 
 
 def _line(error: Exception) -> str:

@@ -15,15 +15,9 @@ from softslide.features.errors import CheckFailed, InputError, printable
 
 # The extra that a subcommand needs beyond the base install. Device commands need one for some of their options only,
 # which the package that is missing decides: so does a package of another extra than the subcommand's own.
-COMMAND_EXTRA = {
-    "check": "io",
-    "import": "io",
-    "synthesize": "io",
-    "export-recordings": "io",
-    "predict": "io",
-    "serve": "io",
-    "record": "io",
-}
+COMMAND_EXTRA = dict.fromkeys(
+    ("check", "import", "synthesize", "export-recordings", "predict", "serve", "record"), "io"
+)
 PACKAGE_EXTRA = {
     **dict.fromkeys(("fastapi", "mcap", "serial", "uvicorn", "websockets"), "live"),
     **dict.fromkeys(("dask", "distributed"), "cluster"),

@@ -43,6 +43,14 @@ def test_the_documents_are_what_the_figures_give(tmp_path: Path) -> None:
     assert shown == set(tables)
 
 
+def test_no_table_of_figures_stands_outside_the_marks() -> None:
+    for name in DOCUMENTS:
+        text = re.sub(
+            r"<!-- table: .*?<!-- end of table -->", "", (ROOT / name).read_text(encoding="utf-8"), flags=re.S
+        )
+        assert not re.findall(r"^\|.*\d (?:%|deg\b|mm\b|ms\b).*$", text, re.M), name
+
+
 def test_every_figure_has_its_commands_its_day_and_a_table() -> None:
     results, tables = read_results(RESULTS), read_tables(TABLES)
     for name, source in results.items():

@@ -12,7 +12,7 @@ from touched_skin import NOISE, RATE_HZ, SENSOR, write_skin
 import softslide
 from softslide.features.errors import InputError
 from softslide.features.estimate import Contact, Estimate
-from softslide.pipeline.checks.findings import examine
+from softslide.pipeline.checks.report import checked
 from softslide.pipeline.recordings.base_motion import base_motion_of, without_base_motion
 from softslide.pipeline.recordings.folder import Folder, Recording, write_folder
 from softslide.pipeline.sensor import Accelerometer, Base
@@ -121,7 +121,7 @@ def test_a_base_that_hardly_turns_is_refused(lab: Folder, tmp_path: Path) -> Non
 
 
 def test_check_has_nothing_to_say_of_it(lab: Folder) -> None:
-    assert [finding for finding in examine(lab) if finding.kind == "base"] == []
+    assert [finding for finding in checked(lab).findings if finding.kind == "base"] == []
 
 
 def test_a_magnetometer_shows_nothing_of_what_tilts_accelerometers() -> None:

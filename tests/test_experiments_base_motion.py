@@ -10,12 +10,13 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from front_door import call, refused
 from moving_robot import BASE, felt_g, on_a_robot, wandering
 
 import softslide
 from softslide.experiments.data_use import report_base
 from softslide.features.units import STANDARD_GRAVITY
-from softslide.pipeline.checks.findings import examine
+from softslide.pipeline.checks.report import checked
 from softslide.pipeline.recordings.base_motion import without_base_motion
 from softslide.pipeline.recordings.folder import SAMPLE, Folder, Recording, read_folder, write_folder
 from softslide.pipeline.sensor import write_sensor
@@ -64,8 +65,7 @@ def bundle(trained: tuple[Path, str]) -> Path:
 
 
 def evaluated(bundle: Path, recordings: Path, out: Path) -> dict:
-    words = ["evaluate", "--model", bundle, "--recordings", recordings, "--out", out]
-    softslide.main([str(word) for word in words])
+    call("evaluate", "--model", bundle, "--recordings", recordings, "--out", out)
     return json.loads((out / "metrics.json").read_text())["overall"]["1.0"]
 
 
@@ -99,8 +99,7 @@ def test_a_base_that_comes_late_is_reported(
 @pytest.mark.long
 def test_estimates_on_a_moving_robot_are_those_on_a_table(bundle: Path, lab: Folder, tmp_path: Path) -> None:
     plain = tmp_path / "plain"
-    words = ["train", "--recordings", SAMPLE, "--model", "interpolation", "--out", plain]
-    assert softslide.main([str(word) for word in words]) == 0
+    assert call("train", "--recordings", SAMPLE, "--model", "interpolation", "--out", plain) == 0
     table = evaluated(plain, SAMPLE, tmp_path / "table")
     robot = evaluated(bundle, lab.root, tmp_path / "robot")
     without = evaluated(plain, lab.root, tmp_path / "without")
@@ -115,8 +114,7 @@ def test_a_folder_without_a_base_is_refused(
     bundle: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     words = ["evaluate", "--model", bundle, "--recordings", SAMPLE, "--out", tmp_path / "out"]
-    assert softslide.main([str(word) for word in words]) == 2
-    assert "has no [base], which the bundle reads" in capsys.readouterr().err
+    assert "has no [base], which the bundle reads" in refused(capsys, *words)
 
 
 def test_an_imu_comes_in_as_volts(tmp_path: Path) -> None:
@@ -137,17 +135,16 @@ def test_an_imu_comes_in_as_volts(tmp_path: Path) -> None:
         '[labels.recording]\nname = "recording"\n[labels.split]\nvalue = "base"\n'
     )
     (tmp_path / "map.toml").write_text(head + "".join(maps))
-    words = ["import", tmp_path / "lab", "--map", tmp_path / "map.toml", "--out", tmp_path / "out"]
-    assert softslide.main([str(word) for word in words]) == 0
+    assert call("import", tmp_path / "lab", "--map", tmp_path / "map.toml", "--out", tmp_path / "out") == 0
     recording = read_folder(tmp_path / "out").load("one")
     assert recording.base_v == pytest.approx(BASE.zero_g_v + BASE.sensitivity_v_per_g * felt)
     assert recording.volts == pytest.approx(1.65 + 0.8 * felt)
 
 
 def test_check_sees_the_slides_and_not_the_robot(lab: Folder) -> None:
-    assert [finding.line() for finding in examine(lab) if finding.level == "error"] == []
+    assert [finding.line() for finding in checked(lab).findings if finding.level == "error"] == []
 
 
 def test_check_asks_for_a_recording_of_the_robot_s_motion(lab: Folder) -> None:
-    found = examine(replace(lab, manifest=lab.manifest.drop("robot")))
+    found = checked(replace(lab, manifest=lab.manifest.drop("robot"))).findings
     assert [finding.kind for finding in found if "record a minute" in finding.text] == ["base"]

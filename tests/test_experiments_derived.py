@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from front_door import call
 from small_bundle import write_small_bundle
 
 import softslide
@@ -73,8 +74,18 @@ def test_evaluate_tests_the_same_bounds(full: Folder, bare: Folder, tmp_path: Pa
     tested: dict[str, dict[str, int]] = {}
     for folder in (full, bare):
         out = tmp_path / folder.root.name
-        words = ["evaluate", "--model", bundle, "--recordings", folder.root, "--out", out, "--no-report"]
-        softslide.main([*map(str, words), "--jobs", "1"])
+        call(
+            "evaluate",
+            "--model",
+            bundle,
+            "--recordings",
+            folder.root,
+            "--out",
+            out,
+            "--no-report",
+            "--jobs",
+            1,
+        )
         bounds = json.loads((out / "metrics.json").read_text())["bounds"]
         tested[folder.root.name] = {
             bound["name"]: bound["recordings"] for bound in bounds if bound["pass"] is not None

@@ -2,27 +2,26 @@
 
 import json
 import re
-import shutil
-from dataclasses import replace
-from html.parser import HTMLParser
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 from bump_map import bump_map
+from front_door import call, refused
+from html_page import Page, self_contained
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from playwright.sync_api import Browser
 from small_bundle import write_small_bundle
 from trial_folder import SENSOR, a_folder
 
-import softslide
 from softslide.experiments.evaluation import figures
 from softslide.experiments.evaluation.archive import Archive
 from softslide.experiments.evaluation.efficiency import bounds_of, over_bound
 from softslide.experiments.evaluation.readout import COLUMNS
 from softslide.experiments.evaluation.scoring import score
-from softslide.experiments.pages.figures import COLOURS, INK, inline, log_with_zero, panel
-from softslide.features.card import read_card, write_card
+from softslide.experiments.pages.figures import COLOURS, INK, drawn, log_with_zero
 from softslide.models.response_map.card import contact_calibration
 from softslide.pipeline.recordings.folder import SAMPLE, read_folder
 from softslide.serve.localizer import Localizer
@@ -31,6 +30,13 @@ from softslide.serve.localizer import Localizer
 @pytest.fixture
 def bundle(tmp_path: Path) -> Path:
     return write_small_bundle(tmp_path / "bundle", SENSOR, offset_mm_per_v=50.0)
+
+
+@pytest.fixture
+def mapped(tmp_path: Path) -> Path:
+    """The same with a response map."""
+    contact = contact_calibration(bump_map())
+    return write_small_bundle(tmp_path / "mapped", SENSOR, offset_mm_per_v=50.0, contact=contact)
 
 
 @pytest.fixture(scope="module")
@@ -48,20 +54,10 @@ def evaluated(
     bundle: Path, recordings: Path, out: Path, *options: str, report: bool = False
 ) -> tuple[int, pd.DataFrame]:
     """The exit status, and predictions.csv as texts."""
-    arguments = [
-        "evaluate",
-        "--model",
-        bundle,
-        "--recordings",
-        recordings,
-        "--out",
-        out,
-        "--jobs",
-        1,
-        *options,
-        *(() if report else ("--no-report",)),
-    ]
-    status = softslide.main([str(a) for a in arguments])
+    options = options if report else ("--no-report", *options)
+    status = call(
+        "evaluate", "--model", bundle, "--recordings", recordings, "--out", out, "--jobs", 1, *options
+    )
     return status, pd.read_csv(out / "predictions.csv", dtype=str, keep_default_na=False)
 
 
@@ -228,49 +224,10 @@ def test_splits_are_chosen_by_full_name(bundle: Path, tmp_path: Path) -> None:
     assert set(chosen["recording"]) == {"one", "four"}
 
 
-class Page(HTMLParser):
-    """What a page holds: its text, and all that it would load."""
-
-    def __init__(self, text: str) -> None:
-        super().__init__()
-        self.open: list[str] = []
-        self.loads: list[str] = []
-        self.words = ""
-        self.alts: list[str] = []
-        self.feed(text)
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        if tag not in ("meta", "br"):
-            self.open.append(tag)
-        loading = ("src", "href", "xlink:href", "srcset", "data")
-        self.loads += [value or "" for name, value in attrs if name in loading]
-        assert tag not in ("script", "link", "iframe", "image", "foreignobject")
-        if tag == "svg":
-            named = dict(attrs)
-            assert named["role"] == "img"
-            self.alts.append(named["aria-label"] or "")
-
-    def handle_endtag(self, tag: str) -> None:
-        assert self.open.pop() == tag
-
-    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.handle_starttag(tag, attrs)
-        if self.open and self.open[-1] == tag:
-            self.open.pop()
-
-    def handle_data(self, data: str) -> None:
-        self.words += data
-
-
 def test_the_report_opens_without_a_network(report: Path) -> None:
-    text = report.read_text(encoding="utf-8")
-    page = Page(text)
-    assert page.open == []
-    assert all(source.startswith("#") for source in page.loads)
-    # Within a figure, to its own clipping path; nothing else is referred to.
-    assert not re.search(r"url\((?!#)|@import|https?://", text)
+    words = self_contained(report).words
     for word in ("section 5.2.2", "not tested", "X forward", "test"):
-        assert word in page.words
+        assert word in words
 
 
 def test_every_row_of_the_report_shows_its_numbers_on_a_telephone(report: Path, browser: Browser) -> None:
@@ -307,11 +264,7 @@ def test_bad_input_is_one_line_and_leaves_nothing(
     break_it(tmp_path / "lab", bundle)
     before = sorted(path.name for path in tmp_path.iterdir())
     arguments = ["--model", bundle, "--recordings", tmp_path / "lab", "--out", tmp_path / "out", "--jobs", 2]
-    assert softslide.main(["evaluate", *map(str, arguments)]) == 2
-    out, err = capsys.readouterr()
-    assert out == ""
-    assert err.count("\n") == 1
-    assert says in err
+    assert says in refused(capsys, "evaluate", *arguments)
     assert sorted(path.name for path in tmp_path.iterdir()) == before
 
 
@@ -319,8 +272,7 @@ def test_another_sensors_bundle_is_refused(tmp_path: Path, capsys: pytest.Captur
     write_small_bundle(tmp_path / "b", read_folder(SAMPLE).sensor)
     a_folder(tmp_path / "lab", one={})
     arguments = ["--model", tmp_path / "b", "--recordings", tmp_path / "lab", "--out", tmp_path / "out"]
-    assert softslide.main(["evaluate", *map(str, arguments)]) == 2
-    assert "sample_rate_hz 200 Hz is not read" in capsys.readouterr().err
+    assert "sample_rate_hz 200 Hz is not read" in refused(capsys, "evaluate", *arguments)
 
 
 def report_of(bundle: Path, lab: Path, out: Path) -> Page:
@@ -343,19 +295,16 @@ def test_the_report_begins_with_its_answer(tmp_path: Path) -> None:
     assert "Speeds other than 2 mm/s." in words
 
 
-def test_errors_are_held_against_the_bound_of_the_bundles_own_map(bundle: Path, tmp_path: Path) -> None:
+def test_errors_are_held_against_the_bound_of_the_bundles_own_map(
+    bundle: Path, mapped: Path, tmp_path: Path
+) -> None:
     folder = a_folder(tmp_path / "lab", one={}, two={"split": "test-deep", "depth_mm": 0.8})
     page = report_of(bundle, tmp_path / "lab", tmp_path / "without")
     assert "this bundle carries no response map" in page.words
     assert json.loads((tmp_path / "without/metrics.json").read_text())["over_bound"] is None
-    mapped = shutil.copytree(bundle, tmp_path / "mapped")
-    card = read_card(bundle / "model.json")
-    write_card(replace(card, contact=contact_calibration(bump_map())), mapped / "model.json")
     # This map is another sensor's, and so no estimate is valid.
-    assert (
-        "no labelled recording with a valid estimate"
-        in report_of(mapped, folder.root, tmp_path / "with").words
-    )
+    said = report_of(mapped, folder.root, tmp_path / "with").words
+    assert "no labelled recording with a valid estimate" in said
 
     least = pd.concat(bounds_of(mapped, folder, Archive(1)))
     assert set(least["recording"]) == {"one"}  # the map's depth is 0.5 mm: the deep slide has no bound
@@ -371,11 +320,10 @@ def test_errors_are_held_against_the_bound_of_the_bundles_own_map(bundle: Path, 
     assert captions.count("Recordings behind each point: test 1.") == 3
 
 
-def test_a_folder_without_any_bound_is_evaluated_all_the_same(bundle: Path, tmp_path: Path) -> None:
+def test_a_folder_without_any_bound_is_evaluated_all_the_same(
+    bundle: Path, mapped: Path, tmp_path: Path
+) -> None:
     """No slide has one: all are of another depth than the map."""
-    mapped = shutil.copytree(bundle, tmp_path / "mapped")
-    card = read_card(bundle / "model.json")
-    write_card(replace(card, contact=contact_calibration(bump_map())), mapped / "model.json")
     deep = a_folder(tmp_path / "deep", one={"depth_mm": 0.8}, two={"depth_mm": 0.9})
     evaluated(mapped, deep.root, tmp_path / "out")
     assert json.loads((tmp_path / "out/metrics.json").read_text())["over_bound"] == {}
@@ -413,12 +361,11 @@ def test_the_report_says_where_the_recordings_are_from(bundle: Path, report: Pat
 def test_errors_of_zero_are_drawn_inside_the_axes() -> None:
     """On a logarithmic axis alone they would vanish."""
     errors = np.array([0.0, 0.0, 0.03, 2.0])
-    with panel() as (figure, ax):
-        (line,) = ax.plot(np.arange(4.0), errors, "o")
-        log_with_zero(ax, errors)
-        figure.canvas.draw()
-        height = ax.transData.transform(line.get_xydata())[:, 1]
-        low, high = ax.bbox.y0, ax.bbox.y1
+    ax = Figure().add_subplot()
+    (line,) = ax.plot(np.arange(4.0), errors, "o")
+    log_with_zero(ax, errors)
+    height = ax.transData.transform(line.get_xydata())[:, 1]
+    low, high = ax.bbox.y0, ax.bbox.y1
     assert np.isfinite(height).all()
     assert (height > low).all()
     assert (height < high).all()
@@ -433,10 +380,11 @@ def test_the_interval_of_a_share_is_wilsons() -> None:
 
 
 def test_a_figure_in_a_page_takes_the_pages_colours() -> None:
-    with panel() as (figure, ax):
+    def draw(ax: Axes) -> None:
         ax.plot([0, 1], color=COLOURS[1])
         ax.set_title("title")
-        text = inline(figure, 'of "this" & that')
+
+    text = drawn('of "this" & that', draw, 3.0).svg
     assert "var(--series-1)" in text
     assert "var(--ink)" in text
     assert not re.search("|".join([*COLOURS, INK]), text)

@@ -18,36 +18,11 @@ from softslide.pipeline.recordings.folder import Folder, Recording, write_folder
 from softslide.pipeline.recordings.manifest import LABELS
 
 # LeRobot's own reader, without what moves robots and reads videos: these and what this project has installed.
-READER = (
-    "lerobot==0.4.4",
-    "datasets<5",
-    "huggingface-hub<0.36",
-    "fsspec",
-    "dill",
-    "multiprocess",
-    "xxhash",
-    "jsonlines",
-)
-READER += (
-    "av",
-    "torchvision==0.27.0",
-    "draccus==0.10.0",
-    "einops",
-    "deepdiff",
-    "orderly-set",
-    "termcolor",
-    "httpx",
-)
-READER += (
-    "pyyaml-include",
-    "mergedeep",
-    "typing-inspect",
-    "mypy-extensions",
-    "toml",
-    "hf-xet",
-    "accelerate",
-    "safetensors",
-)
+READER = """
+lerobot==0.4.4 datasets<5 huggingface-hub<0.36 fsspec dill multiprocess xxhash jsonlines av torchvision==0.27.0
+draccus==0.10.0 einops deepdiff orderly-set termcolor httpx pyyaml-include mergedeep typing-inspect mypy-extensions toml
+hf-xet accelerate safetensors
+"""
 READ = """
 import json, sys, torch
 # The wheel of torchvision is for graphics cards; without this its import ends in an error.
@@ -152,7 +127,7 @@ def test_lerobot_reads_it(bundle: Path, lab: Folder, tmp_path: Path) -> None:
     packages = next((tmp_path / "env/lib").iterdir()) / "site-packages"
     (packages / "below.pth").write_text(f"{sysconfig.get_path('purelib')}\n")
     python = tmp_path / "env/bin/python"
-    install = [python, "-m", "pip", "install", "--quiet", "--no-deps", *READER]
+    install = [python, "-m", "pip", "install", "--quiet", "--no-deps", *READER.split()]
     subprocess.run(install, check=True, timeout=1800)
     softslide.export_recordings(lab.root, tmp_path / "out", model=bundle)
     softslide.export(bundle, "hub", tmp_path / "hub")

@@ -11,6 +11,7 @@ from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -42,15 +43,30 @@ def lab(tmp_path: Path) -> Path:
 
 
 def command(lab: Path, source: str, *more: str) -> list[str]:
-    options = [
-        "--plan",
-        str(lab / "plan.csv"),
-        "--sensor",
-        str(lab / "sensor.toml"),
-        "--out",
-        str(lab / "out"),
-    ]
+    files = {"--plan": "plan.csv", "--sensor": "sensor.toml", "--out": "out"}
+    options = [word for name, file in files.items() for word in (name, str(lab / file))]
     return [sys.executable, "-m", "softslide", "record", "--source", source, *options, *TIMES, *more]
+
+
+def ran(lab: Path, port: int, *more: str, **options: Any) -> subprocess.CompletedProcess[str]:
+    """The command to its end, of what a port hears."""
+    words = command(lab, f"udp://:{port}", *more)
+    return subprocess.run(words, capture_output=True, text=True, timeout=240, **options)
+
+
+def started(lab: Path, source: str, *more: str) -> subprocess.Popen[str]:
+    pipe = subprocess.PIPE
+    return subprocess.Popen(command(lab, source, *more), stderr=pipe, stdout=pipe, text=True)
+
+
+def until(running: subprocess.Popen[str], text: str) -> list[str]:
+    """Reads what it says up to a line with this text."""
+    assert running.stderr is not None
+    said: list[str] = []
+    while not said or text not in said[-1]:
+        said.append(running.stderr.readline())
+        assert said[-1], said
+    return said
 
 
 def test_a_second_process_sends_and_the_folder_passes_the_check(
@@ -58,9 +74,7 @@ def test_a_second_process_sends_and_the_folder_passes_the_check(
 ) -> None:
     port = free_port()
     with sending(port):
-        done = subprocess.run(
-            command(lab, f"udp://:{port}", "--yes"), capture_output=True, text=True, timeout=240, check=True
-        )
+        done = ran(lab, port, "--yes", check=True)
     assert done.stdout == f"{lab / 'out'}: 3 recordings\n"
     folder = read_folder(lab / "out")
     assert list(folder.manifest.index) == ["one", "two", "three"]
@@ -80,20 +94,11 @@ def test_answers_skip_repeat_and_stop_and_a_second_run_goes_on(lab: Path) -> Non
     port = free_port()
     with sending(port):
         answers = "\na\n\n\ns\nq\n"  # one: record, again, record, keep; two: skip; three: stop
-        first = subprocess.run(
-            command(lab, f"udp://:{port}"),
-            input=answers,
-            capture_output=True,
-            text=True,
-            timeout=240,
-            check=True,
-        )
+        first = ran(lab, port, input=answers, check=True)
         assert first.stdout == f"{lab / 'out'}: 1 recordings, 2 of the plan are left\n"
         assert first.stderr.count("Keep it?") == 2
         kept = (lab / "out" / "slides" / "one.parquet").read_bytes()
-        second = subprocess.run(
-            command(lab, f"udp://:{port}", "--yes"), capture_output=True, text=True, timeout=240, check=True
-        )
+        second = ran(lab, port, "--yes", check=True)
     assert "1 of 3 slides are recorded" in second.stderr
     assert list(read_folder(lab / "out").manifest.index) == ["one", "two", "three"]
     assert (lab / "out" / "slides" / "one.parquet").read_bytes() == kept
@@ -101,23 +106,12 @@ def test_answers_skip_repeat_and_stop_and_a_second_run_goes_on(lab: Path) -> Non
 
 def test_a_source_that_falls_silent_in_a_slide_is_waited_for(lab: Path) -> None:
     port = free_port()
-    with subprocess.Popen(
-        command(lab, f"udp://:{port}", "--yes"), stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-    ) as running:
-        assert running.stderr is not None
-        said = []
-
-        def until(text: str) -> None:
-            while not said or text not in said[-1]:
-                line = running.stderr.readline()
-                assert line, said
-                said.append(line)
-
+    with started(lab, f"udp://:{port}", "--yes") as running:
         with sending(port):
-            until("[2/3]")
-            until("rest: hands off")
-        until("two is not kept: nothing has come for 0.5 s")
-        until("waiting for")
+            until(running, "[2/3]")
+            until(running, "rest: hands off")
+        until(running, "two is not kept: nothing has come for 0.5 s")
+        until(running, "waiting for")
         assert list(read_folder(lab / "out").manifest.index) == ["one"]
         with sending(port, seed=1):
             out, _ = running.communicate(timeout=240)
@@ -128,13 +122,9 @@ def test_a_source_that_falls_silent_in_a_slide_is_waited_for(lab: Path) -> None:
 
 def test_a_source_that_stays_away_is_an_error_and_what_is_recorded_stays(lab: Path) -> None:
     port = free_port()
-    with subprocess.Popen(
-        command(lab, f"udp://:{port}", "--yes", "--wait", "1"), stderr=subprocess.PIPE, text=True
-    ) as running:
-        assert running.stderr is not None
+    with started(lab, f"udp://:{port}", "--yes", "--wait", "1") as running:
         with sending(port):
-            while "[2/3]" not in running.stderr.readline():
-                pass
+            until(running, "[2/3]")
         _, error = running.communicate(timeout=240)
     assert running.returncode == 2
     assert "run the same command to go on" in error.splitlines()[-1]
@@ -177,26 +167,13 @@ def test_a_serial_cable_pulled_in_mid_slide_costs_that_slide_alone(lab: Path) ->
     pytest.importorskip("serial")
     link = lab / "port"
     cable = Cable(link, seed=0)
-    with subprocess.Popen(
-        command(lab, f"serial://{link}?115200", "--yes"),
-        stderr=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        text=True,
-    ) as running:
-        assert running.stderr is not None
-        said: list[str] = []
+    with started(lab, f"serial://{link}?115200", "--yes") as running:
         try:
-            while not said or "[2/3]" not in said[-1]:
-                said.append(running.stderr.readline())
-                assert said[-1], said
-            while "rest: hands off" not in said[-1]:
-                said.append(running.stderr.readline())
-                assert said[-1], said
+            until(running, "[2/3]")
+            until(running, "rest: hands off")
         finally:
             cable.pull()
-        while "waiting for" not in said[-1]:
-            said.append(running.stderr.readline())
-            assert said[-1], said
+        said = until(running, "waiting for")
         time.sleep(0.7)
         cable = Cable(link, seed=1)
         try:
@@ -234,9 +211,7 @@ def test_lost_samples_are_found_by_the_rate(lab: Path) -> None:
     # At half the rate without times every second sample is missing.
     slow = UDP.replace("lines(seed", "lines(rate_hz=500, seed").replace('f"{n / rate_hz:.4f}," + ', "")
     with subprocess.Popen([sys.executable, "-c", slow, str(port), "0", "3"]) as sender:
-        done = subprocess.run(
-            command(lab, f"udp://:{port}", "--yes"), capture_output=True, text=True, timeout=240
-        )
+        done = ran(lab, port, "--yes")
         sender.kill()
     assert done.returncode == 1
     assert "failed 3 times" in done.stderr.splitlines()[-1]
@@ -336,13 +311,7 @@ def test_a_robot_that_moves_is_a_row_of_the_plan(tmp_path: Path) -> None:
     (tmp_path / "plan.csv").write_text(f"{PLAN}one,calibration,0,40,-5,-29,-5,8,0.5\nmoves,base,,40,,,,8,\n")
     port = free_port()
     with sending(port, columns=6):
-        done = subprocess.run(
-            command(tmp_path, f"udp://:{port}", "--yes"),
-            capture_output=True,
-            text=True,
-            timeout=240,
-            check=True,
-        )
+        done = ran(tmp_path, port, "--yes", check=True)
     assert "moves: lean the robot over in all directions for 1.2 s, nothing touches" in done.stderr
     folder = read_folder(tmp_path / "out")
     assert list(folder.manifest["split"]) == ["calibration", "base"]

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from trial_folder import LABELS, SENSOR
 
 from softslide.experiments.evaluation.bounds import Bound, check, read_bounds
 from softslide.experiments.evaluation.efficiency import over_bound
@@ -21,26 +22,14 @@ from softslide.experiments.evaluation.scoring import (
     summary,
 )
 from softslide.features.errors import InputError
-from softslide.pipeline.recordings.manifest import LABELS
-from softslide.pipeline.sensor import Accelerometer, Sensor
 
-SENSOR = Sensor(
-    "trial", 1000.0, (50.0, 50.0), 4.0, 6.0, 0.035, (5.0, 0.0), 5e-4, (Accelerometer("a0", 5.0, 0.0),)
-)
 # X forward along y = 10: starts 4 mm outside the chamber.
-SLIDE = {
+SLIDE = LABELS | {
     "file": "slides/s.parquet",
     "split": "test",
-    "direction_deg": 0.0,
     "speed_mm_s": 2.0,
     "offset_mm": 10.0,
-    "start_x_mm": -29.0,
     "start_y_mm": 10.0,
-    "travel_mm": 58.0,
-    "depth_mm": 0.5,
-    "pressure_mpa": 0.035,
-    "motion_start_s": 1.0,
-    "motion_end_s": 30.0,
 }
 # Where a ball of 6 mm, 0.5 mm deep, leaves the rim.
 LEFT_MM = 25.0 + math.sqrt(3.0**2 - 2.5**2)

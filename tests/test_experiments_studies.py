@@ -299,9 +299,9 @@ def test_a_sweep_never_reads_test_slides_and_its_best_trains(
     out, storage = tmp_path / "best.toml", f"sqlite:///{tmp_path / 'sweep.db'}"
     words = ["--recordings", lab, "--model", "trees", "--trials", 1, "--storage", storage, "--out", out]
     trials: dict[str, dict[str, float]] = {}
-    for call in ("a.json", "b.json"):
-        assert sweep.main([str(word) for word in (*words, "--json", tmp_path / call)]) == 0
-        trials |= json.loads((tmp_path / call).read_text())
+    for file in ("a.json", "b.json"):
+        assert sweep.main([str(word) for word in (*words, "--json", tmp_path / file)]) == 0
+        trials |= json.loads((tmp_path / file).read_text())
     assert list(trials) == [f"trial {n}" for n in range(2)]
     best = min(trials.values(), key=lambda trial: trial["overall"])
     errors = [best[name] for name in ("direction_deg", "speed_percent", "offset_mm")]

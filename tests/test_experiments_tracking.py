@@ -107,21 +107,20 @@ def test_a_store_that_is_down_costs_one_line(tmp_path: Path, capsys: pytest.Capt
     assert run.place == "no run"
 
 
-def test_runs_are_logged_where_files_have_no_locks(tmp_path: Path) -> None:
+def test_runs_are_logged_where_files_have_no_locks_and_nothing_is_sent(tmp_path: Path) -> None:
     """As on Windows, which has no fcntl."""
     program = (
-        "import sys; sys.modules['fcntl'] = None; import experiments.train; from experiments.tracking import tracked\n"
-        "with tracked('train', 'x', {}, store='sqlite:///mlflow.db') as run: run.metrics({'a': 1.0})"
+        "import os, sys; sys.modules['fcntl'] = None\n"
+        "import experiments.train; from experiments.tracking import tracked\n"
+        "with tracked('train', 'x', {}, store='sqlite:///mlflow.db') as run: run.metrics({'a': 1.0})\n"
+        "assert os.environ['MLFLOW_DISABLE_TELEMETRY'] == 'true'"
     )
     environment = {**os.environ, "PYTHONPATH": str(HERE)}
+    del environment["MLFLOW_DISABLE_TELEMETRY"]
     subprocess.run([sys.executable, "-c", program], cwd=tmp_path, env=environment, check=True, timeout=300)
     run = find_run(client_of(f"sqlite:///{tmp_path / 'mlflow.db'}"), {"command": "train"}, "FINISHED")
     assert run is not None
     assert run.data.metrics == {"a": 1.0}
-
-
-def test_nothing_is_sent() -> None:
-    assert os.environ["MLFLOW_DISABLE_TELEMETRY"] == "true"
 
 
 def test_hashes_differ_with_data_and_not_with_places(folder: Folder, tmp_path: Path) -> None:

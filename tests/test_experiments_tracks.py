@@ -10,9 +10,9 @@ import pandas as pd
 import pytest
 import touched_bundle
 import touched_skin
+from front_door import call
 from small_bundle import write_small_bundle
 
-import softslide
 from softslide.experiments.evaluation.tracks import estimate_table, judge, summarize
 from softslide.pipeline.atlas.atlas import read_atlas
 from softslide.pipeline.recordings.folder import Folder, Recording, write_folder
@@ -218,9 +218,8 @@ def test_evaluate_scores_whole_contacts_next_to_the_live_ones(
     rows = pd.DataFrame([{"recording": "round", "split": "track-circle"}])
     folder = write_folder(tmp_path / "d", touched_skin.SENSOR, rows, [Recording("round", time, volts, truth)])
     bundle, out = touched_bundle.write_touched_bundle(tmp_path / "m"), tmp_path / "out"
-    command = ["evaluate", "--model", str(bundle), "--recordings", str(folder.root), "--jobs", "1"]
-    options = ["--split", "track-circle", "--out", str(out), "--allow-untested"]
-    assert softslide.main([*command, *options]) == 0
+    command = ["evaluate", "--model", bundle, "--recordings", folder.root, "--jobs", 1]
+    assert call(*command, "--split", "track-circle", "--out", out, "--allow-untested") == 0
     metrics = json.loads((out / "metrics.json").read_text())
     live, whole = metrics["tracks"]["track-circle"], metrics["whole_contacts"]["track-circle"]
     assert whole["valid_share"] > max(live["valid_share"], 0.9)
@@ -232,9 +231,8 @@ def test_evaluate_scores_whole_contacts_next_to_the_live_ones(
 
 def test_evaluate_scores_tracks(paths: Folder, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     bundle = write_small_bundle(tmp_path / "bundle", replace(paths.sensor, name="trial"))
-    common = ["evaluate", "--model", str(bundle), "--recordings", str(paths.root), "--jobs", "1"]
-    splits = ["track-line", "track-curve", "test"]
-    softslide.main([*common, "--split", *splits, "--out", str(tmp_path / "tracks")])
+    common = ["evaluate", "--model", bundle, "--recordings", paths.root, "--jobs", 1]
+    call(*common, "--split", "track-line", "track-curve", "test", "--out", tmp_path / "tracks")
     metrics = json.loads((tmp_path / "tracks/metrics.json").read_text())
     assert list(metrics["tracks"]) == ["track-line", "track-curve"]
     line = metrics["tracks"]["track-line"]
@@ -253,7 +251,7 @@ def test_evaluate_scores_tracks(paths: Folder, tmp_path: Path, capsys: pytest.Ca
     assert "whole_contacts" not in metrics
     assert "1 of 3 recordings have no truth" in said.err
 
-    softslide.main([*common, "--split", "test", "--out", str(tmp_path / "lines")])
+    call(*common, "--split", "test", "--out", tmp_path / "lines")
     assert "tracks" not in json.loads((tmp_path / "lines/metrics.json").read_text())
     assert "Contacts followed" not in (tmp_path / "lines/report.html").read_text()
     assert "no truth" not in capsys.readouterr().err
@@ -266,19 +264,8 @@ def test_a_broken_truth_is_refused(paths: Folder, tmp_path: Path, capsys: pytest
     try:
         file.write_text(good.replace("contact", "touching", 1))
         out = tmp_path / "out"
-        arguments = [
-            "--model",
-            bundle,
-            "--recordings",
-            paths.root,
-            "--split",
-            "track-curve",
-            "--out",
-            out,
-            "--jobs",
-            1,
-        ]
-        assert softslide.main(["evaluate", *map(str, arguments)]) == 2
+        words = ["--model", bundle, "--recordings", paths.root, "--split", "track-curve", "--out", out]
+        assert call("evaluate", *words, "--jobs", 1) == 2
         assert "p00001.truth.csv: column 'contact' is missing" in capsys.readouterr().err
         assert not out.exists()
     finally:

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from tracked_map import BLOCK_S, TWO_BOARDS, line, noisy_map, touched, tracker, volts_along
+from tracked_map import BLOCK_S, TWO_BOARDS, bank_of, line, noisy_map, touched, tracker, volts_along
 
-from softslide.features.contact.hypotheses import GAIN, Hypotheses, started, update
+from softslide.features.contact.hypotheses import update
 from softslide.features.contact.manoeuvres import Manoeuvres, branched
 from softslide.features.contact.track import Track
 from softslide.features.contact.tracker import ContactTracker, StraightFit
@@ -60,25 +60,19 @@ def test_what_a_dead_channel_shows_makes_no_difference(shown_v: float) -> None:
         assert track.evidence == other.evidence
 
 
-def a_bank(count: int = 3, way_mm: float = 3.0) -> Hypotheses:
-    state = np.zeros((count, 13))
-    state[:, 0], state[:, 3], state[:, GAIN], state[:, 9] = np.linspace(-4.0, 4.0, count), 3.0, 1.0, 1.0
-    bank = started(state, np.full(state.shape, 0.1), np.zeros(count), partial=False)
-    bank.way_mm[:] = way_mm
-    return bank
-
-
 def test_children_begin_with_no_way() -> None:
     """A way counts for the manoeuvres of one branching, once."""
-    bank = branched(a_bank(), 3, 5.0, 0.02, Manoeuvres())
+    whole = bank_of(ONE, count=3)
+    whole.way_mm[:] = 3.0
+    bank = branched(whole, 3, 5.0, 0.02, Manoeuvres())
     assert len(bank) > 3
     assert not bank.way_mm.any()
 
 
 def test_an_indefinite_covariance_never_wins() -> None:
     """It would predict with a determinant of next to nothing."""
-    bank = a_bank()
-    bank.covariance[1] = -1e3 * np.eye(13)
+    bank = bank_of(ONE, count=3)
+    bank.covariance[1] = -1e3 * np.eye(bank.state.shape[1])
     with np.errstate(invalid="raise"):
         update(bank, np.array([0.01, 0.01]), np.full(2, 1e-6), tracker(ONE)._surface, BLOCK_S)
     assert not bank.sound[1]

@@ -23,10 +23,10 @@ def turned(angle_rad: np.ndarray, towards_rad: float, static_g: np.ndarray) -> n
     return static_g * cos + np.cross(axis, static_g) * sin + axis * (axis @ static_g) * (1 - cos)
 
 
-def watched(gravity_g: np.ndarray, static_g: np.ndarray, conditioning: Conditioning = USUAL) -> GravityWatch:
+def watched(gravity_g: np.ndarray, static_g: np.ndarray) -> GravityWatch:
     """What is known after blocks of gravity (n, 3 A) g, of accelerometers alike."""
     accelerometers = ONE * (gravity_g.shape[1] // 3)
-    watch = GravityWatch(accelerometers, conditioning)
+    watch = GravityWatch(accelerometers, USUAL)
     usable = np.ones(len(accelerometers), dtype=bool)
     for g in gravity_g:
         watch.push(1.65 + 0.8 * static_g, 0.8 * (g - static_g), usable)

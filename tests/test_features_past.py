@@ -5,8 +5,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import pytest
+from streams import write_csv
 from tracked_map import TWO_BOARDS, noisy_map, touched, tracker, volts_along
 
 import softslide
@@ -78,11 +78,12 @@ def test_a_corner_is_seen_where_it_was_from_what_comes_after_it() -> None:
 
 
 @pytest.fixture(scope="module")
-def recordings() -> list[np.ndarray]:
+def volts() -> np.ndarray:
+    """Of a slide that stops, (n, 3) V."""
     atlas, slides = read_atlas(), Distribution(stopping=1.0, turning=0.0, speed_mm_s=(4.0, 13.0))
     specimen = draw_specimen(sensor_of(atlas), slides, 301)
-    drawn = [replace(plan(n, 301, atlas, sensor_of(atlas), slides), rest_after_s=1.0) for n in (200, 201)]
-    return [record(slide, specimen, atlas, noise_of(n, 301)).volts for n, slide in enumerate(drawn)]
+    slide = replace(plan(200, 301, atlas, sensor_of(atlas), slides), rest_after_s=1.0)
+    return record(slide, specimen, atlas, noise_of(200, 301)).volts
 
 
 def estimates(lag_s: float, volts: np.ndarray, size: int) -> list[Estimate]:
@@ -91,31 +92,25 @@ def estimates(lag_s: float, volts: np.ndarray, size: int) -> list[Estimate]:
     return pushed + localizer.rest()
 
 
-def test_with_a_lag_every_moment_has_its_estimate_and_slides_are_known_earlier(
-    recordings: list[np.ndarray],
-) -> None:
-    for volts in recordings:
-        live, lagging = estimates(0.0, volts, 1000), estimates(LAG_S, volts, 1000)
-        assert [e.time_s for e in lagging] == [e.time_s for e in live]
-        assert str(estimates(LAG_S, volts, 777)) == str(lagging)
-        first = [next(e.time_s for e in each if e.valid) for each in (live, lagging)]
-        assert first[1] < first[0]
-        assert sum(e.valid for e in lagging) > sum(e.valid for e in live)
-        # The newest ones have nothing after them.
-        assert str(lagging[-1]) == str(live[-1])
+def test_with_a_lag_every_moment_has_its_estimate_and_slides_are_known_earlier(volts: np.ndarray) -> None:
+    live, lagging = estimates(0.0, volts, 1000), estimates(LAG_S, volts, 1000)
+    assert [e.time_s for e in lagging] == [e.time_s for e in live]
+    assert str(estimates(LAG_S, volts, 777)) == str(lagging)
+    first = [next(e.time_s for e in each if e.valid) for each in (live, lagging)]
+    assert first[1] < first[0]
+    assert sum(e.valid for e in lagging) > sum(e.valid for e in live)
+    # The newest ones have nothing after them.
+    assert str(lagging[-1]) == str(live[-1])
 
 
 def test_serve_writes_as_many_lines_with_a_lag(
-    recordings: list[np.ndarray], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    volts: np.ndarray, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    volts = recordings[0]
-    table = pd.DataFrame(volts, columns=[f"a0_v{axis}" for axis in "xyz"])
-    table.insert(0, "time_s", np.arange(len(volts)) / 1000)
-    table.to_csv(tmp_path / "slide.csv", index=False)
-    given = ["serve", "--model", str(BUNDLE), "--source", str(tmp_path / "slide.csv"), "--fast"]
+    path = write_csv(tmp_path / "slide.csv", volts)
     times = []
     for lag in ((), ("--lag", "0.5")):
-        assert softslide.main([*given, *lag]) == 0
+        words = ("serve", "--model", str(BUNDLE), "--source", str(path), "--fast", *lag)
+        assert softslide.main(list(words)) == 0
         times.append([json.loads(line)["time_s"] for line in capsys.readouterr().out.splitlines()])
     assert times[0] == times[1]
 

@@ -32,20 +32,6 @@ def tracks(tracked, volts: np.ndarray, found: int) -> list[Track | None]:
     return [tracked.push(block, bool(touch), use) for block, touch, use in blocks]
 
 
-@pytest.mark.parametrize("failed", [130, 163, 240])
-def test_a_fault_found_late_costs_nothing_but_the_time_until_then(failed: int) -> None:
-    volts = slide_that_loses_a_board(failed)
-    found = failed + FROZEN_BLOCKS
-    replayed = tracks(replaying(), volts, found)[found]
-    ideal = tracks(tracker(TWO_BOARDS), volts, failed)[found]
-    assert replayed is not None
-    assert ideal is not None
-    # The copy is of up to 2 FROZEN_BLOCKS before, and the second board is left out since then.
-    assert replayed.mean[:2] == pytest.approx(ideal.mean[:2], abs=0.5)
-    assert replayed.mean[2:] == pytest.approx([SPEED_MM_S, 0.0], abs=1.5)
-    assert replayed.misfit < 2.0
-
-
 def test_without_replay_the_track_is_lost() -> None:
     """The same fault for a tracker that goes on from where the fault led it: what the replay is for."""
     failed = 163
@@ -55,9 +41,9 @@ def test_without_replay_the_track_is_lost() -> None:
     assert np.abs(lost.mean[2:] - [SPEED_MM_S, 0.0]).max() > 3.0
 
 
-def test_after_a_fault_it_is_a_tracker_that_never_read_the_board_since_the_copy() -> None:
+@pytest.mark.parametrize("failed", [4 * FROZEN_BLOCKS + 7, 163, 240])
+def test_after_a_fault_it_is_a_tracker_that_never_read_the_board_since_the_copy(failed: int) -> None:
     """Copies are made after each FROZEN_BLOCKS; the last but one before the fault was found is gone back to."""
-    failed = 4 * FROZEN_BLOCKS + 7
     found = failed + FROZEN_BLOCKS
     volts = slide_that_loses_a_board(failed)
     copied = (found - 1) // FROZEN_BLOCKS * FROZEN_BLOCKS - FROZEN_BLOCKS

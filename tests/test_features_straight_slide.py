@@ -1,4 +1,4 @@
-"""A straight slide next to a track: whether they agree, and intervals that hold both."""
+"""Whether a track may be believed; a straight slide next to it: whether they agree, and intervals that hold both."""
 
 import math
 
@@ -6,14 +6,15 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from tracked_map import CLEAR
 
 from softslide.features.angles import wrapped_deg
 from softslide.features.card import HALF_WIDTH_SD
-from softslide.features.contact.track import ContactEvidence, Track
-from softslide.features.estimate import Estimate, Reason, mixed_width
+from softslide.features.contact.track import ContactEvidence
+from softslide.features.estimate import Contact, Estimate, Reason, mixed_width
 from softslide.features.straight_slide import apart, likely, with_track
 from softslide.features.stream.tracker import SlideState
-from softslide.features.track_estimate import TOUCH_LIMITS, TrackLimits
+from softslide.features.track_estimate import TOUCH_LIMITS, TrackLimits, judged
 
 QUANTITIES = (("speed", "mm_s"), ("offset", "mm"), ("x", "mm"), ("y", "mm"), ("vx", "mm_s"), ("vy", "mm_s"))
 
@@ -98,7 +99,7 @@ def test_a_straight_slide_is_compared_where_it_was_when_the_track_was_clear(
     then = np.array([straight.x_mm, straight.y_mm]) - since_s * velocity
     across = np.array([-velocity[1], velocity[0]]) / 3.0
     mean = np.concatenate([then + off_mm * across, velocity])
-    track = Track(mean, np.diag([0.09, 0.09, 0.01, 0.01]), 1.0, 1.0, 0.0, 1.0, 0.0, 0.02, 20, 20.0)
+    track = CLEAR._replace(mean=mean, covariance=np.diag([0.09, 0.09, 0.01, 0.01]))
     limits = TrackLimits()
     farthest_mm = np.sqrt(limits.agreement * (0.09 + limits.place_mm**2))
     if abs(off_mm - farthest_mm) > 1e-6:
@@ -118,8 +119,7 @@ def test_a_straight_slide_is_compared_where_it_was_when_the_track_was_clear(
 def test_a_straight_slide_next_to_a_track_that_is_not_valid_needs_odds(
     log_odds: float, distance: float, way_mm: float, triggers: float, expected: bool
 ) -> None:
-    evidence = ContactEvidence(log_odds, triggers=triggers)
-    track = Track(np.zeros(4), np.eye(4), 1.0, 1.0, 0.0, 1.0, 0.0, 0.02, 20, way_mm, evidence=evidence)
+    track = CLEAR._replace(way_mm=way_mm, evidence=ContactEvidence(log_odds, triggers=triggers))
     assert likely(track, distance, TrackLimits()) is expected
 
 
@@ -127,6 +127,55 @@ def test_a_straight_slide_next_to_a_track_that_is_not_valid_needs_odds(
 def test_without_a_rim_a_straight_slide_is_not_believed_next_to_a_bent_track(
     manoeuvres: float, without_rim: bool
 ) -> None:
-    track = Track(np.zeros(4), np.eye(4), 1.0, 1.0, 0.0, 1.0, 0.0, 0.02, 20, 15.0, manoeuvres)
+    track = CLEAR._replace(way_mm=15.0, manoeuvres=manoeuvres)
     assert likely(track, 2.0, TOUCH_LIMITS) is without_rim
     assert likely(track, 2.0, TrackLimits())
+
+
+@given(st.integers(-180, 179), st.integers(-5, 5))
+def test_whole_turns_do_not_change_a_wrapped_angle(angle: int, turns: int) -> None:
+    assert wrapped_deg(float(angle + 360 * turns)) == angle
+    assert wrapped_deg(np.array([angle + 360.0 * turns])) == [angle]
+
+
+def estimated(limits: TrackLimits = TrackLimits(), **changes: object) -> Estimate:  # noqa: B008
+    """Of a clear track with changes."""
+    return judged(CLEAR._replace(**changes), 1.0, SlideState.SLIDE, (0.0, 0.0), 0.5, limits)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("channels", "way_mm", "valid"), [(4, 10.0, True), (2, 10.0, False), (4, 2.0, False)]
+)
+def test_a_lift_is_valid_where_two_accelerometers_have_followed_the_contact(
+    channels: int, way_mm: float, valid: bool
+) -> None:
+    """Place and gain are three numbers, an accelerometer shows two."""
+    lifted = estimated(partial=0.6, way_mm=way_mm, evidence=ContactEvidence(10.0, channels))
+    assert lifted.valid is valid
+    assert lifted.contact is (Contact.SLIDE if valid else Contact.PRESS)
+
+
+SHALLOW = [(-0.3, 9.0, Reason.NONE), (-1.5, 9.0, Reason.STRENGTH)]
+
+
+@pytest.mark.parametrize(
+    ("depth_mm", "triggers", "reason"), [*SHALLOW, (0.0, 4.1, Reason.NONE), (0.0, 3.9, Reason.TOO_EARLY)]
+)
+def test_what_shows_less_than_any_contact_or_hardly_more_than_the_trigger_is_not_valid(
+    depth_mm: float, triggers: float, reason: Reason
+) -> None:
+    """The calibration's contacts are 0.5 mm deep: one that is 1.5 mm less deep does not touch."""
+    found = estimated(depth_mm=depth_mm, evidence=ContactEvidence(10.0, triggers=triggers))
+    assert (found.valid, found.reason) == (reason is Reason.NONE, reason)
+
+
+@pytest.mark.parametrize(
+    ("way_mm", "manoeuvres", "valid"), [(15.0, 0.1, True), (15.0, 0.5, False), (10.0, 0.1, False)]
+)
+def test_without_a_rim_a_bent_or_short_track_is_not_believed(
+    way_mm: float, manoeuvres: float, valid: bool
+) -> None:
+    track = {"way_mm": way_mm, "manoeuvres": manoeuvres, "covariance": np.diag([0.09, 0.09, 1.0, 1.0])}
+    track["mean"] = np.array([1.0, 2.0, 20.0, 5.0])
+    assert estimated(TOUCH_LIMITS, **track).valid is valid
+    assert estimated(**track).valid

@@ -4,10 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from dome_map import dome_map
+from dome_map import dome_map, surface_of
 
 from softslide.features.contact.hypotheses import LocalErrors, update
-from softslide.features.contact.response_surface import ResponseSurface
 from softslide.features.contact.touch_down import at_touch_down
 from softslide.features.contact.tracker import ContactTracker
 from softslide.features.contact.tracking_config import TOUCH_DOWN
@@ -16,8 +15,7 @@ from softslide.features.track_estimate import TOUCH_LIMITS
 BLOCK_S = 0.02
 RADIUS_MM, SPEED_MM_S = 6.0, 25.0
 RESPONSE = dome_map(2, floor_v=4e-3)
-STACK = np.concatenate([RESPONSE.coefficients, RESPONSE.depth_slope[None]])
-SURFACE = ResponseSurface(STACK, RESPONSE.half_mm, RESPONSE.spacing_mm)
+SURFACE = surface_of(RESPONSE)
 USABLE = np.ones(6, dtype=bool)
 LOCAL = LocalErrors(0.42, 0.07)
 
@@ -28,12 +26,17 @@ def tracker(remembered: int = 0) -> ContactTracker:
     return ContactTracker(SURFACE, (15.0, 15.0), BLOCK_S, noise_v, RESPONSE.floor_v, 0.1, 5e-3, 3e-3, config)
 
 
+def on_the_circle(time_s: np.ndarray, speed_mm_s: float = SPEED_MM_S) -> np.ndarray:
+    """(n, 4): x, y, vx, vy at (n,) s since the touch."""
+    angle = speed_mm_s / RADIUS_MM * time_s
+    radial, along = np.stack([np.cos(angle), np.sin(angle)]), np.stack([-np.sin(angle), np.cos(angle)])
+    return np.concatenate([RADIUS_MM * radial, speed_mm_s * along]).T
+
+
 def circle(count: int, gain: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
-    """Blocks (n, C) V of a circle, and the truth at their ends (n, 4): x, y, vx, vy."""
-    angle = SPEED_MM_S / RADIUS_MM * BLOCK_S * np.arange(2 * count + 1) / 2
-    place = RADIUS_MM * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    velocity = SPEED_MM_S * np.stack([-np.sin(angle), np.cos(angle)], axis=1)
-    return blocks_along(place[1::2], gain), np.hstack([place, velocity])[2::2]
+    """Blocks (n, C) V of a circle, and the truth at their ends (n, 4)."""
+    begin_s = BLOCK_S * np.arange(count)
+    return blocks_along(on_the_circle(begin_s + BLOCK_S / 2)[:, :2], gain), on_the_circle(begin_s + BLOCK_S)
 
 
 def bent_line(count: int) -> np.ndarray:
@@ -106,19 +109,14 @@ def test_evidence_is_for_a_contact_and_against_a_smooth_signal() -> None:
 @pytest.mark.parametrize("speed_mm_s", [10.0, 25.0])
 def test_on_a_smooth_skin_a_contact_has_its_evidence(speed_mm_s: float) -> None:
     """Where the map leaves far less than its calibration did, a smooth signal predicts nearly as well."""
-    angle = speed_mm_s / RADIUS_MM * BLOCK_S * (np.arange(120) + 0.5)
-    place = RADIUS_MM * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    volts = SURFACE.at(*place.T)[:, 0, 0]
+    place = on_the_circle(BLOCK_S * (np.arange(120) + 0.5), speed_mm_s)
+    volts = SURFACE.at(*place[:, :2].T)[:, 0, 0]
+    volts = volts + 1e-3 * np.random.default_rng(4).standard_normal(volts.shape)
     one = tracker()
-    tracks = [one.push(v + n, True, USABLE) for v, n in zip(volts, noise_of(volts.shape), strict=True)]
+    tracks = [one.push(block, True, USABLE) for block in volts]
     log_odds = [track.evidence.log_odds for track in tracks if track is not None]
     assert min(log_odds) > TOUCH_LIMITS.evidence
     assert log_odds[-1] > -30.0
-
-
-def noise_of(shape: tuple[int, ...]) -> np.ndarray:
-    """Noise of a block, 1 mV."""
-    return 1e-3 * np.random.default_rng(4).standard_normal(shape)
 
 
 def test_bends_are_counted_and_a_circle_needs_none() -> None:

@@ -20,7 +20,6 @@ from softslide.sklearn import AxisInterpolation, SlideRegressor, WindowFeatures,
 ESTIMATORS = [
     WindowFeatures(narrow="pad"),
     AxisInterpolation("speed", narrow="pad"),
-    AxisInterpolation("speed", form="quadratic", narrow="pad"),
     AxisInterpolation("distance", narrow="pad"),
     *(SlideRegressor(quantity, Ridge(1.0), narrow="pad") for quantity in ("direction", "speed", "offset")),
 ]

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import mlflow
 import pytest
-from forked import Commands, commands
+from forked import LOADED, Commands, commands
 from long_commands import SYNTHESIZE, TRAIN, an_evaluation, an_import, contents
 
 pytestmark = pytest.mark.long
@@ -15,7 +15,7 @@ AT_WORK = "another call is at work on it; wait for it, or name another folder"
 
 @pytest.fixture(scope="module")
 def two() -> Iterator[tuple[Commands, Commands]]:
-    with commands() as one, commands() as other:
+    with commands(loaded=tuple(LOADED)) as one, commands(loaded=tuple(LOADED)) as other:
         yield one, other
 
 

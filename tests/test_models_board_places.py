@@ -23,16 +23,13 @@ from softslide.models.response_map.calibrate import MAP_VARIANCE
 from softslide.models.response_map.from_atlas import DESIGN_DRIFT_V, DESIGN_NOISE_V, SAMPLE_MM
 from softslide.pipeline.atlas.atlas import read_atlas
 from softslide.pipeline.atlas.bare_skin import TiltField, board_places, solve_tilts
-from softslide.pipeline.recordings.folder import SAMPLE, read_folder
-from softslide.pipeline.sensor import Sensor, read_sensor
+from softslide.pipeline.recordings.folder import SAMPLE
+from softslide.pipeline.sensor import read_sensor
 
 BOARD_MM = (10.0, 10.0)
+SENSOR = read_sensor(SAMPLE / "sensor.toml")
+LINES = lines_over(SENSOR)
 LARGE_MM = 6.0  # of the bump by which a contact tilts a place
-
-
-@pytest.fixture(scope="module")
-def sensor() -> Sensor:
-    return read_folder(SAMPLE).sensor
 
 
 @pytest.fixture(scope="module")
@@ -49,20 +46,15 @@ def field() -> TiltField:
 
 
 @pytest.fixture(scope="module")
-def lines(sensor: Sensor) -> list[Line]:
-    return lines_over(sensor)
+def known(field: TiltField) -> np.ndarray:
+    return information(field, SENSOR, LINES)
 
 
-@pytest.fixture(scope="module")
-def known(field: TiltField, sensor: Sensor, lines: list[Line]) -> np.ndarray:
-    return information(field, sensor, lines)
-
-
-def test_lines_cross_the_chamber_where_they_say(sensor: Sensor, lines: list[Line]) -> None:
-    for line in lines:
+def test_lines_cross_the_chamber_where_they_say() -> None:
+    for line in LINES:
         direction, offset = line.direction_rad, line.offset_mm
         passed = places((0.0, 0.0), direction, offset, line.along_mm).T
-        assert (np.abs(passed) < np.array(sensor.chamber_mm) / 2).all()
+        assert (np.abs(passed) < np.array(SENSOR.chamber_mm) / 2).all()
         assert passed @ np.array([-np.sin(direction), np.cos(direction)]) == pytest.approx(offset)
         assert np.linalg.norm(np.diff(passed, axis=0), axis=1) == pytest.approx(SAMPLE_MM)
 
@@ -75,13 +67,13 @@ def test_information_falls_with_the_noise_and_adds_up(known: np.ndarray, field: 
 
 
 def test_the_bound_is_the_scatter_of_least_squares(
-    field: TiltField, sensor: Sensor, lines: list[Line]
+    field: TiltField,
 ) -> None:
     """One line, one board next to it; noise drawn; offset and direction fitted with all else by Gauss-Newton."""
 
-    response, board = response_of(field, sensor), 4
+    response, board = response_of(field, SENSOR), 4
     line = Line(0.3, 3.0, np.arange(-24.0, 24.0, SAMPLE_MM))
-    bound = arrangement(field.places_mm[[board]], information(field, sensor, [line])[board]).deviations[:, 0]
+    bound = arrangement(field.places_mm[[board]], information(field, SENSOR, [line])[board]).deviations[:, 0]
     variance = DESIGN_NOISE_V**2 * (LINE_SPEED_MM_S * Conditioning.block_s / SAMPLE_MM + MAP_VARIANCE)
     own = slopes(response, line)[:, 2 * board : 2 * board + 2]
     jacobian = np.concatenate([own, np.tile(np.eye(2), (len(own), 1, 1))], axis=-1).reshape(-1, 7)
@@ -119,16 +111,16 @@ def test_too_many_boards_are_refused(field: TiltField, known: np.ndarray) -> Non
         best_places(field.places_mm, known, 10, (12.0, 12.0))
 
 
-def test_places_leave_room_for_the_board(sensor: Sensor) -> None:
-    places = board_places(sensor)
+def test_places_leave_room_for_the_board() -> None:
+    places = board_places(SENSOR)
     assert (np.abs(places) + 5.0 < 25.0).all()
     assert {tuple(p) for p in places} == {tuple(-p) for p in places}
 
 
 @pytest.mark.long
-def test_the_bare_skin_tilts_as_one_with_a_board(sensor: Sensor) -> None:
+def test_the_bare_skin_tilts_as_one_with_a_board() -> None:
     """Against the shipped atlas, which has the board: the same course, a few percent more of it."""
-    field, atlas = solve_tilts(sensor, 7.0, 0.5), read_atlas()
+    field, atlas = solve_tilts(SENSOR, 7.0, 0.5), read_atlas()
     place = int(np.flatnonzero((field.places_mm == [5.0, 0.0]).all(axis=1))[0])
     x, y = (v.ravel() for v in np.meshgrid(field.x_mm, field.y_mm, indexing="ij"))
     for heading, part in ((0.0, 1), (90.0, 2)):
@@ -142,17 +134,8 @@ def test_the_bare_skin_tilts_as_one_with_a_board(sensor: Sensor) -> None:
 
 @pytest.mark.long
 def test_the_command_writes_sensors_to_go_on_with(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    given = [
-        "design",
-        "--sensor",
-        str(SAMPLE / "sensor.toml"),
-        "--boards",
-        "1",
-        "2",
-        "--out",
-        str(tmp_path / "d"),
-    ]
-    assert softslide.main(given) == 0
+    words = ["design", "--sensor", SAMPLE / "sensor.toml", "--boards", 1, 2, "--out", tmp_path / "d"]
+    assert softslide.main([str(word) for word in words]) == 0
     table = pd.read_csv(tmp_path / "d/design.csv")
     assert table["boards"].tolist() == ["as it is", "1 best", "2 best"]
     medians = table["distance_median_mm"]

@@ -1,19 +1,22 @@
-"""A bundle is written only if its graph computes what was trained."""
+"""A bundle is written only if its graph computes what was trained; its ORT format and its page for a hub."""
 
+import json
 from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from onnx import TensorProto, helper
 from slide_windows import labelled_slides
-from streams import a_sensor
+from streams import a_sensor, pass_over, still, stream
 
+import softslide
 from softslide.features.card import Interval, Validity
 from softslide.features.stream.conditioning import Conditioning
 from softslide.features.window import WINDOW_BINS
 from softslide.models.export.bundle import ParityError, write_bundle
 from softslide.models.fitted_model import FittedModel
-from softslide.pipeline.sensor import Sensor
+from softslide.serve.localizer import Localizer
 
 WINDOWS = labelled_slides(np.arange(0.0, 360.0, 15.0), np.linspace(-12.0, 12.0, 10))
 OUTPUTS = ("direction_cos", "direction_sin", "offset_mm")
@@ -43,9 +46,7 @@ def a_model(wrong: np.ndarray) -> FittedModel:
 
 
 def written(wrong: np.ndarray, out: Path) -> float:
-    sensor = a_sensor()
-    assert isinstance(sensor, Sensor)
-    return write_bundle(a_model(wrong), sensor, WINDOWS, {}, out)
+    return write_bundle(a_model(wrong), a_sensor(), WINDOWS, {}, out)
 
 
 def test_a_graph_that_agrees_is_written(tmp_path: Path) -> None:
@@ -59,3 +60,38 @@ def test_a_graph_that_computes_something_else_is_refused(tmp_path: Path, windows
     with pytest.raises(ParityError, match="differ by"):
         written(wrong, tmp_path / "bundle")
     assert not (tmp_path / "bundle").exists()
+
+
+VOLTS = stream(still(0.6), pass_over(1.2), still(0.4))
+
+
+def offsets(bundle: Path) -> np.ndarray:
+    return np.array([estimate.offset_mm for estimate in Localizer.load(bundle).push(VOLTS)])
+
+
+def export(bundle: Path, shape: str, out: Path) -> int:
+    return softslide.main(["export", "--model", str(bundle), "--to", shape, "--out", str(out)])
+
+
+def test_ort_gives_the_same_numbers(bundle: Path, tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    assert export(bundle, "ort", tmp_path / "out") == 0
+    found = json.loads(capsys.readouterr().out)
+    written = {"model.json", "model.ort", "required_operators.config"}
+    assert {path.name for path in (tmp_path / "out").iterdir()} == written
+    assert any("Gemm" in line for line in found["operators"])
+    assert offsets(tmp_path / "out") == pytest.approx(offsets(bundle), abs=1e-5, nan_ok=True)
+
+
+def test_the_page_for_a_hub_reads_and_its_code_runs(
+    bundle: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert export(bundle, "hub", tmp_path / "out") == 0
+    _, head, body = (tmp_path / "out" / "README.md").read_text().split("---\n", 2)
+    assert yaml.safe_load(head)["library_name"] == "softslide"
+    assert "accelerometer at (" in body
+    monkeypatch.chdir(tmp_path / "out")
+    printed: list[tuple] = []
+    code = body.split("```python\n")[1].split("```")[0]
+    exec(code, {"volts": VOLTS, "print": lambda *values: printed.append(values)})
+    assert len(printed) == len(VOLTS) // 20
+    assert any(valid for valid, *_ in printed)

@@ -1,6 +1,7 @@
 """Forces: the card's map against the solver, a scale's readings, and what an estimate says of them."""
 
 import dataclasses
+import json
 import math
 from pathlib import Path
 
@@ -10,6 +11,7 @@ from small_bundle import write_small_bundle, write_table
 from streams import a_sensor, pass_over, still, stream
 
 from softslide.features.card import read_card, write_card
+from softslide.features.contact.force_map import ForceMap
 from softslide.features.errors import InputError
 from softslide.features.estimate import Contact, Estimate
 from softslide.features.force import PRESS_BEND, PRESS_SPREAD, ForceReader
@@ -20,7 +22,7 @@ from softslide.models.response_map.card import calibrated_forces, force_map
 from softslide.models.response_map.select import calibrated_map
 from softslide.pipeline.atlas.atlas import DEFAULT_SENSOR, Atlas, read_atlas
 from softslide.pipeline.recordings.at_rest import conditioning_for
-from softslide.pipeline.recordings.folder import Folder, read_folder
+from softslide.pipeline.recordings.folder import SAMPLE, Folder, read_folder
 from softslide.pipeline.recordings.windows import labelled_windows
 from softslide.pipeline.sensor import read_sensor
 from softslide.pipeline.skin.lines import Line
@@ -46,8 +48,13 @@ def atlas() -> Atlas:
 
 
 @pytest.fixture(scope="module")
-def reader(atlas: Atlas) -> ForceReader:
-    return ForceReader(force_map(atlas, CHAMBER_MM, HEIGHT_MM, DEPTH_MM))
+def forces(atlas: Atlas) -> ForceMap:
+    return force_map(atlas, CHAMBER_MM, HEIGHT_MM, DEPTH_MM)
+
+
+@pytest.fixture(scope="module")
+def reader(forces: ForceMap) -> ForceReader:
+    return ForceReader(forces)
 
 
 def solved_mn(
@@ -82,7 +89,7 @@ def labelled(folder: Folder, readings_mn: list[float]) -> Folder:
 
 @pytest.fixture(scope="module")
 def sample() -> Folder:
-    return read_folder(Path(__file__).parents[1] / "pipeline" / "sample")
+    return read_folder(SAMPLE)
 
 
 def test_a_scale_gives_the_factor_and_narrows_the_interval(atlas: Atlas, sample: Folder) -> None:
@@ -178,12 +185,13 @@ def test_without_a_valid_place_there_is_no_force(reader: ForceReader, unknown: d
     assert math.isnan(reader.with_force(estimated(**unknown)).force_mn)
 
 
-def test_a_bundle_carries_the_map_and_one_without_it_works_as_before(tmp_path: Path, atlas: Atlas) -> None:
+def test_a_bundle_carries_the_map_and_one_without_it_works_as_before(
+    tmp_path: Path, forces: ForceMap
+) -> None:
     volts = stream(still(0.6), pass_over(1.2), still(0.6))
     bundle = write_small_bundle(tmp_path / "old", a_sensor())
     old = Localizer.load(bundle).push(volts)
     assert all(math.isnan(estimate.force_mn) for estimate in old)
-    forces = force_map(atlas, CHAMBER_MM, HEIGHT_MM, DEPTH_MM)
     size = (bundle / "model.json").stat().st_size
     write_card(dataclasses.replace(read_card(bundle / "model.json"), force=forces), bundle / "model.json")
     assert (bundle / "model.json").stat().st_size - size < 13_000
@@ -196,24 +204,16 @@ def test_a_bundle_carries_the_map_and_one_without_it_works_as_before(tmp_path: P
     ]
 
 
-@pytest.mark.parametrize(
-    ("key", "value"),
-    [
-        ("coefficients", "AAAA"),
-        ("steps_mn", [1.0]),
-        ("steps_mn", 12 * [-1.0]),
-        ("knots", 3),
-        ("relative_sd", 0.0),
-    ],
-)
-def test_a_force_map_out_of_shape_is_refused(
-    tmp_path: Path, atlas: Atlas, key: str, value: float | str | list
-) -> None:
-    import json
+OUT_OF_SHAPE = [{"coefficients": "AAAA"}, {"steps_mn": [1.0]}, {"steps_mn": 12 * [-1.0]}, {"knots": 3}]
 
+
+@pytest.mark.parametrize("change", [*OUT_OF_SHAPE, {"relative_sd": 0.0}])
+def test_a_force_map_out_of_shape_is_refused(
+    tmp_path: Path, forces: ForceMap, change: dict[str, object]
+) -> None:
     bundle = write_small_bundle(tmp_path / "bad", a_sensor())
     table = json.loads((bundle / "model.json").read_text())
-    table["force"] = dataclasses.asdict(force_map(atlas, CHAMBER_MM, HEIGHT_MM, DEPTH_MM)) | {key: value}
+    table["force"] = dataclasses.asdict(forces) | change
     table.pop("card_sha256")
     write_table(bundle, table)
     with pytest.raises(InputError, match="does not fit"):
@@ -237,13 +237,8 @@ def test_the_force_of_estimated_slides_is_the_solved_one_on_held_out_lines(
     by_scale = calibrated_forces(weighed, atlas, found.summary, found.response.depth_mm)
     windows = labelled_windows(folder.select("test"), found.conditioning, (0.4, 0.5, 0.6, 0.7, 0.8))
     inversion = Inversion(found.response, found.conditioning.block_s)
-    row = dict(
-        zip(
-            inversion.outputs,
-            inversion.predict(windows.volts, windows.elapsed_s).T.astype(float),
-            strict=True,
-        )
-    )
+    rows = inversion.predict(windows.volts, windows.elapsed_s).astype(float)
+    row = dict(zip(inversion.outputs, rows.T, strict=True))
     angle = np.arctan2(row["direction_sin"], row["direction_cos"])
     place = _place(angle, row["offset_mm"], row["along_mm"], folder)
     true_angle = np.deg2rad(windows.direction_deg)
@@ -264,11 +259,6 @@ def test_the_force_of_estimated_slides_is_the_solved_one_on_held_out_lines(
         off = np.abs(read[:, 2] / solved[:, 2] - 1)[believed]
         size = np.linalg.norm(solved, axis=1)[believed]
         in_plane = np.abs(np.hypot(*read.T[:2]) - np.hypot(*solved.T[:2]))[believed] / size
-        print(
-            f"{forces.scale_readings} readings of a scale, {believed.sum()} of {len(believed)} moments: normal "
-            f"{np.median(off):.1%} median, {np.quantile(off, 0.95):.1%} 95th percentile; tangential, of "
-            f"the whole {np.median(in_plane):.1%}; height {found.summary['height_mm']:.2f} mm"
-        )
         assert (off < 1.645 * forces.relative_sd).mean() > 0.85
         assert np.median(in_plane) < 0.05
     assert np.median(off) < 0.05
@@ -297,7 +287,7 @@ def _place(
 
 
 @pytest.mark.long
-def test_another_mesh_gives_the_force_within_five_percent(atlas: Atlas) -> None:
+def test_another_mesh_gives_the_force_within_five_percent(reader: ForceReader) -> None:
     """One line solved with elements of 2 mm, two layers of them, instead of 2.5 mm and one."""
     sensor = read_sensor(DEFAULT_SENSOR)
     finer = dataclasses.replace(sensor, mesh=dataclasses.replace(sensor.mesh, size_mm=2.0, layers=2))
@@ -306,11 +296,9 @@ def test_another_mesh_gives_the_force_within_five_percent(atlas: Atlas) -> None:
     values, _ = solve_line(finer, Line(0, 1, -8.3), along, DEPTH_MM, pressure, inflated)
     solved = 1e3 * values[:, -3:]
     over = np.isfinite(solved[:, 2]) & (np.abs(along) < 22.0)
-    reader = ForceReader(force_map(atlas, CHAMBER_MM, HEIGHT_MM, DEPTH_MM))
     read = reader.at(along, np.full_like(along, -8.3), np.zeros_like(along), DEPTH_MM)
     off = np.abs(read[over, 2] / solved[over, 2] - 1)
     in_plane = np.abs(np.hypot(*read[over].T[:2]) - np.hypot(*solved[over].T[:2]))
     in_plane /= np.linalg.norm(solved[over], axis=1)
-    print(f"normal {np.median(off):.1%}, {off.max():.1%} at most; tangential {np.median(in_plane):.1%}")
     assert np.median(off) < 0.05
     assert np.median(in_plane) < 0.05

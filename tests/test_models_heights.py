@@ -2,10 +2,11 @@
 
 import json
 import math
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import onnx
 import onnxruntime as ort
 import pandas as pd
 import pytest
@@ -13,15 +14,15 @@ import torch
 from bump_map import bump_map
 from bump_slides import as_recorded, at_rest
 from calibration_slides import STATIC_V_PER_MM, slides_of
+from network_bundle import a_window, untrained
+from small_bundle import resigned, write_bundle_of
 
-from softslide.features.card import Card, Validity, read_card, write_card
-from softslide.features.digest import sha256
+from softslide.features.card import read_card
 from softslide.features.errors import InputError
 from softslide.features.height import HEIGHT_INPUT, HeightCalibration
 from softslide.features.stream.conditioning import Conditioning
-from softslide.models.cnn.gauss_newton import Refinement
 from softslide.models.cnn.height_input import with_height
-from softslide.models.cnn.network import BEND_OUTPUTS, NetworkConfig, Proposal, SlideNetwork
+from softslide.models.cnn.network import BEND_OUTPUTS
 from softslide.models.export.bundle import read_graph
 from softslide.models.export.formats import of_one_window
 from softslide.models.export.gains import fit_gains, labelled_contacts
@@ -113,25 +114,16 @@ def test_slides_of_one_height_are_fitted_as_if_none_were_known(slides: list[Cali
     np.testing.assert_array_equal(one.coefficients, other.coefficients)
 
 
-def network(response: ResponseMap) -> SlideNetwork:
-    torch.manual_seed(0)
-    refinement = Refinement(response, 0.02, NetworkConfig().refinement)
-    return SlideNetwork(Proposal(2, 1, NetworkConfig()), refinement).eval()
+@pytest.fixture(scope="module")
+def plain() -> bytes:
+    """A graph of the map at its main height; exporting takes seconds."""
+    return export_graph(untrained(over_heights()), 1).SerializeToString()
 
 
 @pytest.fixture(scope="module")
-def graph() -> bytes:
-    """Of the map over heights; exporting takes seconds."""
-    return with_height(export_graph(network(over_heights()), 1), over_heights()).SerializeToString()
-
-
-def window() -> dict[str, np.ndarray]:
-    volts = 0.05 * np.random.default_rng(0).standard_normal((1, 3, 1)) * np.hanning(64)
-    return {
-        "volts": volts.astype(np.float32),
-        "elapsed_s": np.full(1, 8.0, np.float32),
-        "weight": np.ones((1, 1), np.float32),
-    }
+def graph(plain: bytes) -> bytes:
+    """Of the map over heights."""
+    return with_height(onnx.load_model_from_string(plain), over_heights()).SerializeToString()
 
 
 def test_a_graph_is_that_of_the_height_it_is_given(graph: bytes) -> None:
@@ -140,15 +132,15 @@ def test_a_graph_is_that_of_the_height_it_is_given(graph: bytes) -> None:
     assert [node.name for node in session.get_inputs()] == ["volts", "elapsed_s", "weight"]
     for off_mm in (None, 0.0, -0.6, 0.9):
         given = {} if off_mm is None else {HEIGHT_INPUT: np.full(1, off_mm, np.float32)}
-        row = session.run(None, window() | given)[0]
+        row = session.run(None, a_window() | given)[0]
         own = response.at(height_mm=MAIN_MM + (off_mm or 0.0))
         with torch.no_grad():
-            wanted = network(own)(*(torch.tensor(value) for value in window().values())).numpy()
+            wanted = untrained(own)(*(torch.tensor(value) for value in a_window().values())).numpy()
         # The table of a height is rounded to half precision where it is exported by itself, which moves the odds of a
         # straight way the most.
         limit = np.full(row.shape[1], 5e-3 if off_mm else 1e-4)
         if off_mm:
-            limit[[name in BEND_OUTPUTS for name in network(own).outputs]] = 0.05
+            limit[[name in BEND_OUTPUTS for name in untrained(own).outputs]] = 0.05
         assert (np.abs(row - wanted) <= limit * (1.0 + np.abs(wanted))).all()
 
 
@@ -188,27 +180,9 @@ def test_gains_scale_the_change_with_height(heights: HeightCalibration) -> None:
 
 @pytest.fixture
 def bundle(tmp_path: Path, graph: bytes, heights: HeightCalibration) -> Path:
-    row = ort.InferenceSession(graph).run(None, window())[0][0]
-    card = Card(
-        "cnn",
-        "window",
-        network(over_heights()).outputs,
-        asdict(SENSOR),
-        SENSOR.channels,
-        SENSOR.sample_rate_hz,
-        SENSOR.reference_mm,
-        Conditioning(),
-        {},
-        Validity(),
-        {},
-        {"inputs": {k: v.tolist() for k, v in window().items()}, "estimate": row.tolist()},
-        sha256(graph).hexdigest(),
-        contact=contact_calibration(over_heights()),
-        heights=heights,
-    )
-    (tmp_path / "model.onnx").write_bytes(graph)
-    write_card(card, tmp_path / "model.json")
-    return tmp_path
+    cards = {"heights": heights, "contact": contact_calibration(over_heights()), "intervals": {}}
+    outputs = untrained(over_heights()).outputs
+    return write_bundle_of(tmp_path / "m", graph, a_window(), SENSOR, model="cnn", outputs=outputs, **cards)
 
 
 def resting(height_mm: float) -> np.ndarray:
@@ -235,11 +209,10 @@ def test_a_card_of_impossible_heights_is_refused(
         read_card(bundle / "model.json", unsigned=True)
 
 
-def test_a_graph_that_takes_no_height_is_refused_where_its_card_has_several(bundle: Path) -> None:
-    graph = export_graph(network(over_heights()), 1).SerializeToString()
-    (bundle / "model.onnx").write_bytes(graph)
-    card = replace(read_card(bundle / "model.json"), graph_sha256=sha256(graph).hexdigest())
-    write_card(card, bundle / "model.json")
+def test_a_graph_that_takes_no_height_is_refused_where_its_card_has_several(
+    bundle: Path, plain: bytes
+) -> None:
+    resigned(bundle, plain)
     with pytest.raises(InputError, match="takes no height"):
         open_bundle(bundle)
 
@@ -283,25 +256,21 @@ def test_no_column_of_a_lab_is_taken_for_a_height_or_a_weight() -> None:
     assert all(math.isnan(slide.height_mm) for slide in slides)
 
 
-def test_a_reading_that_is_not_a_height_is_left_out() -> None:
-    folder = read_folder(SAMPLE)
-    table = folder.manifest.iloc[:3].assign(pressure_mpa=[0.035, 0.035, 0.028], **{LASER: ["7.1", "0", "-1"]})
-    heights = with_heights(replace(folder, manifest=table)).manifest[HEIGHT]
-    np.testing.assert_allclose(heights, 7.1 * np.cbrt(table["pressure_mpa"] / 0.035))
-
-
 def test_heights_follow_from_readings_and_pressures() -> None:
     folder = read_folder(SAMPLE)
     table = folder.manifest.iloc[:4].assign(pressure_mpa=[0.035, 0.035, 0.028, 0.044])
     unread = with_heights(replace(folder, manifest=table)).manifest[HEIGHT]
     np.testing.assert_allclose(unread, 7.5 * np.cbrt(table["pressure_mpa"] / 0.035))
-    read = with_heights(replace(folder, manifest=table.assign(**{LASER: ["", "7.1", "6.4", ""]}))).manifest[
-        HEIGHT
-    ]
+    readings = {LASER: ["", "7.1", "6.4", ""]}
+    read = with_heights(replace(folder, manifest=table.assign(**readings))).manifest[HEIGHT]
     assert list(read[:3]) == pytest.approx([7.1, 7.1, 6.4])
     power = math.log(7.1 / 6.4) / math.log(0.035 / 0.028)
     assert read.iloc[3] == pytest.approx(7.1 * (0.044 / 0.035) ** power)
     assert HEIGHT not in with_heights(replace(folder, manifest=table.iloc[:2])).manifest
+    # What is not a height is left out.
+    few = table.iloc[:3].assign(**{LASER: ["7.1", "0", "-1"]})
+    found = with_heights(replace(folder, manifest=few)).manifest[HEIGHT]
+    np.testing.assert_allclose(found, 7.1 * np.cbrt(few["pressure_mpa"] / 0.035))
 
 
 def test_a_model_over_heights_learns_from_every_pressure() -> None:

@@ -7,7 +7,8 @@ import pytest
 from bump_map import bump_map
 from calibration_slides import slides_of
 
-from softslide.features.stream.conditioning import Conditioning, block_means
+from softslide.features.stream.conditioning import Conditioning, block_means, without_lag
+from softslide.features.stream.slide_history import SlideHistory
 from softslide.features.stream.tracker import track
 from softslide.models.response_map.slide_fit import TAU_S, retardation_s
 from softslide.models.response_map.slides import CalibrationSlide
@@ -69,3 +70,21 @@ def test_slow_slides_and_none_leave_it_to_the_prior():
     known = replace(bump_map(), lag_s=DELAYED * 0.05)
     assert retardation_s(slides, [(known, np.array([s.recording for s in slides]))], known.lag_s) == TAU_S
     assert retardation_s(slides, [], known.lag_s) == TAU_S
+
+
+def output(blocks: int) -> np.ndarray:
+    """Block means (n, 6) V of a random walk, from a seed."""
+    return 1.6 + 0.01 * np.random.default_rng(3).standard_normal((blocks, 6)).cumsum(axis=0)
+
+
+@pytest.mark.parametrize(("delayed", "tau_s"), [(0.0, 0.15), (0.1, 0.05), (0.4, 0.6)])
+def test_whole_and_stream_agree(delayed: float, tau_s: float) -> None:
+    blocks, conditioning = output(200), Conditioning(delayed=delayed, tau_s=tau_s)
+    history = SlideHistory(conditioning, blocks[0], np.ones(2, dtype=bool))
+    for block in blocks:
+        history.push(block)
+    streamed = history.first_blocks(200)
+    assert streamed is not None
+    whole = (without_lag(blocks, conditioning) - blocks[0])[:, history.watched]
+    np.testing.assert_allclose(streamed.T, whole, atol=1e-12)
+    assert (delayed == 0) == np.allclose(whole, (blocks - blocks[0])[:, history.watched], atol=1e-6)

@@ -3,7 +3,6 @@
 from pathlib import Path
 
 import numpy as np
-import pytest
 import torch
 from bump_map import bump_map
 
@@ -11,51 +10,29 @@ from softslide.models.cnn.training_windows import SynthesisConfig, WindowSource
 from softslide.pipeline.recordings.folder import SAMPLE, read_folder
 from softslide.serve.localizer import Localizer
 
+BUNDLE = Path(__file__).parents[1] / "docs" / "examples" / "bundle"
 NUMBERS = ("direction_deg", "speed_mm_s", "offset_mm", "x_mm", "y_mm")
 
 
-@pytest.fixture(scope="module")
-def folder():
-    return read_folder(SAMPLE).select("calibration").labelled()
-
-
-@pytest.fixture(scope="module")
-def localizer():
-    """Of another sensor: what it must not depend on does not need it to be right."""
-    return Localizer.load(Path(__file__).parents[1] / "docs" / "examples" / "bundle")
-
-
-def estimate_at(localizer, volts, count):
-    """The estimate once `count` samples were seen, whatever may come later."""
-    localizer.reset()
-    localizer.feed(volts[:count])
-    return np.array([getattr(localizer.read(), name) for name in NUMBERS])
-
-
-@pytest.fixture(scope="module")
-def slide(folder):
+def test_the_rest_before_does_not_matter():
+    """Of a bundle of another sensor: what it must not depend on does not need it to be right."""
+    folder = read_folder(SAMPLE).select("calibration").labelled()
     name = folder.manifest.index[20]
-    row = folder.manifest.loc[name]
-    rate = folder.sensor.sample_rate_hz
-    return folder.load(name).volts, round(row.motion_start_s * rate), round(row.motion_end_s * rate)
-
-
-def test_the_rest_before_does_not_matter(localizer, slide):
-    volts, start, end = slide
-    plain = estimate_at(localizer, volts, end)
-    assert np.isfinite(plain).all()
+    volts = folder.load(name).volts
+    start, end = (
+        round(folder.manifest.at[name, f"motion_{at}_s"] * folder.sensor.sample_rate_hz)
+        for at in ("start", "end")
+    )
     rest = volts[: start // 20 * 20]
-    longer = np.concatenate([rest, rest, rest, volts])
+    localizer, found = Localizer.load(BUNDLE), []
+    for before in ([], [rest, rest, rest]):
+        localizer.reset()
+        localizer.feed(np.concatenate([*before, volts[:end]]))
+        found.append([getattr(localizer.read(), name) for name in NUMBERS])
+    plain, longer = found
+    assert np.isfinite(plain).all()
     # The static output is averaged over other samples: the difference is its noise, not the rest's length.
-    found = estimate_at(localizer, longer, end + 3 * len(rest))
-    np.testing.assert_allclose(found, plain, rtol=0.02, atol=0.3)
-
-
-def test_what_comes_after_does_not_matter(localizer, slide):
-    volts, _, end = slide
-    plain = estimate_at(localizer, volts, end)
-    turned_back = np.concatenate([volts[:end], volts[end // 2 : end][::-1]])
-    np.testing.assert_array_equal(estimate_at(localizer, turned_back, end), plain)
+    np.testing.assert_allclose(longer, plain, rtol=0.02, atol=0.3)
 
 
 def test_training_slides_tie_no_side_and_no_travel_to_a_direction():

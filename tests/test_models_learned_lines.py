@@ -7,6 +7,7 @@ from bump_slides import bump_folder, bump_sensor, lines
 from softslide.features.errors import InputError
 from softslide.features.stream.conditioning import Conditioning
 from softslide.models.classical.gaussian_process import GpConfig, fit_gp
+from softslide.models.classical.interpolation import InterpolationConfig
 from softslide.models.classical.learned_lines import SharesConfig, learned_windows
 from softslide.models.classical.regression import float_features
 from softslide.models.fitted_model import Given
@@ -91,7 +92,5 @@ def test_a_share_out_of_range_is_refused(share):
 
 
 def test_the_interpolation_takes_no_atlas(folder):
-    from softslide.models.classical.interpolation import InterpolationConfig
-
     with pytest.raises(InputError, match="recordings alone"):
         fit_model(model_named("interpolation"), folder, InterpolationConfig(), Given(atlas=object()))

@@ -15,6 +15,7 @@ from softslide.models.cnn.network import NetworkConfig, Proposal, SlideNetwork
 from softslide.models.cnn.training import TrainingConfig, likelihood_loss, train_proposal
 from softslide.models.cnn.training_windows import SynthesisConfig, WindowSource
 from softslide.models.graph.from_torch import export_graph
+from softslide.models.graph.packing import unpack
 
 BLOCK_S = 0.02
 WHOLE = SynthesisConfig(complete=1.0, paused=0.0, midway=0.0, depth_mm=0.0)
@@ -25,32 +26,37 @@ def windows():
     return WindowSource(bump_map(), BLOCK_S, WHOLE).draw(400, torch.Generator().manual_seed(3))
 
 
+def training() -> Proposal:
+    source = WindowSource(bump_map(), BLOCK_S, SynthesisConfig())
+    config = TrainingConfig(steps=60, batch=64, seed=7)
+    return train_proposal(source, NetworkConfig(refinement=RefinementConfig(steps=2)), config)
+
+
 @pytest.fixture(scope="module")
 def trained():
-    source = WindowSource(bump_map(), BLOCK_S, SynthesisConfig())
-    return train_proposal(
-        source,
-        NetworkConfig(refinement=RefinementConfig(steps=2)),
-        TrainingConfig(steps=60, batch=64, seed=7),
-    )
+    return training()
 
 
 @pytest.fixture(scope="module")
-def session(trained):
-    config = NetworkConfig()
-    graph = export_graph(SlideNetwork(trained, Refinement(bump_map(), BLOCK_S, config.refinement)).eval(), 1)
+def network(trained):
+    return SlideNetwork(trained, Refinement(bump_map(), BLOCK_S, NetworkConfig().refinement)).eval()
+
+
+@pytest.fixture(scope="module")
+def graph(network):
+    return export_graph(network, 1)
+
+
+@pytest.fixture(scope="module")
+def session(graph):
     return ort.InferenceSession(graph.SerializeToString(), providers=["CPUExecutionProvider"])
 
 
 def test_training_is_seeded_and_lowers_the_loss(trained):
-    source = WindowSource(bump_map(), BLOCK_S, SynthesisConfig())
-    again = train_proposal(
-        source,
-        NetworkConfig(refinement=RefinementConfig(steps=2)),
-        TrainingConfig(steps=60, batch=64, seed=7),
-    )
+    again = training()
     for a, b in zip(trained.state_dict().values(), again.state_dict().values(), strict=True):
         assert torch.equal(a, b)
+    source = WindowSource(bump_map(), BLOCK_S, SynthesisConfig())
     batch = source.draw(256, torch.Generator().manual_seed(9))
     torch.manual_seed(7)
     fresh = Proposal(2, 1, NetworkConfig())
@@ -62,11 +68,7 @@ def test_training_is_seeded_and_lowers_the_loss(trained):
     assert after < before - 0.5
 
 
-def test_export_agrees_and_can_be_gone_on_from(trained, windows):
-    config = NetworkConfig(refinement=RefinementConfig(steps=2))
-    network = SlideNetwork(trained, Refinement(bump_map(), BLOCK_S, config.refinement)).eval()
-    graph = export_graph(network, 1)
-    session = ort.InferenceSession(graph.SerializeToString(), providers=["CPUExecutionProvider"])
+def test_export_agrees_and_can_be_gone_on_from(network, graph, session, windows, trained):
     volts = torch.cat([windows.volts, torch.zeros_like(windows.volts[:, :1])], 1)
     inputs = {"volts": volts, "elapsed_s": windows.elapsed_s, "weight": windows.weight}
     (row,) = session.run(None, {k: v.numpy() for k, v in inputs.items()})
@@ -81,6 +83,8 @@ def test_export_agrees_and_can_be_gone_on_from(trained, windows):
     (reference,) = ReferenceEvaluator(graph).run(None, few)
     near = np.abs(reference - expected[:20]) / np.abs(expected).max(axis=0)
     assert np.quantile(near, 0.9) < 1e-4
+    unpack(graph)
+    config = NetworkConfig()
     again = initial_proposal(graph, bump_map(), config)
     for a, b in zip(trained.state_dict().values(), again.state_dict().values(), strict=True):
         assert torch.equal(a, b)

@@ -30,14 +30,10 @@ from softslide.models.response_map.slide_fit import CalibrationConfig
 from softslide.pipeline.atlas.atlas import Atlas, read_atlas
 from softslide.pipeline.recordings.folder import SAMPLE, read_folder
 from softslide.pipeline.recordings.learned import learned_lines
-from softslide.pipeline.sensor import Sensor
 
 CONFIG, SPREAD = CalibrationConfig(), SensorSpread()
-
-
-@pytest.fixture(scope="module")
-def sensor() -> Sensor:
-    return read_folder(SAMPLE).sensor
+FOLDER = read_folder(SAMPLE)
+SENSOR, CANDIDATES = FOLDER.sensor, FOLDER.select("calibration").manifest
 
 
 @pytest.fixture(scope="module")
@@ -46,14 +42,8 @@ def atlas() -> Atlas:
 
 
 @pytest.fixture(scope="module")
-def unknowns(atlas: Atlas, sensor: Sensor) -> Unknowns:
-    return Unknowns(atlas, sensor, 0.5, CONFIG, SPREAD)
-
-
-@pytest.fixture(scope="module")
-def candidates() -> pd.DataFrame:
-    folder = read_folder(SAMPLE).select("calibration")
-    return folder.manifest
+def unknowns(atlas: Atlas) -> Unknowns:
+    return Unknowns(atlas, SENSOR, 0.5, CONFIG, SPREAD)
 
 
 @pytest.mark.parametrize(("direction", "offset"), [(0.3, 4.0), (2.0, -9.0), (4.4, 12.0)])
@@ -99,35 +89,29 @@ def test_a_channel_depends_on_the_parameters_and_on_its_own_modes(unknowns: Unkn
     assert rows.times(matrix) == pytest.approx(whole @ matrix)
 
 
-def test_every_slide_lessens_every_error(
-    unknowns: Unknowns, sensor: Sensor, candidates: pd.DataFrame
-) -> None:
-    errors = _line_errors(unknowns, sensor, np.random.default_rng(0))
-    observations = [_observation(unknowns, row, CONFIG) for _, row in candidates.iloc[:6].iterrows()]
+def test_every_slide_lessens_every_error(unknowns: Unknowns) -> None:
+    errors = _line_errors(unknowns, SENSOR, np.random.default_rng(0))
+    observations = [_observation(unknowns, row, CONFIG) for _, row in CANDIDATES.iloc[:6].iterrows()]
     variances = [_variances(errors, _posterior(unknowns.size, observations, range(n))) for n in range(7)]
     for before, after in pairwise(variances):
         assert (after <= before * (1 + 1e-9)).all()
         assert after.sum() < before.sum()
 
 
-def test_the_same_slide_again_says_less_than_another_line(
-    unknowns: Unknowns, sensor: Sensor, candidates: pd.DataFrame
-) -> None:
-    errors = _line_errors(unknowns, sensor, np.random.default_rng(0))
-    here, there = (candidates[candidates["offset_mm"].abs() == k].iloc[0] for k in (0.0, 10.0))
+def test_the_same_slide_again_says_less_than_another_line(unknowns: Unknowns) -> None:
+    errors = _line_errors(unknowns, SENSOR, np.random.default_rng(0))
+    here, there = (CANDIDATES[CANDIDATES["offset_mm"].abs() == k].iloc[0] for k in (0.0, 10.0))
     observations = [_observation(unknowns, row, CONFIG) for row in (here, here, there)]
     twice, both = (_variances(errors, _posterior(unknowns.size, observations, k)) for k in ((0, 1), (0, 2)))
     assert (both.mean(axis=1) < twice.mean(axis=1)).all()
 
 
 @pytest.mark.long
-def test_a_plan_is_better_than_any_random_choice(
-    atlas: Atlas, sensor: Sensor, unknowns: Unknowns, candidates: pd.DataFrame
-) -> None:
-    plan = plan_slides(candidates, 6, sensor, atlas, 0.5, CONFIG, SPREAD)
+def test_a_plan_is_better_than_any_random_choice(atlas: Atlas, unknowns: Unknowns) -> None:
+    plan = plan_slides(CANDIDATES, 6, SENSOR, atlas, 0.5, CONFIG, SPREAD)
     assert len(set(plan.chosen)) == 6
-    errors = _line_errors(unknowns, sensor, np.random.default_rng(7))
-    observations = [_observation(unknowns, row, CONFIG) for _, row in candidates.iterrows()]
+    errors = _line_errors(unknowns, SENSOR, np.random.default_rng(7))
+    observations = [_observation(unknowns, row, CONFIG) for _, row in CANDIDATES.iterrows()]
 
     def product(chosen: list[int]) -> float:
         return float(
@@ -135,15 +119,13 @@ def test_a_plan_is_better_than_any_random_choice(
         )
 
     random = np.random.default_rng(3)
-    drawn = [list(random.choice(len(candidates), 6, replace=False)) for _ in range(20)]
+    drawn = [list(random.choice(len(CANDIDATES), 6, replace=False)) for _ in range(20)]
     # Lines that it was not chosen for.
     assert product(plan.chosen) < min(product(chosen) for chosen in drawn)
     assert (plan.deviations < plan.before).all()
 
 
-def test_the_command_writes_what_record_reads(
-    tmp_path: Path, sensor: Sensor, capsys: pytest.CaptureFixture
-) -> None:
+def test_the_command_writes_what_record_reads(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     out, picture = tmp_path / "plan.csv", tmp_path / "plan.svg"
     given = ["plan", "--sensor", str(SAMPLE / "sensor.toml"), "--out", str(out), "--slides", "3"]
     given += ["--tests", "2"]
@@ -152,22 +134,20 @@ def test_the_command_writes_what_record_reads(
     )
     assert status == 0
     assert "mm expected from the map" in capsys.readouterr().out
-    plan = read_plan(out, sensor)
+    plan = read_plan(out, SENSOR)
     assert list(plan.index) == ["p01", "t01", "p02", "t02", "p03"]
     # Speeds in turn: where all slides have one, the skin's lag is not known.
     assert list(plan.loc[plan["split"] == "calibration", "speed_mm_s"]) == [2.0, 8.0, 2.0]
     assert picture.read_text().lstrip().startswith("<?xml")
-    x_ref, y_ref = sensor.reference_mm
+    x_ref, y_ref = SENSOR.reference_mm
     for row in plan.itertuples():
         angle = np.deg2rad(row.direction_deg)
         offset = -np.sin(angle) * (row.start_x_mm - x_ref) + np.cos(angle) * (row.start_y_mm - y_ref)
         assert offset == pytest.approx(row.offset_mm, abs=2e-3)
 
 
-def test_slides_to_test_with_are_of_every_bound_along_other_lines(
-    sensor: Sensor, candidates: pd.DataFrame
-) -> None:
-    tests = draw_tests(12, candidates.reset_index()[list(COLUMNS)], sensor, DIRECTIONS_DEG, (1.0, 4.0), 0.4)
+def test_slides_to_test_with_are_of_every_bound_along_other_lines() -> None:
+    tests = draw_tests(12, CANDIDATES.reset_index()[list(COLUMNS)], SENSOR, DIRECTIONS_DEG, (1.0, 4.0), 0.4)
     for bound in read_bounds():
         assert any(
             (area := bound.area_mm(row.direction_deg)) is not None
@@ -175,21 +155,19 @@ def test_slides_to_test_with_are_of_every_bound_along_other_lines(
             and bound.speed_mm_s[0] <= row.speed_mm_s <= bound.speed_mm_s[1]
             for row in tests.itertuples()
         ), bound.name
-    both = pd.concat([candidates, tests.set_index("recording")])
+    both = pd.concat([CANDIDATES, tests.set_index("recording")])
     assert not learned_lines(both)[tests["recording"]].any()
     assert tests["speed_mm_s"].between(1.0, 4.0).all()
     assert set(tests["direction_deg"]) <= set(DIRECTIONS_DEG)
     assert set(tests["depth_mm"]) == {0.4}
 
 
-def test_a_stage_that_moves_along_one_axis_has_tests_along_it(
-    sensor: Sensor, candidates: pd.DataFrame
-) -> None:
-    learned = candidates.reset_index()[list(COLUMNS)]
-    tests = draw_tests(6, learned, sensor, (0.0, 180.0), (1.0, 4.0), 0.5)
+def test_a_stage_that_moves_along_one_axis_has_tests_along_it() -> None:
+    learned = CANDIDATES.reset_index()[list(COLUMNS)]
+    tests = draw_tests(6, learned, SENSOR, (0.0, 180.0), (1.0, 4.0), 0.5)
     assert set(tests["direction_deg"]) <= {0.0, 180.0}
     with pytest.raises(InputError, match="crosses the chamber"):
-        draw_tests(1, learned, replace(sensor, chamber_mm=(10.0, 10.0)), (0.0,), (1.0,), 0.5)
+        draw_tests(1, learned, replace(SENSOR, chamber_mm=(10.0, 10.0)), (0.0,), (1.0,), 0.5)
 
 
 def test_candidates_are_a_manifests_calibration_slides(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:

@@ -1,70 +1,30 @@
 """Re-calibration: the gains of another day from one stroke or one press, and the bundle that carries them."""
 
 import json
-from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
-import onnxruntime as ort
 import pandas as pd
 import pytest
-import torch
 from bump_map import bump_map
+from calibration_slides import slides_of
 from dome_map import dome_map
+from front_door import refused
+from network_bundle import write_network_bundle
 from small_bundle import write_small_bundle
 from touched_skin import SENSOR
 
 from softslide import main
-from softslide.features.card import Card, Validity, write_card
-from softslide.features.digest import sha256
 from softslide.features.stream.conditioning import Conditioning
 from softslide.models.cnn.forward_model import TABLE
-from softslide.models.cnn.gauss_newton import Refinement
-from softslide.models.cnn.network import NetworkConfig, Proposal, SlideNetwork
 from softslide.models.export.bundle import read_graph
 from softslide.models.export.gains import COMMON_SD, Press, fit_gains
-from softslide.models.graph.from_torch import export_graph
 from softslide.models.response_map.card import contact_calibration, response_of
 from softslide.pipeline.recordings.folder import Recording, write_folder
 from softslide.serve.bundle import open_bundle
 
 TRUE = np.array([1.12, 1.15, 1.18])
 REST, SPEED = 200, 20.0
-
-
-def write_bundle(folder: Path) -> Path:
-    """A bundle of the formula's map with a network that was not trained."""
-    torch.manual_seed(0)
-    network = SlideNetwork(
-        Proposal(3, 1, NetworkConfig()), Refinement(dome_map(), 0.02, NetworkConfig().refinement)
-    )
-    graph = export_graph(network.eval(), 1).SerializeToString()
-    inputs = {
-        "volts": np.full((1, 3, 64), 0.02, np.float32),
-        "elapsed_s": np.ones(1, np.float32),
-        "weight": np.ones((1, 1), np.float32),
-    }
-    estimate = ort.InferenceSession(graph).run(None, inputs)[0][0]
-    card = Card(
-        "cnn",
-        "window",
-        network.outputs,
-        asdict(SENSOR),
-        SENSOR.channels,
-        200.0,
-        (0.0, 0.0),
-        Conditioning(touch_axes="xyz", onset="touch"),
-        {},
-        Validity(),
-        {},
-        {"inputs": {k: v.tolist() for k, v in inputs.items()}, "estimate": estimate.tolist()},
-        sha256(graph).hexdigest(),
-        contact_calibration(dome_map()),
-    )
-    folder.mkdir()
-    (folder / "model.onnx").write_bytes(graph)
-    write_card(card, folder / "model.json")
-    return folder
 
 
 def write_day(folder: Path, pressed: bool) -> Path:
@@ -95,7 +55,10 @@ def write_day(folder: Path, pressed: bool) -> Path:
 
 @pytest.fixture(scope="module")
 def bundle(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_bundle(tmp_path_factory.mktemp("bundle") / "model")
+    """Of the formula's map, with a network that was not trained."""
+    folder, touch = tmp_path_factory.mktemp("bundle") / "model", Conditioning(touch_axes="xyz", onset="touch")
+    contact = contact_calibration(dome_map())
+    return write_network_bundle(folder, dome_map(), SENSOR, conditioning=touch, contact=contact)
 
 
 def test_a_stroke_without_offset_and_moments_is_placed_by_its_signal(
@@ -157,8 +120,6 @@ def test_gains_fall_back_to_the_prior_where_nothing_shows() -> None:
 
 
 def test_accelerometers_gains_are_found_along_one_stroke() -> None:
-    from calibration_slides import slides_of
-
     response, true = bump_map(), np.array([0.9, 0.95])
     (slide,) = slides_of(response, [(30.0, 4.0)], [4.0], [1.0])
     slide.volts[:] *= true
@@ -176,17 +137,6 @@ def test_what_cannot_be_renewed_is_refused_in_one_line(
         (small, [], "holds no response map"),
         (bundle, ["--split", "tomorrow"], "label one"),
     ):
-        command = [
-            "recalibrate",
-            "--model",
-            str(model),
-            "--recordings",
-            str(day),
-            "--out",
-            str(tmp_path / "o"),
-        ]
-        assert main([*command, *extra]) == 2
-        error = capsys.readouterr().err
-        assert reason in error
-        assert error.count("\n") == 1
+        words = ("recalibrate", "--model", model, "--recordings", day, "--out", tmp_path / "o", *extra)
+        assert reason in refused(capsys, *words)
     assert not (tmp_path / "o").exists()

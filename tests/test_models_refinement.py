@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 from bump_map import REFERENCE_MM, bump_map
+from dome_map import dome_map
 
 from softslide.features.window import WINDOW_BINS
 from softslide.models.cnn.forward_model import BINS
@@ -48,24 +49,24 @@ def refine(response, batch, start, steps=8, sd=0.5, vertical=None, cross_axis_sd
     return tuple(column.flatten(1) for column in columns)
 
 
-def test_rows_are_the_map_and_its_derivatives():
-    response = bump_map()
+@pytest.mark.parametrize("response", [bump_map(), dome_map(2)], ids=["two axes", "three axes"])
+def test_rows_are_the_map_and_its_derivatives(response):
     refinement = Refinement(response, BLOCK_S, RefinementConfig())
-    generator = np.random.default_rng(1)
     state = np.array([0.3, np.log(4.0), 3.0, 8.0, 0.1, 0.2])
-    heading, elapsed_s = 0.7, 5.0
+    heading, elapsed_s, shape = 0.7, 5.0, (response.boards, response.axes, BINS)
     start = torch.tensor([[np.cos(heading), -np.sin(heading)], [np.sin(heading), np.cos(heading)]])
     time = elapsed_s * refinement.ago + refinement.lag
-    measured = torch.zeros(1, 1, 2, 7, BINS, dtype=torch.float64)
-    measured[..., 6, :] = torch.tensor(generator.normal(0.0, 0.1, (2, BINS)))
+    measured = torch.zeros(1, response.boards, response.axes, 7, BINS, dtype=torch.float64)
+    measured[..., 6, :] = torch.tensor(np.random.default_rng(1).normal(0.0, 0.1, shape))
 
     def predicted(state: np.ndarray) -> np.ndarray:
         turn, log_speed, offset, along, gain, depth = state
         a = heading + turn
         s = along - np.exp(log_speed) * time[1].numpy()
-        x = REFERENCE_MM[0] - offset * np.sin(a) + s * np.cos(a)
-        y = REFERENCE_MM[1] + offset * np.cos(a) + s * np.sin(a)
-        return np.exp(gain) * response.at(response.depth_mm + depth).response(x, y, a).T
+        x = response.reference_mm[0] - offset * np.sin(a) + s * np.cos(a)
+        y = response.reference_mm[1] + offset * np.cos(a) + s * np.sin(a)
+        own = response.at(response.depth_mm + depth)
+        return (np.exp(gain) * own.response(x, y, a).T).reshape(shape)
 
     one = (1, 1, 1)
     rows = refinement.predicted(
@@ -73,11 +74,11 @@ def test_rows_are_the_map_and_its_derivatives():
         start.reshape(*one, 2, 2),
         torch.tensor(state).reshape(*one, 6, 1),
         time.expand(*one, 2, BINS),
-    )[0, 0].numpy()
-    np.testing.assert_allclose(measured[0, 0, :, 6].numpy() - rows[:, 6], predicted(state), atol=1e-7)
+    )[0].numpy()
+    np.testing.assert_allclose(measured[0, :, :, 6].numpy() - rows[:, :, 6], predicted(state), atol=1e-7)
     for k, step in enumerate(1e-5 * np.eye(6)):
         numeric = (predicted(state + step) - predicted(state - step)) / 2e-5
-        np.testing.assert_allclose(rows[:, k], numeric, atol=1e-6)
+        np.testing.assert_allclose(rows[:, :, k], numeric, atol=1e-6)
 
 
 def test_bins_are_means_of_what_lies_in_them():
@@ -262,64 +263,6 @@ def test_strain_is_a_standard_normal_number_for_slides_that_scatter_as_the_calib
         assert np.mean(beyond > 5.0) > 0.5
 
 
-@pytest.fixture(scope="module")
-def half():
-    """Windows of slides that have just passed the accelerometer: the lean is not yet seen by both flanks."""
-    cut = SynthesisConfig(complete=0.0, paused=0.0, midway=0.0, depth_mm=0.0)
-    batch = WindowSource(bump_map(), BLOCK_S, cut).draw(6000, torch.Generator().manual_seed(5))
-    past = (batch.targets[:, 4] > 2) & (batch.targets[:, 4] < 8)
-    return chosen(batch, past)
-
-
-def lean(batch, volts_at_end=5e-3):
-    """What a device adds to the windows that turns by 0.4 degrees during each slide."""
-    ramp = volts_at_end * torch.linspace(0, 1, WINDOW_BINS) * torch.tensor([[1.0], [-0.7]])
-    return ramp.expand(len(batch.volts), -1, -1)
-
-
-def turn_error_deg(response, batch, config) -> float:
-    truth = batch.targets[:, :5]
-    boards = batch.volts.shape[1] // 2
-    volts = torch.cat(
-        [batch.volts.reshape(-1, boards, 2, WINDOW_BINS), torch.zeros(len(truth), boards, 1, WINDOW_BINS)], 2
-    )
-    with torch.no_grad():
-        heading, *_ = Refinement(response, BLOCK_S, config)(
-            volts, batch.elapsed_s, torch.ones(len(truth), boards), truth, torch.full((len(truth), 4), -0.7)
-        )
-    aligned = (heading.flatten(1) * truth[:, :2]).sum(1).numpy()
-    return float(np.degrees(np.arccos(np.clip(aligned, -1, 1))).mean())
-
-
-def test_a_device_that_turns_slowly_is_borne_if_it_is_expected(windows):
-    still, moving = (RefinementConfig(steps=8, trust=1.0, lean_v=lean_v) for lean_v in (0.0, 5e-3))
-    leaning = replace(windows, volts=windows.volts + lean(windows))
-    clean = turn_error_deg(bump_map(), windows, still)
-    unexpected, expected = (turn_error_deg(bump_map(), leaning, config) for config in (still, moving))
-    assert unexpected > 2 * clean
-    assert expected < 0.6 * unexpected
-
-
-def test_an_accelerometer_off_the_skin_measures_the_device_s_turn(half):
-    one = bump_map()
-    flat = np.zeros_like(one.coefficients)
-    both = bump_map(
-        coefficients=np.concatenate([one.coefficients, flat], 3),
-        depth_slope=np.concatenate([one.depth_slope, flat[0]], 2),
-        noise_v=np.full(4, 1.4e-3),
-        drift_v=np.full(4, 5e-4),
-    )
-    leaning = replace(half, volts=half.volts + lean(half))
-    both_boards = replace(
-        half, volts=torch.cat([leaning.volts, lean(half)], 1), weight=half.weight.repeat(1, 2)
-    )
-    moving = RefinementConfig(steps=8, trust=1.0, lean_v=5e-3)
-    clean = turn_error_deg(one, half, RefinementConfig(steps=8, trust=1.0))
-    alone, measured = turn_error_deg(one, leaning, moving), turn_error_deg(both, both_boards, moving)
-    assert measured < 1.3 * clean
-    assert measured < 0.8 * alone
-
-
 def test_intervals_that_grow_with_the_strain_hold_for_a_response_that_is_a_fifth_stronger():
     """They hold as often as for slides of the calibration's kind; others do not."""
     response = bump_map(gain_sd=0.02)
@@ -331,7 +274,10 @@ def test_intervals_that_grow_with_the_strain_hold_for_a_response_that_is_a_fifth
         error, sd = (state[:, 2] - batch.targets[:, 3]).abs().numpy(), variance[:, 2].sqrt().numpy()
         wider = np.maximum(strain[:, 0].numpy(), 1.0)
         if scale == 1.0:
-            fitted = {True: conformal_interval(error / wider, sd), False: conformal_interval(error, sd)}
+            slide = np.arange(len(error))
+            fitted = {
+                by: conformal_interval(error / np.where(by, wider, 1.0), sd, slide) for by in (True, False)
+            }
         for grows, interval in fitted.items():
             half = [interval.half_width(*one) for one in zip(sd, strain[:, 0].numpy() * grows, strict=True)]
             held[scale, grows] = float(np.mean(error <= half))

@@ -5,13 +5,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from article_skin import ATLAS
 from front_door import refused
 
 import softslide
 import softslide.pipeline.atlas.solve
 from softslide.features.errors import InputError
 from softslide.pipeline.atlas.atlas import (
-    DEFAULT_ATLAS,
     DEFAULT_SENSOR,
     Atlas,
     check_atlas,
@@ -19,7 +19,7 @@ from softslide.pipeline.atlas.atlas import (
     write_atlas,
 )
 from softslide.pipeline.atlas.solve import Grid, solve_atlas
-from softslide.pipeline.sensor import Accelerometer, MeshSize, design_hash, read_sensor, write_sensor
+from softslide.pipeline.sensor import MeshSize, read_sensor, write_sensor
 from softslide.pipeline.skin.lines import Line, join_families
 from softslide.pipeline.skin.solved_line import gravity, skin_of, solve_line
 
@@ -126,17 +126,7 @@ def test_bad_atlas_files_are_one_line(quick, tmp_path):
     expect("version 99")
 
 
-def test_an_atlas_of_another_design_is_refused(quick):
-    sensor = quick_sensor()
-    check_atlas(quick, sensor)
-    check_atlas(quick, replace(sensor, name="other", adc_step_v=0.0))
-    moved = replace(sensor, accelerometers=(Accelerometer("a0", 6.0, 0.0),))
-    with pytest.raises(InputError, match=r"another design.*boards_mm"):
-        check_atlas(quick, moved, "a.npz")
-    assert design_hash(moved) != design_hash(sensor)
-
-
-def test_solve_resumes_from_finished_lines(quick, tmp_path, monkeypatch):
+def test_solve_resumes_from_finished_lines(quick, tmp_path):
     work = tmp_path / "lines"
 
     def interrupted(results, number):
@@ -157,7 +147,7 @@ def test_solve_resumes_from_finished_lines(quick, tmp_path, monkeypatch):
     assert not work.exists()
 
 
-def test_a_failed_position_is_reported_and_left_out(quick, monkeypatch):
+def test_a_failed_position_is_reported_and_left_out(monkeypatch):
     def failing(sensor, line, along, depth, pressure, inflated):
         values, statistics = (np.zeros((len(along), 10)), softslide.pipeline.atlas.solve.Statistics())
         if (line.axis, line.sense, line.offset_mm) == (0, 1, 6.0):
@@ -224,48 +214,43 @@ def test_simulate_refuses_bad_arguments_in_one_line(arguments, words, tmp_path, 
     assert words in refused(capsys, "simulate", "--out", tmp_path / "a.npz", *arguments.split())
 
 
-@pytest.fixture(scope="module")
-def default() -> Atlas:
-    return read_atlas(DEFAULT_ATLAS)
-
-
-def vx_extremes(atlas: Atlas, y: float, level: float) -> tuple[float, float, float, float]:
+def vx_extremes(y: float, level: float) -> tuple[float, float, float, float]:
     x = np.linspace(-29, 29, 581)
-    vx = atlas.response(x, np.full(len(x), y), 0.0, 0.5, level)[:, 0, 0]
+    vx = ATLAS.response(x, np.full(len(x), y), 0.0, 0.5, level)[:, 0, 0]
     return vx.min(), vx.max(), x[vx.argmin()], x[vx.argmax()]
 
 
-def test_default_atlas_is_the_article_s_sensor_without_a_failed_position(default):
-    check_atlas(default, read_sensor(DEFAULT_SENSOR))
-    assert default.failed == []
-    assert default.pressure_mpa[-1] == pytest.approx(2e-3, rel=0.05)
-    assert default.meta["rest_error_g"] < 1e-3
-    assert {0.2, 1.2} <= set(default.depth_mm)
-    assert max(abs(default.x_mm[0]), default.x_mm[-1]) >= 29
+def test_default_atlas_is_the_article_s_sensor_without_a_failed_position():
+    check_atlas(ATLAS, read_sensor(DEFAULT_SENSOR))
+    assert ATLAS.failed == []
+    assert ATLAS.pressure_mpa[-1] == pytest.approx(2e-3, rel=0.05)
+    assert ATLAS.meta["rest_error_g"] < 1e-3
+    assert {0.2, 1.2} <= set(ATLAS.depth_mm)
+    assert max(abs(ATLAS.x_mm[0]), ATLAS.x_mm[-1]) >= 29
 
 
 @pytest.mark.parametrize("height", [5.5, 6.75, 9.0])
-def test_default_atlas_has_the_article_s_signs_by_zone(default, height):
-    level = default.pressure_at(height)
+def test_default_atlas_has_the_article_s_signs_by_zone(height):
+    level = ATLAS.pressure_at(height)
     for x, y, signs in [(-4, -7, (-1, -1)), (14, -7, (1, -1)), (-4, 7, (-1, 1)), (14, 7, (1, 1))]:
         for heading in (0.0, 90.0, 180.0, 270.0):
-            found = default.response(np.array([x]), np.array([y]), heading, 0.5, level)[0, 0, :2]
+            found = ATLAS.response(np.array([x]), np.array([y]), heading, 0.5, level)[0, 0, :2]
             assert np.sign(found).tolist() == list(signs)
 
 
-def test_default_atlas_x_slides_change_vx_s_sign_and_keep_vy_s(default):
+def test_default_atlas_x_slides_change_vx_s_sign_and_keep_vy_s():
     x = np.linspace(-24, 24, 97)
-    level = default.pressure_at(6.75)
+    level = ATLAS.pressure_at(6.75)
     for y in (-10.0, 10.0):
-        vx, vy = default.response(x, np.full(len(x), y), 0.0, 0.5, level)[:, 0, :2].T
+        vx, vy = ATLAS.response(x, np.full(len(x), y), 0.0, 0.5, level)[:, 0, :2].T
         strong = np.abs(vx) > 0.01
         assert np.count_nonzero(np.diff(np.sign(vx[strong]))) == 1
         assert (np.sign(vy[np.abs(vy) > 0.02]) == np.sign(y)).all()
 
 
-def test_default_atlas_extremes_fall_with_distance_and_stay_in_place(default):
-    level = default.pressure_at(6.75)
-    rows = np.array([vx_extremes(default, y, level) for y in (0.0, 5.0, 10.0, 15.0)])
+def test_default_atlas_extremes_fall_with_distance_and_stay_in_place():
+    level = ATLAS.pressure_at(6.75)
+    rows = np.array([vx_extremes(y, level) for y in (0.0, 5.0, 10.0, 15.0)])
     assert (np.diff(rows[:, 0]) > 0).all()
     assert (np.diff(rows[:, 1]) < 0).all()
     assert np.ptp(rows[:, 3]) < 2.0
@@ -274,8 +259,8 @@ def test_default_atlas_extremes_fall_with_distance_and_stay_in_place(default):
     assert np.ptp(rows[:, 2]) < 2.5
 
 
-def test_default_atlas_gives_more_signal_with_more_pressure(default):
-    swings = [np.ptp(vx_extremes(default, 2.5, float(p))[:2]) for p in default.pressure_mpa]
+def test_default_atlas_gives_more_signal_with_more_pressure():
+    swings = [np.ptp(vx_extremes(2.5, float(p))[:2]) for p in ATLAS.pressure_mpa]
     assert (np.diff(swings) > 0.05).all()
 
 
@@ -291,11 +276,11 @@ def test_default_atlas_gives_more_signal_with_more_pressure(default):
         ((20.0, -23.0), 120.0, 0.5, 6.0),
     ],
 )
-def test_default_atlas_answers_lines_it_was_not_solved_on(default, start, heading, depth, height):
+def test_default_atlas_answers_lines_it_was_not_solved_on(start, heading, depth, height):
     """Root mean square and largest error in g against the solver, between lines, depths and levels, at any angle."""
     sensor = read_sensor(DEFAULT_SENSOR)
     skin = skin_of(sensor)
-    level = default.pressure_at(height)
+    level = ATLAS.pressure_at(height)
     inflated = skin.inflate(level)
     assert skin.height(inflated) == pytest.approx(height, abs=0.05)
     travel = np.arange(0, 60.1, 1.25)[:, None]
@@ -304,7 +289,7 @@ def test_default_atlas_answers_lines_it_was_not_solved_on(default, start, headin
     centres = np.column_stack([places, np.full(len(places), 4.0 + 3.0 - depth)])
     postures, _ = skin.slide(inflated, level, centres)
     solved = np.array([gravity(p.rotations) - gravity(inflated.rotations) for p in postures])
-    error = default.response(*places.T, heading, depth, level) - solved
+    error = ATLAS.response(*places.T, heading, depth, level) - solved
     assert np.ptp(solved[:, 0, 0]) > 0.2
     assert np.sqrt((error**2).mean()) < 0.004
     assert np.abs(error).max() < 0.02

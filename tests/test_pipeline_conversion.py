@@ -167,7 +167,7 @@ def test_streams_that_end_apart_are_refused() -> None:
         joined(resampled([in_chunks(time_s, volts, []), short], Path("s"), RATE_HZ, 0.1))
 
 
-def test_the_largest_gap_is_reported_or_refused(tmp_path: Path, capsys) -> None:
+def test_the_largest_gap_is_reported_or_refused(tmp_path: Path) -> None:
     map_path = write_lab(tmp_path, FORMATS["csv"])
     path = tmp_path / "lab" / "one.csv"
     pd.read_csv(path).drop(index=range(20, 25)).to_csv(path, index=False)

@@ -10,8 +10,7 @@ from front_door import refused
 
 from softslide.features.angles import touch_channels
 from softslide.features.errors import InputError
-from softslide.pipeline.checks.findings import examine
-from softslide.pipeline.checks.report import not_checked
+from softslide.pipeline.checks.report import checked, not_checked
 from softslide.pipeline.importers.grid.assemble import import_grid
 from softslide.pipeline.importers.grid.grid_map import read_grid_map
 from softslide.pipeline.recordings.folder import Folder, read_folder
@@ -150,7 +149,7 @@ def test_labels_and_truth_say_where_the_contact_is(lab) -> None:
 def test_the_folder_says_what_it_is_and_check_is_silent(lab) -> None:
     _, folder = lab
     assert folder.sensor.origin == "assembled"
-    assert [f.line() for f in examine(folder)] == []
+    assert [f.line() for f in checked(folder).findings] == []
     assert any("accelerometers alone" in line for line in not_checked(folder.sensor))
 
 

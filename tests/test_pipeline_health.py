@@ -10,7 +10,8 @@ import pandas as pd
 import pytest
 
 import softslide
-from softslide.pipeline.checks.findings import Finding, examine
+from softslide.pipeline.checks.findings import Finding
+from softslide.pipeline.checks.report import checked
 from softslide.pipeline.recordings.folder import SAMPLE, Folder, Recording, read_folder, write_folder
 
 BENCH = Path(__file__).parents[1].parent / "shared" / "recordings"
@@ -37,7 +38,7 @@ def injured(sound, tmp_path: Path, change: Change, only: int | None = None) -> l
         copies.append(copy)
         rows.append(row)
     manifest = pd.DataFrame(rows, index=folder.manifest.index)
-    return examine(write_folder(tmp_path / "lab", folder.sensor, manifest, copies))
+    return checked(write_folder(tmp_path / "lab", folder.sensor, manifest, copies)).findings
 
 
 def volts_changed(function: Callable[[np.ndarray], np.ndarray], channels: object = slice(None)) -> Change:
@@ -83,7 +84,7 @@ def quiet(volts: np.ndarray) -> np.ndarray:
 
 
 def test_the_sample_has_no_errors(sound) -> None:
-    assert [finding.line() for finding in examine(sound[0]) if finding.level == "error"] == []
+    assert [finding.line() for finding in checked(sound[0]).findings if finding.level == "error"] == []
 
 
 @pytest.mark.parametrize(
@@ -157,7 +158,7 @@ def test_a_zero_that_moves_in_most_slides_is_found(sound, tmp_path: Path) -> Non
         recording.volts[:, 1] += sign * np.linspace(0, 0.003, len(recording.time_s))
 
     found = {(f.kind, f.channel) for f in injured(sound, tmp_path, drifting)} - {
-        (f.kind, f.channel) for f in examine(sound[0])
+        (f.kind, f.channel) for f in checked(sound[0]).findings
     }
     assert found == {("drift", "a0_vy")}
 
@@ -174,7 +175,7 @@ def test_a_copy_is_found_wherever_it_begins(sound, tmp_path: Path) -> None:
 
     twins = [first, Recording("twin", first.time_s, first.volts)]
     manifest = folder.manifest.loc[[first.name, first.name]].set_axis([first.name, "twin"])
-    findings = examine(write_folder(tmp_path / "twins", folder.sensor, manifest, twins))
+    findings = checked(write_folder(tmp_path / "twins", folder.sensor, manifest, twins)).findings
     assert [(f.kind, f.recording) for f in findings if f.level == "error"] == [("duplicate", "twin")]
 
 
@@ -193,7 +194,7 @@ def test_equal_variances_are_found_and_real_ones_pass(sound, tmp_path: Path) -> 
         return any(f.kind == "made up" and not f.recording for f in findings)
 
     # The bench is emulated: the report says so.
-    assert equal(examine(sound[0]))
+    assert equal(checked(sound[0]).findings)
     assert not equal(injured(sound, tmp_path, real))
 
 
@@ -229,7 +230,7 @@ def test_the_report_is_json_and_errors_exit_with_2(sound, tmp_path: Path, capsys
 @pytest.mark.parametrize("bench", ["bench-a", "bench-d"])
 @pytest.mark.skipif(not BENCH.is_dir(), reason="the shared recordings are not next to this checkout")
 def test_the_bench_recordings_have_no_errors(bench: str) -> None:
-    assert [f.line() for f in examine(read_folder(BENCH / bench)) if f.level == "error"] == []
+    assert [f.line() for f in checked(read_folder(BENCH / bench)).findings if f.level == "error"] == []
 
 
 @pytest.mark.parametrize("samples", [2, 3, 9, 60, 700])
@@ -243,7 +244,7 @@ def test_short_and_constant_recordings_are_judged(sound, tmp_path: Path, samples
     cut = [Recording(r.name, r.time_s[:samples], r.volts[:samples]) for r in recordings[:2]]
     if constant:
         cut = [Recording(r.name, r.time_s, np.full_like(r.volts, 1.65)) for r in cut]
-    findings = examine(write_folder(tmp_path / "lab", folder.sensor, manifest, cut))
+    findings = checked(write_folder(tmp_path / "lab", folder.sensor, manifest, cut)).findings
     assert not constant or "dead" in {f.kind for f in findings}
     assert all(np.isfinite([f.figure, f.limit]).all() for f in findings)
 
@@ -255,7 +256,7 @@ def test_any_rate_is_judged(sound, tmp_path: Path, rate_hz: float) -> None:
     noise = [np.random.default_rng(n).normal([1.65, 1.65, 2.45], 0.006, (count, 3)) for n in range(6)]
     slides = [Recording(f"r{n}", np.arange(count) / rate_hz, volts) for n, volts in enumerate(noise)]
     manifest = pd.DataFrame({"recording": [s.name for s in slides], "split": "calibration"})
-    findings = examine(write_folder(tmp_path / "lab", sensor, manifest, slides))
+    findings = checked(write_folder(tmp_path / "lab", sensor, manifest, slides)).findings
     assert [f for f in findings if f.level == "error"] == []
 
 

@@ -11,14 +11,15 @@ import numpy as np
 import pandas as pd
 import pytest
 from front_door import refused as refused_command
-from lab_files import FORMATS, Format, a_sensor, slide, write_lab, write_two_topics
+from lab_files import FORMATS, a_sensor, slide, write_lab, write_two_topics
 
 import softslide
-from softslide.pipeline.checks.findings import examine
+from softslide.pipeline.checks.report import checked
 from softslide.pipeline.importers import run
 from softslide.pipeline.importers.import_map import read_map, template
 from softslide.pipeline.importers.importer import import_recordings
 from softslide.pipeline.importers.readers import matlab
+from softslide.pipeline.importers.readers.hdf5 import read_hdf5
 from softslide.pipeline.importers.readers.registry import READERS
 from softslide.pipeline.recordings.folder import SAMPLE, read_folder
 from softslide.pipeline.sensor import Accelerometer, write_sensor
@@ -73,6 +74,16 @@ def test_data_in_other_files_are_not_read(
     assert "lies in other files" in refused(map_path, capsys)
 
 
+def test_a_row_of_values_has_columns(tmp_path: Path) -> None:
+    """A dataset of one row holds a value for every sample in each column, as MATLAB's of one column does."""
+    with h5py.File(tmp_path / "row.h5", "w") as file:
+        file["row"], file["column"] = np.array([[1.0, 2.0, 3.0]]), np.array([[1.0], [2.0], [3.0]])
+        file["time"] = np.arange(4.0)
+    for name, stored in (("row", False), ("column", True)):
+        chunks = list(read_hdf5(tmp_path / "row.h5", ["time", f"{name}:2"], matlab=stored))
+        np.testing.assert_array_equal(chunks[0].columns[f"{name}:2"], np.full(4, 3.0))
+
+
 @pytest.mark.parametrize("name", FORMATS)
 def test_a_format_comes_back_as_written(tmp_path: Path, name: str) -> None:
     form = FORMATS[name]
@@ -85,7 +96,7 @@ def test_a_format_comes_back_as_written(tmp_path: Path, name: str) -> None:
         np.testing.assert_allclose(read.volts, volts, rtol=0, atol=form.tolerance_v)
 
 
-def victim(folder: Path, form: Format) -> Path:
+def victim(folder: Path) -> Path:
     """The first slide's file; in a ROS 2 bag's folder its storage."""
     path = sorted((folder / "lab").iterdir())[0]
     return next(p for p in path.iterdir() if p.suffix in (".db3", ".mcap")) if path.is_dir() else path
@@ -94,7 +105,7 @@ def victim(folder: Path, form: Format) -> Path:
 @pytest.mark.parametrize("name", FORMATS)
 def test_a_truncated_file_and_one_of_noise_are_refused(tmp_path: Path, capsys, name: str) -> None:
     map_path = write_lab(tmp_path, FORMATS[name])
-    path = victim(tmp_path, FORMATS[name])
+    path = victim(tmp_path)
     content = path.read_bytes()
     for portion in (0.0, 0.03, 0.5, 0.9):
         path.write_bytes(content[: int(portion * len(content))])
@@ -360,7 +371,7 @@ def test_a_real_accelerometer_comes_in(tmp_path: Path) -> None:
     felt_g = source[["accel_x", "accel_y", "accel_z"]]
     np.testing.assert_allclose((recording.volts - 1.65) / 0.8, felt_g, atol=1e-12)
     assert json.loads((tmp_path / "out" / "import.json").read_text())["recordings"][0]["resampled"] is False
-    findings = examine(folder)
+    findings = checked(folder).findings
     assert {finding.level for finding in findings} == {"warning"}
     assert ("gravity", "Wood 1") in {(finding.kind, finding.recording) for finding in findings}
 

@@ -6,13 +6,13 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from article_skin import ATLAS, SENSOR, exact
 from front_door import refused
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import softslide
 from softslide.features.errors import InputError
-from softslide.pipeline.atlas.atlas import read_atlas
 from softslide.pipeline.recordings.folder import read_folder
 from softslide.pipeline.recordings.truth import COLUMNS, read_truth
 from softslide.pipeline.skin.solved_line import channels, skin_of
@@ -20,27 +20,18 @@ from softslide.pipeline.synthesis.distribution import Distribution
 from softslide.pipeline.synthesis.motion import Stroke
 from softslide.pipeline.synthesis.paths.contact_path import ContactPath, Timing
 from softslide.pipeline.synthesis.paths.course import STEP_MM, Course
-from softslide.pipeline.synthesis.paths.distribution import PathDistribution
 from softslide.pipeline.synthesis.paths.draw import KINDS, draw_path
 from softslide.pipeline.synthesis.paths.partial_contact import partial_friction_parts, touch_depth_mm
 from softslide.pipeline.synthesis.paths.response import path_response, path_truth
 from softslide.pipeline.synthesis.paths.solved import solved_response
 from softslide.pipeline.synthesis.slide_plan import Slide
-from softslide.pipeline.synthesis.specimen import ideal_specimen
-from softslide.pipeline.synthesis.synthesize import record, sensor_of, synthesize
+from softslide.pipeline.synthesis.synthesize import record, synthesize
 
-ATLAS = read_atlas()
-SENSOR = sensor_of(ATLAS)
 HEIGHT = 7.0
 
 
 def drawn(kind: str, seed: int) -> ContactPath:
     return draw_path(0, ATLAS, SENSOR, Distribution(), np.random.default_rng(seed), kind=kind)
-
-
-def exact_specimen():
-    specimen = ideal_specimen(SENSOR)
-    return replace(specimen, electronics=replace(specimen.electronics, adc_step_v=0.0))
 
 
 def test_a_straight_path_at_one_speed_is_a_slide() -> None:
@@ -52,13 +43,13 @@ def test_a_straight_path_at_one_speed_is_a_slide() -> None:
     course = Course((-29.0, 7.25), STEP_MM, np.zeros(len(knot) - 1), np.full(len(knot), 0.5))
     timing = Timing(np.minimum(speed, np.sqrt(2 * speed / ramp * to_end)))
     path = ContactPath(course, timing, HEIGHT, 0.035, "line", "line", "constant", 6.0, friction_mm=0.3)
-    one, other = (record(plan, exact_specimen(), ATLAS, np.random.default_rng(0)) for plan in (slide, path))
+    one, other = (record(plan, exact(), ATLAS, np.random.default_rng(0)) for plan in (slide, path))
     assert path.motion_end_s == pytest.approx(slide.motion_start_s + slide.stroke.duration_s, abs=1e-6)
     assert len(one.volts) == len(other.volts)
     assert np.ptp(one.volts, axis=0)[:2].min() > 0.2
     assert np.abs(one.volts - other.volts).max() < 2e-4
     # It would show: friction that does not get there.
-    other = record(replace(path, friction_mm=50.0), exact_specimen(), ATLAS, np.random.default_rng(0))
+    other = record(replace(path, friction_mm=50.0), exact(), ATLAS, np.random.default_rng(0))
     assert np.abs(one.volts - other.volts).max() > 1e-3
 
 
@@ -237,7 +228,7 @@ def test_a_folder_of_slides_and_paths(tmp_path: Path, capsys) -> None:
     line, press = tracks.manifest.loc["p00000"], tracks.manifest.loc["p00008"]
     assert line[["direction_deg", "speed_mm_s", "offset_mm", "depth_mm"]].notna().all()
     assert press[["direction_deg", "speed_mm_s", "offset_mm", "travel_mm"]].isna().all()
-    assert line["path"], line["law"] == ("line", "constant")
+    assert (line["path"], line["law"]) == ("line", "constant")
     for name in tracks.manifest.index:
         recording = folder.load(name)
         truth = recording.truth
@@ -273,10 +264,3 @@ def test_truth_that_cannot_be_is_refused(tmp_path: Path, change, message: str) -
     change(good).to_csv(path, index=False)
     with pytest.raises(InputError, match=message):
         read_truth(path)
-
-
-def test_a_distribution_that_cannot_be_is_refused() -> None:
-    with pytest.raises(ValueError, match=r"speed_mm_s is .*must rise"):
-        PathDistribution(speed_mm_s=(4.0, 2.0))
-    with pytest.raises(ValueError, match=r"radius_mm is .*positive"):
-        PathDistribution(radius_mm=(0.0, 2.0))

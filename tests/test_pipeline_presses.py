@@ -7,15 +7,15 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from article_skin import ATLAS, BOARD, FORCE, MIRRORED, SENSOR, of_design
 from front_door import refused
 from small_bundle import write_small_bundle
 
 import softslide
-from softslide.pipeline.atlas.atlas import DEFAULT_SENSOR, Atlas, read_atlas, write_atlas
+from softslide.pipeline.atlas.atlas import Atlas, write_atlas
 from softslide.pipeline.atlas.presses import MOST_MISFIT, press_in, settled_reading
 from softslide.pipeline.recordings.folder import Folder, Recording, write_folder
-from softslide.pipeline.sensor import Sensor, design_hash, design_of, read_sensor
-from softslide.pipeline.skin.lines import MIRROR_BOARD, PER_BOARD
+from softslide.pipeline.sensor import Sensor
 
 HEIGHT_MM = 7.1
 RATE_HZ = 500.0
@@ -28,10 +28,6 @@ PLACES = [(-12.0, 7.0, 0.5), (9.0, -11.0, 0.8), (2.0, 14.0, 0.4), (-5.0, -6.0, 0
 def four_boards() -> Atlas:
     """The shipped atlas with its board at (5, 0) also at (-5, 0), (0, 5), (0, -5), by mirroring and turning the skin as
     if each were the only one: what the estimator sees of several boards, though no skin that was solved."""
-    atlas = read_atlas()
-    one, force = atlas.parts[..., :PER_BOARD], atlas.parts[..., PER_BOARD:]
-    left = one[:, ::-1] * MIRROR_BOARD[0]
-    left[1] *= -1.0
 
     def turned(board: np.ndarray) -> np.ndarray:
         """By a quarter: (x, y) to (-y, x); along x becomes along y."""
@@ -41,21 +37,15 @@ def four_boards() -> Atlas:
             vector[..., first], vector[..., first + 1] = -there[..., first + 1], there[..., first]
         return vector[[0, 2, 1]] * np.array([1.0, -1.0, 1.0])[:, None, None, None, None, None]
 
-    boards = [one, left, turned(one), turned(left)]
-    sensor = sensor_with(FOUR)
-    return dataclasses.replace(
-        atlas,
-        parts=np.concatenate([*boards, force], axis=-1),
-        statics=np.concatenate([atlas.statics] * 4, axis=1),
-        meta={**atlas.meta, "design": design_of(sensor), "design_hash": design_hash(sensor)},
-    )
+    boards = [BOARD, MIRRORED, turned(BOARD), turned(MIRRORED)]
+    parts = np.concatenate([*boards, FORCE], axis=-1)
+    return of_design(sensor_with(FOUR), parts=parts, statics=np.concatenate([ATLAS.statics] * 4, axis=1))
 
 
 def sensor_with(places: list[tuple[float, float]]) -> Sensor:
-    sensor = read_sensor(DEFAULT_SENSOR)
-    part = sensor.accelerometers[0]
+    part = SENSOR.accelerometers[0]
     parts = tuple(dataclasses.replace(part, name=f"a{n}", x_mm=x, y_mm=y) for n, (x, y) in enumerate(places))
-    return dataclasses.replace(sensor, accelerometers=parts, sample_rate_hz=RATE_HZ)
+    return dataclasses.replace(SENSOR, accelerometers=parts, sample_rate_hz=RATE_HZ)
 
 
 def pressed(atlas: Atlas, sensor: Sensor, root: Path, gain: float = 1.02, count: int = len(PLACES)) -> Folder:
@@ -87,7 +77,7 @@ def off_mm(rows: list[dict]) -> np.ndarray:
 
 
 def test_four_accelerometers_are_sharp_and_one_is_not_and_says_so(four_boards: Atlas, tmp_path: Path) -> None:
-    several, alone = four_boards, read_atlas()
+    several, alone = four_boards, ATLAS
     many = found_in(pressed(several, sensor_with(FOUR), tmp_path / "four"), several)
     one = found_in(pressed(alone, sensor_with(FOUR[:1]), tmp_path / "one"), alone)
     assert off_mm(many).max() < 1.5
@@ -121,9 +111,8 @@ def test_the_command_reads_each_press_and_needs_a_height(four_boards: Atlas, tmp
 
 def test_what_is_not_a_press_shows_by_its_misfit(tmp_path: Path) -> None:
     """Outputs ten times as large as any press of this skin."""
-    atlas = read_atlas()
-    folder = pressed(atlas, sensor_with([(5.0, 0.0)]), tmp_path / "hard", gain=10.0, count=1)
-    row = found_in(folder, atlas)[0]
+    folder = pressed(ATLAS, sensor_with([(5.0, 0.0)]), tmp_path / "hard", gain=10.0, count=1)
+    row = found_in(folder, ATLAS)[0]
     assert row["misfit"] > MOST_MISFIT
     assert not row["valid"]
 

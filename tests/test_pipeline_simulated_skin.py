@@ -2,20 +2,18 @@
 
 import numpy as np
 import pytest
+from article_skin import ATLAS, SENSOR
 
 import softslide
 from softslide.features.errors import InputError
-from softslide.pipeline.atlas.atlas import read_atlas
 from softslide.pipeline.synthesis.distribution import Distribution
-from softslide.pipeline.synthesis.electronics import ElectronicsSpread
+from softslide.pipeline.synthesis.electronics import ElectronicsSpread, ideal_electronics
 from softslide.pipeline.synthesis.motion import Stroke
 from softslide.pipeline.synthesis.slide_plan import Slide
-from softslide.pipeline.synthesis.specimen import Specimen, ideal_specimen
-from softslide.pipeline.synthesis.synthesize import record, sensor_of
+from softslide.pipeline.synthesis.specimen import Specimen
+from softslide.pipeline.synthesis.synthesize import record
 
-ATLAS = read_atlas()
-SENSOR = sensor_of(ATLAS)
-IDEAL = ideal_specimen(SENSOR)
+IDEAL = Specimen(ideal_electronics(SENSOR))
 LAGGING = Specimen(IDEAL.electronics, delayed=0.3, tau_s=0.2)
 HEIGHT_MM = float(np.median(ATLAS.height_mm))
 
@@ -24,7 +22,7 @@ def a_slide(depth_mm: float = 0.5) -> tuple[Slide, np.ndarray]:
     """A plan, and where its indenter is at each sample."""
     slide = Slide(30.0, 3.0, (-32.0, -15.0), Stroke(64.0, 8.0, 0.05), depth_mm, 0.02, HEIGHT_MM)
     time_s = np.arange(int(slide.duration_s * SENSOR.sample_rate_hz) + 1) / SENSOR.sample_rate_hz
-    way = slide.stroke.forth(time_s - slide.motion_start_s)
+    way = slide.stroke.at(time_s - slide.motion_start_s)[0]
     return slide, np.column_stack([*slide.places(way), np.full(len(way), -depth_mm)])
 
 

@@ -5,12 +5,11 @@ import json
 import numpy as np
 import pandas as pd
 import pytest
+from article_skin import ATLAS, SENSOR
 
 import softslide
-from softslide.pipeline.atlas.atlas import DEFAULT_SENSOR, read_atlas
 from softslide.pipeline.atlas.skin_height import says_of_heights, skin_heights
 from softslide.pipeline.recordings.folder import SAMPLE, Folder, Recording, read_folder, write_folder
-from softslide.pipeline.sensor import read_sensor
 
 HEIGHTS_MM, PRESSURES_MPA, FACTOR = (5.5, 7.0, 8.5), (0.03, 0.035, 0.04), 0.8
 
@@ -18,21 +17,20 @@ HEIGHTS_MM, PRESSURES_MPA, FACTOR = (5.5, 7.0, 8.5), (0.03, 0.035, 0.04), 0.8
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Folder:
     """A skin whose board tilts by 0.8 of what is solved, at rest at three pressures; a laser at the middle one."""
-    atlas, sensor = read_atlas(), read_sensor(DEFAULT_SENSOR)
     recordings, rows = [], []
     for n, (height, pressure) in enumerate(zip(HEIGHTS_MM, PRESSURES_MPA, strict=True)):
-        static = atlas.static(atlas.pressure_at(height))[0] * [FACTOR, FACTOR, 1.0]
+        static = ATLAS.static(ATLAS.pressure_at(height))[0] * [FACTOR, FACTOR, 1.0]
         noise = np.random.default_rng(n).normal(0.0, 0.005, (1000, 3))
         recordings.append(Recording(f"r{n}", np.arange(1000) / 1000.0, 1.65 + 0.8 * static + noise))
-        laser = height if pressure == sensor.pressure_mpa else np.nan
+        laser = height if pressure == SENSOR.pressure_mpa else np.nan
         rows.append((f"r{n}", "calibration", pressure, laser))
     manifest = pd.DataFrame(rows, columns=["recording", "split", "pressure_mpa", "skin_height_mm"])
-    return write_folder(tmp_path_factory.mktemp("heights") / "skin", sensor, manifest, recordings)
+    return write_folder(tmp_path_factory.mktemp("heights") / "skin", SENSOR, manifest, recordings)
 
 
 def rows_of(folder: Folder) -> list[dict]:
     rest_v = {str(name): folder.load(str(name)).volts.mean(axis=0) for name in folder.manifest.index}
-    return skin_heights(folder, rest_v, read_atlas())
+    return skin_heights(folder, rest_v, ATLAS)
 
 
 def test_one_reading_of_a_laser_makes_the_solved_design_right_at_other_pressures(folder: Folder) -> None:

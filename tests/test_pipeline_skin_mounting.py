@@ -6,11 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 import scipy.sparse as sparse
+from article_skin import ATLAS, of_design
+from article_skin import SENSOR as ARTICLE
 from square_skin import square_skin
 
 from softslide.features.errors import InputError
-from softslide.pipeline.atlas.atlas import DEFAULT_ATLAS, DEFAULT_SENSOR, check_atlas, read_atlas, write_atlas
-from softslide.pipeline.sensor import Sensor, Skin, design_hash, design_of, read_sensor
+from softslide.pipeline.atlas.atlas import check_atlas, write_atlas
+from softslide.pipeline.sensor import Accelerometer, Sensor, Skin
 from softslide.pipeline.skin.lines import Line, reach_mm
 from softslide.pipeline.skin.mesh import plate, skin_mesh
 from softslide.pipeline.skin.solved_line import material_of, skin_of, solve_line
@@ -157,25 +159,23 @@ def test_what_cannot_be_mounted_is_refused(whole: Skin | Sensor, change: dict, w
 
 
 def test_an_atlas_says_what_of_the_design_differs() -> None:
-    atlas = read_atlas(DEFAULT_ATLAS)
-    article = read_sensor(DEFAULT_SENSOR)
-    check_atlas(atlas, article)
+    check_atlas(ATLAS, replace(ARTICLE, name="other", adc_step_v=0.0))
+    moved = replace(ARTICLE, accelerometers=(Accelerometer("a0", 6.0, 0.0),))
+    with pytest.raises(InputError, match=r"a\.npz: solved for another design \(boards_mm"):
+        check_atlas(ATLAS, moved, "a.npz")
     with pytest.raises(InputError, match=r"indenter_edge_mm is not given, the sensor's \[0.0, 4.0\]"):
-        check_atlas(atlas, replace(article, indenter_edge_mm=(0.0, 4.0)))
+        check_atlas(ATLAS, replace(ARTICLE, indenter_edge_mm=(0.0, 4.0)))
     with pytest.raises(InputError, match="overlap_mm"):
-        check_atlas(atlas, replace(article, skin=replace(article.skin, overlap_mm=5.0)))
-    design = {**atlas.meta["design"], "indenter_edge_mm": [0.0, 4.0]}
-    edged = replace(atlas, meta={**atlas.meta, "design": design, "design_hash": "0" * 16})
+        check_atlas(ATLAS, replace(ARTICLE, skin=replace(ARTICLE.skin, overlap_mm=5.0)))
+    design = {**ATLAS.meta["design"], "indenter_edge_mm": [0.0, 4.0]}
+    edged = replace(ATLAS, meta={**ATLAS.meta, "design": design, "design_hash": "0" * 16})
     with pytest.raises(InputError, match=r"indenter_edge_mm is \[0.0, 4.0\], the sensor's not given"):
-        check_atlas(edged, article)
+        check_atlas(edged, ARTICLE)
     assert sensor_of(edged).indenter_edge_mm == (0.0, 4.0)
 
 
 def test_paths_of_an_edge_want_to_be_solved(tmp_path: Path) -> None:
-    atlas = read_atlas(DEFAULT_ATLAS)
-    edged = replace(read_sensor(DEFAULT_SENSOR), indenter_edge_mm=(0.0, 4.0))
-    meta = {**atlas.meta, "design": design_of(edged), "design_hash": design_hash(edged)}
-    write_atlas(replace(atlas, meta=meta), tmp_path / "edge.npz")
+    write_atlas(of_design(replace(ARTICLE, indenter_edge_mm=(0.0, 4.0))), tmp_path / "edge.npz")
     with pytest.raises(InputError, match="have the paths solved"):
         synthesize(tmp_path / "out", atlas=tmp_path / "edge.npz", seed=1, paths=3)
     assert not (tmp_path / "out").exists()

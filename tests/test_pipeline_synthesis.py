@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from article_skin import ATLAS, BOARD, FORCE, MIRRORED, SENSOR, exact, of_design
 from front_door import refused
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -14,18 +15,20 @@ from scipy.spatial.transform import Rotation
 
 import softslide
 from softslide.features.errors import InputError
-from softslide.pipeline.atlas.atlas import DEFAULT_SENSOR, Atlas, read_atlas, write_atlas
-from softslide.pipeline.checks.findings import examine
+from softslide.pipeline.atlas.atlas import DEFAULT_SENSOR, Atlas, write_atlas
+from softslide.pipeline.checks.report import checked
 from softslide.pipeline.checks.zone_signs import sign_agreement
 from softslide.pipeline.recordings.folder import Folder, read_folder
-from softslide.pipeline.sensor import Accelerometer, design_hash, design_of
+from softslide.pipeline.sensor import Accelerometer, design_hash
 from softslide.pipeline.skin.solved_line import gravity
 from softslide.pipeline.synthesis.board_gravity import in_tilted_sensor, upright
 from softslide.pipeline.synthesis.distribution import SCALE_MM, SPLITS, Distribution
+from softslide.pipeline.synthesis.electronics import ideal_electronics
 from softslide.pipeline.synthesis.motion import Stroke
+from softslide.pipeline.synthesis.paths.distribution import PathDistribution
 from softslide.pipeline.synthesis.protocol import article_slides
 from softslide.pipeline.synthesis.slide_plan import Slide, crossing
-from softslide.pipeline.synthesis.specimen import Specimen, ideal_specimen
+from softslide.pipeline.synthesis.specimen import Specimen
 from softslide.pipeline.synthesis.synthesize import (
     noise_of,
     plan,
@@ -37,15 +40,7 @@ from softslide.pipeline.synthesis.synthesize import (
 from softslide.pipeline.synthesis.upsampling import upsampled
 from softslide.pipeline.synthesis.viscoelastic_lag import standard_solid
 
-ATLAS = read_atlas()
-SENSOR = sensor_of(ATLAS)
 HEIGHT = 7.0
-
-
-def exact(**changes) -> Specimen:
-    """A specimen that adds nothing, not even the ADC's step."""
-    specimen = ideal_specimen(SENSOR)
-    return replace(specimen, electronics=replace(specimen.electronics, adc_step_v=0.0), **changes)
 
 
 def slide_over(direction, offset, speed, stroke=None, depth=0.5, **changes) -> Slide:
@@ -65,7 +60,8 @@ def grams(slide: Slide, specimen: Specimen | None = None, seed: int = 0) -> tupl
 def test_a_stroke_ramps_goes_and_turns():
     stroke = Stroke(40.0, 8.0, 0.3, back_mm=25.0, dwell_s=0.7)
     time = np.arange(-1, stroke.duration_s + 1, 1e-3)
-    way = stroke.forth(time) - stroke.back(time)
+    forth, back, moving = stroke.at(time)
+    way = forth - back
     assert stroke.forth_s == pytest.approx(5.3)
     assert stroke.duration_s == pytest.approx(5.3 + 0.7 + 25 / 8 + 0.3)
     assert (way[time <= 0] == 0).all()
@@ -73,10 +69,10 @@ def test_a_stroke_ramps_goes_and_turns():
     assert way[-1] == pytest.approx(15.0)
     speed = np.abs(np.gradient(way, 1e-3))
     assert speed.max() == pytest.approx(8.0, rel=1e-6)
-    assert np.abs(speed - stroke.speed(time)).max() < 0.03
+    assert np.abs(speed - moving).max() < 0.03
     assert np.abs(np.diff(speed)).max() / 1e-3 < 8.0 / 0.3 + 1e-6
     sudden = Stroke(40.0, 8.0, 0.0)
-    assert sudden.forth(np.array([0.0, 2.5, 5.0, 9.0])) == pytest.approx([0, 20, 40, 40])
+    assert sudden.at(np.array([0.0, 2.5, 5.0, 9.0]))[0] == pytest.approx([0, 20, 40, 40])
 
 
 def test_the_lag_is_a_standard_solid_and_has_its_limits():
@@ -129,7 +125,7 @@ def test_what_a_slide_shows_is_the_atlas_at_the_labelled_place(speed, direction,
     slide = slide_over(direction, offset, speed, depth_slope=0.003)
     time, found = grams(slide)
     time, found = time[::7], found[::7]
-    way = slide.stroke.forth(time - slide.motion_start_s)
+    way = slide.stroke.at(time - slide.motion_start_s)[0]
     assert np.ptp(slide.depths(way)) > 0.1
     level = ATLAS.pressure_at(HEIGHT)
     answer = ATLAS.response(*slide.places(way), direction, slide.depths(way), level)[:, 0]
@@ -168,7 +164,7 @@ def test_friction_turns_with_the_motion():
     stroke = {"travel_mm": 40.0, "back_mm": 40.0, "dwell_s": 0.5}
     slide = slide_over(0.0, 5.0, 10.0, stroke, rest_after_s=0.5)
     time, found = grams(slide)
-    way_back = slide.stroke.back(time - slide.motion_start_s)
+    way_back = slide.stroke.at(time - slide.motion_start_s)[1]
     late = (way_back > 3) & (way_back < 40)
     x, y = slide.places(slide.stroke.travel_mm - way_back[late][::20])
     level = ATLAS.pressure_at(HEIGHT)
@@ -245,7 +241,7 @@ def test_a_folder_is_what_the_contract_says_and_what_was_yielded(folder):
     assert origin["atlas_design"] == design_hash(read.sensor)
     assert "never measured" in origin["what"]
     assert "synthetic" in read.sensor.name
-    assert [finding for finding in examine(read) if finding.level == "error"] == []
+    assert [finding for finding in checked(read).findings if finding.level == "error"] == []
 
 
 def test_the_same_seed_writes_the_same_files_and_another_others(folder, tmp_path):
@@ -260,16 +256,12 @@ def test_the_same_seed_writes_the_same_files_and_another_others(folder, tmp_path
 def two_boards(valid: bool = True) -> Atlas:
     """The article's board twice, at (-5, 0) and (5, 0), which the default atlas and its mirror image show."""
     sensor = replace(SENSOR, accelerometers=(Accelerometer("a0", -5.0, 0.0), Accelerometer("a1", 5.0, 0.0)))
-    one, force = ATLAS.parts[..., :7], ATLAS.parts[..., 7:]
-    sign = np.array([-1, 1, 1, -1, 1, 1, -1]) * np.array([1, -1, 1])[:, None, None, None, None, None]
-    parts = np.concatenate([one[:, ::-1] * sign, one, force], axis=-1)
-    statics = np.concatenate([ATLAS.statics * [-1, 1, 1], ATLAS.statics], axis=1)
-    design = json.loads(json.dumps(design_of(sensor)))
-    meta = {**ATLAS.meta, "design": design, "design_hash": design_hash(sensor)}
     solved = ATLAS.valid.copy()
     if not valid:
         solved[10:40, 24] = False
-    return replace(ATLAS, parts=parts, statics=statics, meta=meta, valid=solved)
+    parts = np.concatenate([MIRRORED, BOARD, FORCE], axis=-1)
+    statics = np.concatenate([ATLAS.statics * [-1, 1, 1], ATLAS.statics], axis=1)
+    return of_design(sensor, parts=parts, statics=statics, valid=solved)
 
 
 def test_several_boards_and_another_design(tmp_path):
@@ -282,7 +274,7 @@ def test_several_boards_and_another_design(tmp_path):
     recording = read_folder(made.root).load("s00000")
     assert recording.volts.shape[1] == 6
     slide = replace(plan(0, 1, atlas, sensor, Distribution()), gain=1.0, posture_deg=(0.0, 0.0))
-    quiet = record(slide, ideal_specimen(sensor), atlas, noise_of(0, 1)).volts
+    quiet = record(slide, Specimen(ideal_electronics(sensor)), atlas, noise_of(0, 1)).volts
     assert quiet[0, 0] - 1.65 == pytest.approx(1.65 - quiet[0, 3], abs=1e-3)
     assert np.corrcoef(recording.volts[:, 3], quiet[:, 3])[0, 1] > 0.8
 
@@ -291,7 +283,9 @@ def test_lines_that_were_not_solved_are_left_out():
     atlas = two_boards(valid=False)
     slides = [plan(n, 2, atlas, sensor_of(atlas), Distribution()) for n in range(20)]
     for n, slide in enumerate(slides):
-        assert np.isfinite(record(slide, ideal_specimen(sensor_of(atlas)), atlas, noise_of(n, 2)).volts).all()
+        assert np.isfinite(
+            record(slide, Specimen(ideal_electronics(sensor_of(atlas))), atlas, noise_of(n, 2)).volts
+        ).all()
     unsolved = replace(atlas, valid=np.zeros_like(atlas.valid))
     with pytest.raises(InputError, match="over solved positions"):
         plan(0, 2, unsolved, sensor_of(atlas), Distribution())
@@ -345,14 +339,16 @@ def test_a_configuration_file_changes_what_is_drawn(tmp_path, capsys):
 
 
 def test_a_distribution_that_cannot_be_is_refused():
-    for change, words in (
-        ({"speed_mm_s": (5.0, 1.0)}, "must rise"),
-        ({"rest_s": (0.0, 1.0)}, "must be positive"),
-        ({"stopping": 0.8, "turning": 0.3}, "at most 1"),
-        ({"stop_share": (0.0, 0.5)}, "stop_share"),
+    for kind, change, words in (
+        (Distribution, {"speed_mm_s": (5.0, 1.0)}, "must rise"),
+        (Distribution, {"rest_s": (0.0, 1.0)}, "must be positive"),
+        (Distribution, {"stopping": 0.8, "turning": 0.3}, "at most 1"),
+        (Distribution, {"stop_share": (0.0, 0.5)}, "stop_share"),
+        (PathDistribution, {"speed_mm_s": (4.0, 2.0)}, "speed_mm_s is .*must rise"),
+        (PathDistribution, {"radius_mm": (0.0, 2.0)}, "radius_mm is .*positive"),
     ):
         with pytest.raises(ValueError, match=words):
-            Distribution(**change)
+            kind(**change)
     with pytest.raises(InputError, match=r"outside the atlas's 5..9\.6 mm"):
         plan(0, 0, ATLAS, SENSOR, Distribution(height_mm=12.0))
     with pytest.raises(InputError, match="no line of offset"):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from moving_robot import BASE, exact_motion, felt_g, on_a_robot, wandering
 from small_bundle import write_small_bundle
-from streams import RATE_HZ, a_sensor, pass_over, still, stream
+from streams import RATE_HZ, a_sensor, pass_over, pushed, still, stream, write_csv
 
 import softslide
 from softslide.features.card import read_card, write_card
@@ -19,7 +19,7 @@ from softslide.serve.localizer import Localizer
 
 SENSOR = replace(a_sensor(), base=BASE)
 TABLE = stream(still(1.0), pass_over(3.0), still(0.8))
-CHANNELS = ("time_s", "a0_vx", "a0_vy", "a0_vz", "base_vx", "base_vy", "base_vz")
+CHANNELS = ("a0_vx", "a0_vy", "a0_vz", "base_vx", "base_vy", "base_vz")
 
 
 @pytest.fixture(scope="module")
@@ -35,14 +35,8 @@ def localizer(bundle: Path) -> Localizer:
     return Localizer.load(bundle)
 
 
-def moving(volts: np.ndarray, tilt_deg: float = 20.0, seed: int = 0) -> np.ndarray:
-    return on_a_robot(volts, SENSOR, wandering(len(volts), RATE_HZ, tilt_deg, seed=seed), seed)
-
-
-def test_the_card_keeps_how_the_skin_follows_the_base(bundle: Path) -> None:
-    card = read_card(bundle / "model.json")
-    assert card.base == exact_motion(SENSOR)
-    assert card.columns == CHANNELS[1:]
+def moving(volts: np.ndarray, seed: int = 0) -> np.ndarray:
+    return on_a_robot(volts, SENSOR, wandering(len(volts), RATE_HZ, 20.0, seed=seed), seed)
 
 
 def test_without_its_base_the_same_motion_is_taken_for_contacts(tmp_path: Path) -> None:
@@ -67,14 +61,13 @@ def test_a_slide_on_a_moving_robot_is_as_on_a_table_and_its_motion_is_not_a_cont
     (table_mm, table_s), (robot_mm, robot_s) = found
     assert robot_s == pytest.approx(table_s, abs=0.1)
     assert robot_mm == pytest.approx(table_mm, abs=0.3)
-    localizer.reset()
-    assert {e.state for e in localizer.push(moving(stream(still(20.0)), seed=seed))} == {SlideState.REST}
+    estimates = pushed(localizer, moving(stream(still(20.0)), seed=seed))
+    assert {e.state for e in estimates} == {SlideState.REST}
 
 
 def test_estimates_do_not_depend_on_the_chunks(localizer: Localizer) -> None:
     samples = moving(TABLE)
-    localizer.reset()
-    whole = [repr(e) for e in localizer.push(samples)]
+    whole = [repr(e) for e in pushed(localizer, samples)]
     localizer.reset()
     chunks = np.split(samples, [7, 33, 1000, 1001, 2500])
     assert [repr(e) for chunk in chunks for e in localizer.push(chunk)] == whole
@@ -85,8 +78,7 @@ def test_without_the_base_nothing_is_valid(localizer: Localizer, fault: float) -
     """Lost, at an end of the supply, or frozen: what the skin shows may be the robot's motion."""
     samples = moving(TABLE)
     samples[500:, 4] = fault
-    localizer.reset()
-    estimates = localizer.push(samples)[60:]
+    estimates = pushed(localizer, samples)[60:]
     assert not any(e.valid for e in estimates)
     assert {e.reason for e in estimates if e.time_s > 1.5} == {Reason.DEAD_CHANNEL}
 
@@ -94,8 +86,7 @@ def test_without_the_base_nothing_is_valid(localizer: Localizer, fault: float) -
 def test_nothing_is_valid_on_a_robot_on_its_side(localizer: Localizer) -> None:
     quiet = stream(still(3.0))
     over = felt_g(np.linspace(0.0, 80.0, len(quiet)), np.zeros(len(quiet)))
-    localizer.reset()
-    last = localizer.push(on_a_robot(quiet, SENSOR, over))[-1]
+    last = pushed(localizer, on_a_robot(quiet, SENSOR, over))[-1]
     assert (last.valid, last.reason) == (False, Reason.DEAD_CHANNEL)
 
 
@@ -104,11 +95,9 @@ def test_samples_without_the_base_s_columns_are_refused(
 ) -> None:
     with pytest.raises(InputError, match=re.escape("push (n, 6) volts")):
         localizer.push(TABLE)
-    samples = np.column_stack([np.arange(len(TABLE)) / RATE_HZ, moving(TABLE)])
     said = []
-    for width, status in ((7, 0), (4, 2)):
-        path, header = tmp_path / f"{width}.csv", ",".join(CHANNELS[:width])
-        np.savetxt(path, samples[:, :width], delimiter=",", header=header, comments="")
+    for width, status in ((6, 0), (3, 2)):
+        path = write_csv(tmp_path / f"{width}.csv", moving(TABLE)[:, :width], CHANNELS[:width])
         assert softslide.main(["predict", "--model", str(bundle), str(path)]) == status
         said.append(capsys.readouterr())
     assert '"valid": true' in said[0].out

@@ -206,14 +206,6 @@ def test_an_altered_card_is_refused(mine: Path, changes: dict) -> None:
     assert taken(damaged(mine, **changes)) is None
 
 
-@pytest.mark.parametrize("size", [0, 1, 100, -1])
-@pytest.mark.parametrize("name", ["model.json", "model.onnx"])
-def test_a_truncated_bundle_is_refused(mine: Path, name: str, size: int) -> None:
-    # The card's last bytes are a brace and an end of line.
-    (mine / name).write_bytes((mine / name).read_bytes()[: size if size >= 0 else -2])
-    assert taken(mine) is None
-
-
 def test_another_graph_with_a_fitting_hash_and_a_missing_bundle_are_refused(
     mine: Path, two_boards: Path
 ) -> None:

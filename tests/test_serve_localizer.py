@@ -10,7 +10,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from small_bundle import write_small_bundle
-from streams import GRAVITY_V, RATE_HZ, ZERO_V, a_sensor, pass_over, still, stream
+from streams import GRAVITY_V, RATE_HZ, ZERO_V, a_sensor, pass_over, pushed, still, stream
 
 from softslide.features.card import Validity
 from softslide.features.errors import InputError
@@ -25,12 +25,6 @@ ONE_SLIDE = stream(still(0.6), pass_over(1.2), still(0.6))
 @pytest.fixture(scope="module")
 def pair(two_boards: Path) -> Localizer:
     return Localizer.load(two_boards)
-
-
-def pushed(localizer: Localizer, volts: np.ndarray, time_s: np.ndarray | None = None) -> list[Estimate]:
-    """The estimates of a fresh stream."""
-    localizer.reset()
-    return localizer.push(volts, time_s)
 
 
 def answers(

@@ -6,14 +6,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from mcap.reader import make_reader
-from streams import a_sensor
+from streams import a_sensor, write_csv
 
 import softslide
 from softslide.pipeline.recordings.folder import read_folder
 from softslide.pipeline.sensor import write_sensor
 from softslide.serve.stream.log import ESTIMATES, VOLTS
 
-RATE_HZ, SAMPLES = 1000, 400
+SAMPLES = 400
 JSON_TYPES = {"number": (int, float), "null": type(None), "string": str, "boolean": bool, "array": list}
 
 
@@ -21,9 +21,7 @@ JSON_TYPES = {"number": (int, float), "null": type(None), "string": str, "boolea
 def recorded(tmp_path: Path) -> tuple[Path, np.ndarray]:
     """A recording as CSV and its volts."""
     volts = np.random.default_rng(0).normal([1.65, 1.65, 2.45], 0.005, (SAMPLES, 3))
-    rows = "".join(f"{n / RATE_HZ!r},{x!r},{y!r},{z!r}\n" for n, (x, y, z) in enumerate(volts.tolist()))
-    (tmp_path / "a.csv").write_text("time_s,a0_vx,a0_vy,a0_vz\n" + rows)
-    return tmp_path / "a.csv", volts
+    return write_csv(tmp_path / "a.csv", volts), volts
 
 
 def served(bundle: Path, csv: Path, log: Path) -> int:
@@ -83,9 +81,8 @@ def test_a_log_is_never_written_over(
 
 
 def test_samples_of_another_rate_are_kept_at_their_times(bundle: Path, tmp_path: Path) -> None:
-    rows = "".join(f"{n / 500!r},1.65,1.65,2.45\n" for n in range(SAMPLES))
-    (tmp_path / "a.csv").write_text("time_s,a0_vx,a0_vy,a0_vz\n" + rows)
-    assert served(bundle, tmp_path / "a.csv", tmp_path / "run.mcap") == 0
+    path = write_csv(tmp_path / "a.csv", np.tile([1.65, 1.65, 2.45], (SAMPLES, 1)), rate_hz=500.0)
+    assert served(bundle, path, tmp_path / "run.mcap") == 0
     with (tmp_path / "run.mcap").open("rb") as file:
         kept = [json.loads(m.data)["time_s"] for _, _, m in make_reader(file).iter_messages(topics=[VOLTS])]
     assert kept == [n / 500 for n in range(SAMPLES)]

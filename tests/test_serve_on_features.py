@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from bump_slides import bump_folder, bump_sensor, lines, slide_volts
+from streams import pushed
 
 from softslide.features.card import read_card, write_card
 from softslide.features.estimate import Estimate
@@ -30,8 +31,7 @@ def bundle(tmp_path_factory):
 
 
 def sliding(localizer: Localizer, volts: np.ndarray) -> list[Estimate]:
-    localizer.reset()
-    return [each for each in localizer.push(volts) if each.state is not SlideState.REST]
+    return [each for each in pushed(localizer, volts) if each.state is not SlideState.REST]
 
 
 def share_of_tilts_and_steps(localizer: Localizer) -> float:

@@ -12,8 +12,6 @@ from test_serve_page import Serving, serving, upgrade
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
-from softslide.features.errors import InputError
-from softslide.serve.page.process import _listener
 from softslide.serve.page.server import MOST_BODIES, REQUEST_S
 
 
@@ -29,22 +27,13 @@ def everywhere(bundle: Path) -> Iterator[Serving]:
         yield known
 
 
-def answer(running: Serving, path: str, **headers: str) -> tuple[int, http.client.HTTPMessage, bytes]:
-    port = urlsplit(running.address).port
-    assert port is not None
-    with closing(http.client.HTTPConnection("127.0.0.1", port, timeout=20)) as connection:
-        connection.request("GET", path, headers=headers)
-        with connection.getresponse() as got:
-            return got.status, got.headers, got.read()
-
-
 @pytest.mark.parametrize("path", ["/", "/healthz", "/model", "/page.js"])
 def test_a_host_of_another_name_is_refused(running: Serving, path: str) -> None:
     """A page elsewhere whose name resolves to this machine asks for its own name."""
-    assert answer(running, path)[0] == 200
-    assert answer(running, path, Host="localhost:1")[0] == 200
+    assert running.ask(path)[0] == 200
+    assert running.ask(path, Host="localhost:1")[0] == 200
     for host in ("evil.example", "evil.example:80", "127.0.0.1.evil.example", "", "localhost.evil.example:9"):
-        assert answer(running, path, Host=host)[0] == 403, host
+        assert running.ask(path, Host=host)[0] == 403, host
 
 
 def test_a_stream_for_another_host_or_origin_is_refused(running: Serving) -> None:
@@ -58,7 +47,7 @@ def test_a_stream_for_another_host_or_origin_is_refused(running: Serving) -> Non
 
 
 def test_answers_forbid_what_a_page_does_not_need(running: Serving) -> None:
-    headers = answer(running, "/")[1]
+    headers = running.ask("/")[1]
     assert "default-src 'self'" in headers["Content-Security-Policy"]
     assert headers["X-Content-Type-Options"] == "nosniff"
 
@@ -72,19 +61,19 @@ def test_a_request_without_end_is_refused(running: Serving) -> None:
         except ConnectionError:
             got = b""
     assert b" 200 " not in got
-    assert answer(running, "/healthz")[0] == 200
+    assert running.ask("/healthz")[0] == 200
 
 
 def test_other_machines_need_the_token(everywhere: Serving) -> None:
     token = urlsplit(everywhere.address).query
     assert len(token) > 20
     for path in ("/", "/model", "/?token=", "/?token=wrong", "/?token=%ff"):
-        assert answer(everywhere, path)[0] == 403, path
-    status, headers, _ = answer(everywhere, f"/?{token}")
+        assert everywhere.ask(path)[0] == 403, path
+    status, headers, _ = everywhere.ask(f"/?{token}")
     assert status == 200
     cookie = headers["Set-Cookie"].partition(";")[0]
-    assert answer(everywhere, "/model", Cookie=cookie)[0] == 200
-    assert answer(everywhere, "/model", Cookie=f"{cookie.partition('=')[0]}=wrong")[0] == 403
+    assert everywhere.ask("/model", Cookie=cookie)[0] == 200
+    assert everywhere.ask("/model", Cookie=f"{cookie.partition('=')[0]}=wrong")[0] == 403
     with pytest.raises(InvalidStatus):
         connect(f"ws://127.0.0.1:{urlsplit(everywhere.address).port}/stream", proxy=None)
 
@@ -100,15 +89,9 @@ def test_requests_that_are_never_finished_hold_nobody_up(running: Serving) -> No
             each.sendall(b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\n")
         for each in opened[70 : 70 + MOST_BODIES - 1]:
             each.sendall(b"POST /predict HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: 9\r\n\r\ntime")
-        assert answer(running, "/healthz")[0] == 200
+        assert running.ask("/healthz")[0] == 200
         with closing(http.client.HTTPConnection("127.0.0.1", port, timeout=20)) as connection:
             connection.request("POST", "/predict", body=b"time_s\n1\n")
             assert connection.getresponse().status == 422
         opened[0].settimeout(3 * REQUEST_S)
         assert opened[0].recv(1) == b""
-
-
-@pytest.mark.parametrize("place", [".:0", "a..b:0", "no.such.host.invalid:0", "70000", "x"])
-def test_a_place_that_does_not_exist_is_named(place: str) -> None:
-    with pytest.raises(InputError, match="write PORT or HOST:PORT"):
-        _listener(place)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from small_bundle import write_small_bundle
-from streams import RATE_HZ, ZERO_V, a_sensor
+from streams import RATE_HZ, ZERO_V, a_sensor, pushed
 from tracked_map import INFLATION, TWO_BOARDS, noisy_map, pressed
 
 from softslide.features.estimate import Contact, Estimate, Reason
@@ -38,15 +38,13 @@ def held(level_v: np.ndarray) -> np.ndarray:
 def test_a_press_is_valid_as_long_as_it_is_held_and_a_tilt_of_the_device_is_not_a_press(
     localizer: Localizer,
 ) -> None:
-    localizer.reset()
-    found = localizer.push(held(pressed(noisy_map(places=TWO_BOARDS), PLACE_MM)))
+    found = pushed(localizer, held(pressed(noisy_map(places=TWO_BOARDS), PLACE_MM)))
     valid = [e for e in found if e.valid]
     assert len(valid) > 30
     assert {e.contact for e in valid} == {Contact.PRESS}
     assert max(np.hypot(e.x_mm - PLACE_MM[0], e.y_mm - PLACE_MM[1]) for e in valid) < 1.5
     assert min(e.time_s for e in valid) > 3.0
-    localizer.reset()
-    found = localizer.push(held(np.array([0.1, 0.06, 0.1, 0.06])))
+    found = pushed(localizer, held(np.array([0.1, 0.06, 0.1, 0.06])))
     assert not any(e.valid for e in found)
     why = {Reason.AMBIGUOUS, Reason.TOO_EARLY, Reason.NOT_THIS_SENSOR, Reason.NO_CONTACT}
     assert {e.reason for e in found[-50:]} <= why
@@ -54,8 +52,7 @@ def test_a_press_is_valid_as_long_as_it_is_held_and_a_tilt_of_the_device_is_not_
 
 def test_a_press_that_a_straight_slide_explains_to_the_noise_is_ambiguous(localizer: Localizer) -> None:
     """The first of a slow slide far from the boards grows as a press does. One that explains it worse says nothing."""
-    localizer.reset()
-    localizer.push(held(pressed(noisy_map(places=TWO_BOARDS), PLACE_MM)))
+    pushed(localizer, held(pressed(noisy_map(places=TWO_BOARDS), PLACE_MM)))
     slide = Estimate(
         5.4, SlideState.SLIDE, 30.0, speed_mm_s=2.0, reason=Reason.AMBIGUOUS, contact=Contact.SLIDE
     )

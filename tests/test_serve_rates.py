@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from streams import write_csv
 
 import softslide
 from softslide.features.errors import InputError
@@ -20,11 +21,7 @@ def volts_at(time_s: np.ndarray) -> np.ndarray:
 
 
 def written(path: Path, rate_hz: float) -> Path:
-    time_s = np.arange(int(LENGTH_S * rate_hz)) / rate_hz
-    rows = np.column_stack([time_s, volts_at(time_s)]).tolist()
-    lines = "".join(",".join(map(repr, row)) + "\n" for row in rows)
-    path.write_text("time_s,a0_vx,a0_vy,a0_vz\n" + lines)
-    return path
+    return write_csv(path, volts_at(np.arange(int(LENGTH_S * rate_hz)) / rate_hz), rate_hz=rate_hz)
 
 
 @pytest.mark.parametrize("rate_hz", [1000 / 3, 500.0, 1024.0, 10_000.0])

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from lab_files import IMU, _vectors
 from rosbags.typesys import Stores, get_typestore
-from streams import pass_over, still, stream
+from streams import pass_over, pushed, still, stream
 
 from softslide.command_line import parser
 from softslide.features.errors import InputError
@@ -39,8 +39,7 @@ def test_accelerations_give_the_estimates_of_their_volts(localizer: Localizer) -
     read = imu_reader("imu", localizer.card)
     chunks = [read(travelled(m, IMU)) for _, m in _vectors(STORE, acceleration, time_s, IMU, ros1=False)]
     np.testing.assert_allclose(np.concatenate([volts for volts, _ in chunks]), VOLTS, atol=1e-9)
-    localizer.reset()
-    plain = localizer.push(VOLTS)
+    plain = pushed(localizer, VOLTS)
     localizer.reset()
     found = [estimate for chunk in chunks for estimate in localizer.push(*chunk)]
     assert len(found) == len(plain)

@@ -4,30 +4,19 @@ import json
 import signal
 import socket
 import subprocess
-import sys
 import threading
 import time
 from pathlib import Path
 
 import numpy as np
 import pytest
-from streams import RATE_HZ, pass_over, still, stream
+from streams import RATE_HZ
+from test_serve_live import CSV, started
 
 from softslide.serve.stream.age import MEMORY_S, SampleAge
 
-VOLTS = stream(still(0.6), pass_over(1.0), still(0.4))
-LINES = [f"{n / RATE_HZ:.4f},{x!r},{y!r},{z!r}\n" for n, (x, y, z) in enumerate(VOLTS.tolist())]
+LINES = CSV.splitlines(keepends=True)
 HALF = round(1.1 * RATE_HZ)  # in mid-slide
-
-
-@pytest.fixture(scope="module")
-def serving(bundle: Path) -> list[str]:
-    return [sys.executable, "-m", "softslide", "serve", "--model", str(bundle), "--source", "-"]
-
-
-def start(serving: list[str]) -> subprocess.Popen:
-    pipe = subprocess.PIPE
-    return subprocess.Popen(serving, stdin=pipe, stdout=pipe, stderr=subprocess.DEVNULL)
 
 
 def send(running: subprocess.Popen, lines: list[str]) -> None:
@@ -35,8 +24,8 @@ def send(running: subprocess.Popen, lines: list[str]) -> None:
     running.stdin.flush()
 
 
-def test_a_cable_pulled_in_mid_slide_is_said_until_it_is_plugged_in_again(serving: list[str]) -> None:
-    with start(serving) as running:
+def test_a_cable_pulled_in_mid_slide_is_said_until_it_is_plugged_in_again(bundle: Path) -> None:
+    with started(bundle, "-") as running:
         send(running, LINES[:HALF])
         live = [json.loads(running.stdout.readline()) for _ in range(HALF // 20)]
         silent = [json.loads(running.stdout.readline()) for _ in range(6)]
@@ -54,9 +43,9 @@ def test_a_cable_pulled_in_mid_slide_is_said_until_it_is_plugged_in_again(servin
     assert [line["time_s"] for line in resumed] == pytest.approx(np.arange(HALF // 20 + 1, 101) * 0.02)
 
 
-def test_estimates_made_after_a_hold_up_do_not_look_fresh(serving: list[str]) -> None:
+def test_estimates_made_after_a_hold_up_do_not_look_fresh(bundle: Path) -> None:
     """The process stands still for 1 s while samples go on coming."""
-    with start(serving) as running:
+    with started(bundle, "-") as running:
         began = time.monotonic()
 
         def speak() -> None:
@@ -98,12 +87,12 @@ def test_age_is_of_the_sample_that_waited_least() -> None:
     assert age.of(0.0, 30.5) == 0.5
 
 
-def test_standard_output_that_is_not_read_does_not_stop_the_other_sinks(serving: list[str]) -> None:
+def test_standard_output_that_is_not_read_does_not_stop_the_other_sinks(bundle: Path) -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
         other.bind(("127.0.0.1", 0))
         other.settimeout(60.0)
         sinks = ["--sink", "-", "--sink", f"udp://127.0.0.1:{other.getsockname()[1]}"]
-        with start([*serving, *sinks]) as running:
+        with started(bundle, "-", *sinks) as running:
             send(running, LINES[:40])
             other.recv(1 << 16)
             for _ in range(5):

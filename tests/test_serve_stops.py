@@ -5,16 +5,18 @@ stop.toml` with `stopping = 0.3`, then `softslide train`. The slides are the sam
 """
 
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
+from streams import pushed
 
 from softslide.experiments.evaluation.tracks import estimate_table, judge
 from softslide.features.angles import wrapped_deg
 from softslide.features.estimate import Contact, Estimate
 from softslide.features.stream.tracker import SlideState
-from softslide.pipeline.atlas.atlas import read_atlas
+from softslide.pipeline.atlas.atlas import Atlas, read_atlas
 from softslide.pipeline.recordings.folder import Recording
 from softslide.pipeline.synthesis.distribution import Distribution
 from softslide.pipeline.synthesis.no_contact import SIGNALS, untouched
@@ -30,7 +32,8 @@ SEED = 301
 STOPPING = Distribution(
     stopping=1.0, turning=0.0, stop_share=(0.5, 0.9), rest_s=(1.0, 3.0), speed_mm_s=(2.0, 13.0)
 )
-SLIDES = range(200, 208)
+SLIDES = range(200, 206)
+Streams = list[tuple[Slide, list[Estimate]]]
 
 
 @pytest.fixture(scope="module")
@@ -38,15 +41,16 @@ def localizer() -> Localizer:
     return Localizer.load(Path(__file__).parents[1] / "docs" / "examples" / "bundle")
 
 
-@pytest.fixture(scope="module")
-def specimen() -> Specimen:
-    return draw_specimen(sensor_of(read_atlas()), STOPPING, SEED)
+@cache
+def skin() -> tuple[Atlas, Specimen]:
+    atlas = read_atlas()
+    return atlas, draw_specimen(sensor_of(atlas), STOPPING, SEED)
 
 
 def drawn_slide(
-    specimen: Specimen, number: int, distribution: Distribution = STOPPING, **changes: float
+    number: int, distribution: Distribution = STOPPING, **changes: float
 ) -> tuple[Slide, Recording]:
-    atlas = read_atlas()
+    atlas, specimen = skin()
     slide = replace(plan(number, SEED, atlas, sensor_of(atlas), distribution), **changes)
     return slide, record(slide, specimen, atlas, noise_of(number, SEED))
 
@@ -59,9 +63,8 @@ def valid_errors(
 ) -> np.ndarray:
     """(n, 3): of the valid estimates between this share of the way and 0.95, with a misfit between these if given."""
     slide, recording = drawn
-    localizer.reset()
     found = []
-    for estimate in localizer.push(recording.volts):
+    for estimate in pushed(localizer, recording.volts):
         share = (estimate.time_s - slide.motion_start_s) / slide.stroke.forth_s
         if misfits is not None and not misfits[0] < estimate.misfit < misfits[1]:
             continue
@@ -71,12 +74,11 @@ def valid_errors(
 
 
 @pytest.fixture(scope="module")
-def streams(localizer: Localizer, specimen: Specimen) -> list[tuple[Slide, list[Estimate]]]:
+def streams(localizer: Localizer) -> Streams:
     found = []
     for number in SLIDES:
-        slide, recording = drawn_slide(specimen, number, rest_after_s=3.0)
-        localizer.reset()
-        found.append((slide, localizer.push(recording.volts)))
+        slide, recording = drawn_slide(number, rest_after_s=3.0)
+        found.append((slide, pushed(localizer, recording.volts)))
     return found
 
 
@@ -92,9 +94,7 @@ def end_s(slide: Slide) -> float:
 
 
 @pytest.mark.parametrize("later_s", [0.0, 2.5])
-def test_a_slide_that_stops_keeps_the_line_and_speed_that_it_had(
-    streams: list[tuple[Slide, list[Estimate]]], later_s: float
-) -> None:
+def test_a_slide_that_stops_keeps_the_line_and_speed_that_it_had(streams: Streams, later_s: float) -> None:
     """As the motion ends, and once the contact rests. Where its output is below the noise, it looks as if released."""
     found, resting = [], []
     for slide, estimates in streams:
@@ -110,7 +110,7 @@ def test_a_slide_that_stops_keeps_the_line_and_speed_that_it_had(
     assert (np.max(found, axis=0) < [3.0, 5.0, 0.5]).all(), np.max(found, axis=0)
 
 
-def test_no_slide_goes_another_way_for_long(streams: list[tuple[Slide, list[Estimate]]]) -> None:
+def test_no_slide_goes_another_way_for_long(streams: Streams) -> None:
     """Never five estimates in a row that are valid and more than 20 degrees off, nor as it creeps at rest."""
     for slide, estimates in streams:
         wrong = 0
@@ -119,7 +119,7 @@ def test_no_slide_goes_another_way_for_long(streams: list[tuple[Slide, list[Esti
             assert wrong < 5, (slide.name, estimate.time_s)
 
 
-def test_while_a_contact_pauses_its_speed_is_zero(streams: list[tuple[Slide, list[Estimate]]]) -> None:
+def test_while_a_contact_pauses_its_speed_is_zero(streams: Streams) -> None:
     """Between the stop and the end of the slide the contact rests where it is."""
     found = [e for _, estimates in streams for e in estimates if e.state is SlideState.SLIDE]
     resting = [e.speed_mm_s for e in found if e.contact is Contact.STOPPED]
@@ -127,35 +127,30 @@ def test_while_a_contact_pauses_its_speed_is_zero(streams: list[tuple[Slide, lis
     assert {*resting} == {0.0}
 
 
-def test_a_slide_after_one_that_stopped_is_as_the_first(localizer: Localizer, specimen: Specimen) -> None:
+def test_a_slide_after_one_that_stopped_is_as_the_first(localizer: Localizer) -> None:
     """The stop before is not a part of it: it is followed live, and moves."""
-    slide, recording = drawn_slide(specimen, 206, rest_after_s=3.0)
-    localizer.reset()
-    estimates = localizer.push(np.concatenate([recording.volts, recording.volts]))
+    slide, recording = drawn_slide(206, rest_after_s=3.0)
+    estimates = pushed(localizer, np.concatenate([recording.volts, recording.volts]))
     second_s = estimates[-1].time_s / 2
     moving = [e for e in estimates if second_s + end_s(slide) - 1.0 < e.time_s < second_s + end_s(slide)]
     assert {(e.state, e.contact, e.valid) for e in moving} == {(SlideState.SLIDE, Contact.SLIDE, True)}
     assert max(errors(slide, e)[0] for e in moving) < 3.0
 
 
-def test_a_track_that_changes_its_speed_does_not_overrule_a_slide_that_fits(
-    localizer: Localizer, specimen: Specimen
-) -> None:
+def test_a_track_that_changes_its_speed_does_not_overrule_a_slide_that_fits(localizer: Localizer) -> None:
     """Two slow slides near the board, where the map's residual looks like a change of speed for a while."""
     slow = replace(STOPPING, stopping=0.0, speed_mm_s=(2.0, 8.0), rest_s=(1.0, 1.5))
-    drawn = [drawn_slide(specimen, number, slow) for number in (309, 327)]
+    drawn = [drawn_slide(number, slow) for number in (309, 327)]
     off = np.concatenate([valid_errors(localizer, each, 0.4) for each in drawn])
     assert len(off) > 900
     assert (off[:, 1] > 20.0).mean() < 0.05
 
 
-def test_a_misfit_that_grows_for_a_while_does_not_give_up_the_line(
-    localizer: Localizer, specimen: Specimen
-) -> None:
+def test_a_misfit_that_grows_for_a_while_does_not_give_up_the_line(localizer: Localizer) -> None:
     """Two slides by the board, where the map's residual takes the misfit of a fit that is right over the limit: the
     track there is off by 0.7 and 2.3 % of the speed."""
     faster = replace(STOPPING, stopping=0.0, speed_mm_s=(4.0, 13.0), rest_s=(1.0, 1.5))
-    drawn = [drawn_slide(specimen, number, faster) for number in (304, 317)]
+    drawn = [drawn_slide(number, faster) for number in (304, 317)]
     limit = localizer.card.validity.misfit
     off = np.concatenate([valid_errors(localizer, each, 0.3, (limit, 2 * limit)) for each in drawn])
     assert len(off) > 40
@@ -170,23 +165,21 @@ def test_what_fits_a_straight_slide_and_no_contact_makes_is_not_valid(
     contact = localizer.card.contact
     assert contact is not None
     random = np.random.default_rng([3, number])
-    volts = untouched(sensor_of(read_atlas()), np.array(contact.static_v), SIGNALS[kind], 25.0, random)
-    localizer.reset()
-    found = [e for e in localizer.push(volts) if e.state is SlideState.SLIDE]
+    volts = untouched(sensor_of(skin()[0]), np.array(contact.static_v), SIGNALS[kind], 25.0, random)
+    found = [e for e in pushed(localizer, volts) if e.state is SlideState.SLIDE]
     assert len(found) > 300
     assert not any(estimate.valid for estimate in found)
 
 
 @pytest.mark.parametrize(("number", "least"), [(42, 0.78), (50, 0.3)])
 def test_a_contact_that_came_down_in_mid_skin_is_valid_once_the_evidence_is_clear(
-    localizer: Localizer, specimen: Specimen, number: int, least: float
+    localizer: Localizer, number: int, least: float
 ) -> None:
     """Their output keeps its shape for long, as a press's does: a straight slide is too early there, the track not."""
-    atlas, random = read_atlas(), np.random.default_rng([0, number])
+    (atlas, specimen), random = skin(), np.random.default_rng([0, number])
     path = draw_path(number, atlas, sensor_of(atlas), Distribution(), random, kind="touchdown")
     recording = record(path, specimen, atlas, noise_of(number, SEED))
-    localizer.reset()
-    stream = estimate_table([as_record(estimate) for estimate in localizer.push(recording.volts)])
+    stream = estimate_table([as_record(estimate) for estimate in pushed(localizer, recording.volts)])
     assert recording.truth is not None
     judged = judge(stream, recording.truth, localizer.card.reference_mm)
     contact = judged[judged["touching"]]

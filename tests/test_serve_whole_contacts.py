@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from small_bundle import write_small_bundle
+from streams import write_csv
 from touched_bundle import SPEED_MM_S, at_rest, circle, on_the_circle, outputs, write_touched_bundle
 from touched_skin import RATE_HZ, SENSOR
 
@@ -78,9 +79,8 @@ def test_a_recording_that_ends_or_fails_within_the_contact(bundle: Path) -> None
 def test_the_command_writes_what_the_function_returns(
     bundle: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    volts, path = outputs(at_rest(1.5), circle(), at_rest(1.0)), tmp_path / "circle.csv"
-    table, header = np.column_stack([np.arange(len(volts)) / RATE_HZ, volts]), ["time_s", *SENSOR.channels]
-    np.savetxt(path, table, "%.17g", ",", header=",".join(header), comments="")
+    volts = outputs(at_rest(1.5), circle(), at_rest(1.0))
+    path = write_csv(tmp_path / "circle.csv", volts, SENSOR.channels, RATE_HZ)
     assert softslide.main(["predict", "--model", str(bundle), "--whole-contact", str(path)]) == 0
     lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     wanted = [record(estimate) for estimate in whole_contacts(Localizer.load(bundle), volts)]

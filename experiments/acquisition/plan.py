@@ -23,6 +23,7 @@ from softslide.pipeline.atlas.atlas import Atlas
 from softslide.pipeline.atlas.library import atlas_of
 from softslide.pipeline.progress import progress_bar
 from softslide.pipeline.recordings.at_rest import REFERENCE_V_PER_G
+from softslide.pipeline.recordings.learned import CALIBRATION
 from softslide.pipeline.recordings.manifest import check_manifest, read_table
 from softslide.pipeline.sensor import Sensor, check_design, read_sensor
 from softslide.pipeline.staging import writing
@@ -201,5 +202,5 @@ def _paths(count: int, sensor: Sensor, atlas: Atlas, depth_mm: float) -> Iterato
 def _recorded(path: Path, sensor: Sensor) -> pd.DataFrame:
     """A manifest's slides of calibration and train splits that have the labels a plan needs."""
     table = check_manifest(read_table(path), sensor, path)
-    learned = table["split"].str.startswith(("calibration", "train"))
+    learned = table["split"].str.startswith(CALIBRATION)
     return table[learned & table[list(NEEDED)].notna().all(axis=1)].reset_index()

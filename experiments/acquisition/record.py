@@ -9,8 +9,8 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, fields, replace
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import pandas as pd
 
@@ -35,12 +35,10 @@ from softslide.pipeline.atlas.library import atlas_of
 from softslide.pipeline.recordings.base_motion import BASE_SPLIT
 from softslide.pipeline.recordings.folder import Folder, Recording
 from softslide.pipeline.recordings.growing_folder import add_recording, open_growing
+from softslide.pipeline.recordings.learned import CALIBRATION
 from softslide.pipeline.recordings.manifest import LABELS, check_manifest, read_table
 from softslide.pipeline.sensor import Sensor, read_sensor
 from softslide.serve.stream.sources import open_live
-
-if TYPE_CHECKING:
-    from softslide.experiments.acquisition.verdict import Verdict
 
 LIVE = ("serial://", "udp://", "ros2://")
 BASE_S = 60.0  # of a robot that moves while nothing touches, where the plan gives no travel and speed
@@ -123,7 +121,8 @@ def record(
     out, times = Path(out), Times(rest_s, start_s, timeout_s, wait_s)
     folder = open_growing(out, None if sensor is None else read_sensor(sensor))
     slides = read_plan(Path(plan), folder.sensor)
-    operator, verdict = Operator(yes), _verdict(until, page, slides, folder.sensor)
+    operator = Operator(yes)
+    is_enough = _goal(until, page, slides, folder.sensor, operator.say)
     _check_options(stage, origin_mm, approach_mm, dry_run, yes)
     paths = slides["waypoints"].notna()
     if stage is not None:
@@ -135,8 +134,7 @@ def record(
     atlas = atlas_of(folder.sensor) if paths.any() else None
     if done := int(slides.index.isin(folder.manifest.index).sum()):
         operator.say(f"{out}: {done} of {len(slides)} slides are recorded; going on")
-    enough = verdict is not None and verdict.is_enough(folder, operator.say)
-    columns = len(folder.sensor.columns)
+    enough, columns = is_enough(folder), len(folder.sensor.columns)
     with ExitStack() as stack:
         listener = stack.enter_context(closing(Listener(lambda: open_live(source, columns, format))))
         bench = Bench(listener, folder.sensor, operator, times, source, atlas=atlas)
@@ -152,7 +150,7 @@ def record(
                 operator.say(f"{name}: {CLEAR_MM:g} mm above the flat skin's face")
                 drive_in_the_air(bench.stage, waypoints_of(labels))
             return folder, len(slides) - done
-        folder = _all_slides(slides, folder, bench, verdict, enough)
+        folder = _all_slides(slides, folder, bench, is_enough, enough)
     return folder, int((~slides.index.isin(folder.manifest.index)).sum())
 
 
@@ -176,15 +174,15 @@ def _check_options(
 
 
 def _all_slides(
-    slides: pd.DataFrame, folder: Folder, bench: Bench, verdict: "Verdict | None", enough: bool
+    slides: pd.DataFrame, folder: Folder, bench: Bench, is_enough: Callable[[Folder], bool], enough: bool
 ) -> Folder:
     """The folder with every slide of the plan that it has not, until the operator stops.
 
-    enough: whether the slides to learn from are left out, as the verdict may say later too.
+    enough: whether the slides to learn from are left out, as `is_enough` may say later too.
     """
     say = bench.operator.say
     for place, (name, labels) in enumerate(slides.iterrows(), 1):
-        if name in folder.manifest.index or (enough and _learned(labels)):
+        if name in folder.manifest.index or (enough and labels["split"].startswith(CALIBRATION)):
             continue
         say(f"[{place}/{len(slides)}] {name}: {_described(labels)}")
         try:
@@ -196,7 +194,7 @@ def _all_slides(
             known = {str(k): v for k, v in labels.drop("waypoints").items()}
             folder = add_recording(folder, recording, known | moved)
             say(f"kept: {folder.root}, {len(folder)} recordings")
-            enough = verdict is not None and verdict.is_enough(folder, say)
+            enough = is_enough(folder)
     return folder
 
 
@@ -212,22 +210,23 @@ def _is_set_up(stage: Stage, bench: Bench, by_hand: bool, approach_mm: float | N
     return (not by_hand and approach_mm is None) or operator.ask(INFLATED, str) != "q"
 
 
-def _learned(labels: pd.Series) -> bool:
-    """Whether a slide is one to learn from."""
-    return str(labels["split"]).startswith(("calibration", "train"))
-
-
-def _verdict(
-    until: Sequence[str], page: str | Path | None, slides: pd.DataFrame, sensor: Sensor
-) -> "Verdict | None":
+def _goal(
+    until: Sequence[str],
+    page: str | Path | None,
+    slides: pd.DataFrame,
+    sensor: Sensor,
+    say: Callable[[str], None],
+) -> Callable[[Folder], bool]:
+    """Whether a folder has enough slides to learn from."""
     if not until and page is None:
-        return None
+        return lambda folder: False
     # What calibrates a map and draws is of the train extra.
     from softslide.experiments.acquisition.error_so_far import atlas_to_calibrate
     from softslide.experiments.acquisition.verdict import Verdict
 
     # Before anything is recorded: where none is at hand it takes minutes.
-    return Verdict(until, None if page is None else Path(page), slides, atlas_to_calibrate(sensor))
+    verdict = Verdict(until, None if page is None else Path(page), slides, atlas_to_calibrate(sensor))
+    return partial(verdict.is_enough, say=say)
 
 
 def _described(labels: pd.Series) -> str:

@@ -75,13 +75,8 @@ def _draw(
     if line is None or line[2] < LEAST_CHORD_MM:
         return None
     (x, y), travel, _ = line
-    row = {
-        "direction_deg": direction,
-        "offset_mm": offset,
-        "start_x_mm": x,
-        "start_y_mm": y,
-        "travel_mm": travel,
-    }
+    row = {"direction_deg": direction, "offset_mm": offset}
+    row |= {"start_x_mm": x, "start_y_mm": y, "travel_mm": travel}
     both = pd.concat([learned, pd.DataFrame([{"split": "test", **row}])], ignore_index=True)
     if learned_lines(both).iloc[-1]:
         return None

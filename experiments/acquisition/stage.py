@@ -10,7 +10,6 @@ import time
 from collections.abc import Sequence
 from functools import reduce
 from operator import xor
-from types import TracebackType
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
@@ -79,9 +78,7 @@ class Stage:
     def __enter__(self) -> "Stage":
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: object, *error: object) -> None:
         try:
             if kind is not None:
                 self.stop()
@@ -153,13 +150,10 @@ class Stage:
 
     def position(self) -> np.ndarray | None:
         """(3,) mm, as the stage says it; None where it does not."""
-        text = " ".join(self.send("M114")) if self.firmware == "marlin" else self._status()
-        words = (
-            r"X:([-\d.]+) Y:([-\d.]+) Z:([-\d.]+)"
-            if self.firmware == "marlin"
-            else r"WPos:([-\d.]+),([-\d.]+),([-\d.]+)"
-        )
-        found = re.search(words, text)
+        if self.firmware == "marlin":
+            found = re.search(r"X:([-\d.]+) Y:([-\d.]+) Z:([-\d.]+)", " ".join(self.send("M114")))
+        else:
+            found = re.search(r"WPos:([-\d.]+),([-\d.]+),([-\d.]+)", self._status())
         return None if found is None else np.array([float(word) for word in found.groups()])
 
     def stop(self) -> None:

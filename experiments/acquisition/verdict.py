@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 from matplotlib.axes import Axes
@@ -94,32 +95,17 @@ class Verdict:
         of_mean = sd / errors.rolling(NEWEST, min_periods=2).count() ** 0.5
 
         def band(ax: Axes) -> None:
-            ax.fill_between(
-                errors.index, mean - of_mean, mean + of_mean, color=COLOURS[1], alpha=0.25, linewidth=0
-            )
-            ax.plot(
-                errors.index,
-                mean,
-                color=COLOURS[1],
-                label=f"mean of the last {NEWEST}, and its standard error",
-            )
+            low, high = mean - of_mean, mean + of_mean
+            of = f"mean of the last {NEWEST}, and its standard error"
+            ax.fill_between(errors.index, low, high, color=COLOURS[1], alpha=0.25, linewidth=0)
+            ax.plot(errors.index, mean, color=COLOURS[1], label=of)
 
         table = pd.DataFrame({"slide": errors.index, "error": errors.to_numpy(), "of": "each slide"})
         dashed = " Dashed: enough." if name in self._goal else ""
         caption = f"Errors of {TITLES[name]}: each slide estimated by the map of those before it.{dashed}"
         labels = (TITLES[name], "slide scored", "error")
-        return chart(
-            table,
-            "slide",
-            "error",
-            "of",
-            labels,
-            caption,
-            limit=self._goal.get(name),
-            draw=band,
-            below=2,
-            ylim=(0, None),
-        )
+        look: dict[str, Any] = {"limit": self._goal.get(name), "draw": band, "below": 2, "ylim": (0, None)}
+        return chart(table, "slide", "error", "of", labels, caption, **look)
 
 
 def _in_words(newest: pd.DataFrame) -> str:

@@ -6,11 +6,12 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 
-from softslide.experiments.article.axis_slides import KINDS, AxisSlides
+from softslide.experiments.article.axis_slides import AxisSlides
 from softslide.experiments.article.method import LEAST_SPEED_MM_S, Method
 from softslide.experiments.article.scoring import Scored, at_end
 from softslide.experiments.article.section import Section
 from softslide.experiments.article.slide_figures import SINCE_EDGE, delays_mm, nearest
+from softslide.experiments.evaluation.scoring import AXES
 from softslide.experiments.pages.figures import COLOURS, EDGE, INK, Panel, chart, on_skin, rectangle
 from softslide.pipeline.recordings.learned import CALIBRATION
 from softslide.pipeline.sensor import Sensor
@@ -35,10 +36,10 @@ def interpolation(whole: AxisSlides, best: Method, kind: int) -> Section:
     # In the article: X forward, X backward, Y forward, Y backward.
     number = str((17, 19, 18, 20)[kind])
     rows = whole.table[(whole.table["kind"] == kind) & whole.table["split"].str.startswith(CALIBRATION)]
-    title = f"Interpolation of speed and distance, {KINDS[kind]}"
+    title = f"Interpolation of speed and distance, {AXES[kind]}"
     says = "Quadratic in the moments of the extremes for the speed, cubic in their values for the distance."
     if rows.empty:
-        return Section(number, title, says, missing=f"No {KINDS[kind]} calibration slide in this folder.")
+        return Section(number, title, says, missing=f"No {AXES[kind]} calibration slide in this folder.")
     chi, f = best.speed.coefficients[kind], best.distance.coefficients[kind]
     curves = [("v", "t", chi), ("d", "V", f)]
     here = f"Fitted to {len(rows)} slides, t from the chamber's edge, {LEAST_SPEED_MM_S:g} mm/s and faster: "
@@ -80,9 +81,9 @@ def _curves(rows: pd.DataFrame, best: Method, kind: int) -> list[Panel]:
     times = part("t", {e: rows[f"{e}_since_edge_s"] for e in EXTREMES})
     values = part("V", {e: 1000 * rows[f"{e}_v"] for e in EXTREMES})
     texts = (
-        f"Speed against the moments of the extremes in {KINDS[kind]} calibration slides; lines: quadratics fitted to "
+        f"Speed against the moments of the extremes in {AXES[kind]} calibration slides; lines: quadratics fitted to "
         f"{LEAST_SPEED_MM_S:g} mm/s and more, over the times fitted.",
-        f"Distance of the line against the extreme values in {KINDS[kind]} calibration slides; lines: cubics.",
+        f"Distance of the line against the extreme values in {AXES[kind]} calibration slides; lines: cubics.",
     )
     speed, distance = ("speed", SINCE_EDGE, "speed, mm/s"), ("distance", "extreme value, mV", "distance, mm")
     return [
@@ -236,7 +237,7 @@ def trajectories(whole: AxisSlides, best: Scored, sensor: Sensor, axis: int) -> 
             names = {str(nearest(ends, distance, SHOWN_MM_S)["recording"]): None for distance in SHOWN_MM}
             shown = best.new[best.new["recording"].isin(names)]
             panels.append(_trajectory(shown, kind, sensor))
-            tables.append(shown.assign(kind=KINDS[kind]))
+            tables.append(shown.assign(kind=AXES[kind]))
     if not panels:
         return Section(number, title, says, missing=f"No {letter}-slide is answered.")
     columns = ["recording", "stroke_fraction", "travelled_mm", "x_mm", "y_mm", "position_mm_error"]
@@ -263,7 +264,7 @@ def _trajectory(shown: pd.DataFrame, kind: int, sensor: Sensor) -> Panel:
             )
 
     text = (
-        f"Actual and estimated places of the contact in the plane, {KINDS[kind]} slides, at each tenth of the stroke; "
+        f"Actual and estimated places of the contact in the plane, {AXES[kind]} slides, at each tenth of the stroke; "
         "no estimate before the extremes."
     )
-    return on_skin(sensor, text, draw, KINDS[kind], entries=5)
+    return on_skin(sensor, text, draw, AXES[kind], entries=5)

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pandas as pd
 
+from softslide.experiments.evaluation.scoring import AXIS_TOLERANCE_DEG
 from softslide.features.angles import wrapped_deg
 from softslide.features.errors import InputError
 from softslide.features.stream.conditioning import Conditioning
@@ -19,9 +20,6 @@ from softslide.pipeline.recordings.folder import Folder
 from softslide.pipeline.recordings.learned import SAME_DEPTH_MM, learned_depths_mm
 from softslide.pipeline.recordings.windows import labelled_windows
 
-KINDS = ("X forward", "Y forward", "X backward", "Y backward")  # as DIRECTIONS_DEG
-# A slide this close to an axis counts as along it, deg.
-_AXIS_DEG = 1.0
 # Share of the motion up to which a slide surely moves: after its end the window stands still.
 _UNDER_WAY = 0.75
 
@@ -31,7 +29,7 @@ class AxisSlides:
     """n windows: `windows` of every tenth of the stroke of every slide. Rows of all arrays belong together.
 
     features: (n, F), of the first accelerometer alone. table: a row a window; `recording`, `split`, `fraction`, `kind`
-    (index into KINDS), `speed_mm_s`, `offset_mm`, `distance_mm` (from the accelerometer), `elapsed_s` (since the
+    (index into AXES), `speed_mm_s`, `offset_mm`, `distance_mm` (from the accelerometer), `elapsed_s` (since the
     trigger), `edge_mm` (where along the line the inflated area begins, from the accelerometer's foot), `along_mm` and
     `trigger_mm` (where the slide triggers, past that edge; of the whole slide).
     """
@@ -75,7 +73,7 @@ def read_axis_slides(folder: Folder) -> tuple[AxisSlides | None, list[str]]:
     folder = seen_from_board(folder)
     manifest = folder.manifest
     known = manifest[list(_NEEDED)].notna().all(axis=1)
-    axis = known & (_turned(manifest["direction_deg"].to_numpy(float)).min(axis=1) < _AXIS_DEG)
+    axis = known & (_turned(manifest["direction_deg"].to_numpy(float)).min(axis=1) < AXIS_TOLERANCE_DEG)
     depths = learned_depths_mm(manifest)
     off = np.abs(manifest["depth_mm"].to_numpy(float)[:, None] - np.array(depths or (np.nan,))).min(axis=1)
     same = axis & ~(off > SAME_DEPTH_MM)

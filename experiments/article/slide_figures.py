@@ -7,13 +7,14 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 
-from softslide.experiments.article.axis_slides import KINDS, AxisSlides
+from softslide.experiments.article.axis_slides import AxisSlides
 from softslide.experiments.article.section import Section
+from softslide.experiments.evaluation.scoring import AXES
 from softslide.experiments.evaluation.traces import trace
 from softslide.experiments.pages.figures import EDGE, LABEL, Panel, chart
 from softslide.models.classical.interpolation import abscissas, slide_direction
 
-# The article's six kinds: name, index into KINDS, sign of the offset seen along x or y (0: any), zones passed.
+# The article's six kinds: name, index into AXES, sign of the offset seen along x or y (0: any), zones passed.
 CASES = (
     ("X-slide, y < 0, forward", 0, -1, (1, 2)),
     ("X-slide, y < 0, backward", 2, -1, (2, 1)),
@@ -106,17 +107,17 @@ def extremes(whole: AxisSlides, axis: int) -> Section:
     title = f"{letter}-slides: extremes of V_{letter.lower()} against distance and speed"
     says = "The values of the extremes depend on the distance alone, their moments on the speed alone."
     if forward.empty:
-        return Section(number, title, says, missing=f"No {KINDS[axis]} slide in this folder.")
+        return Section(number, title, says, missing=f"No {AXES[axis]} slide in this folder.")
     (low, high), drift = extreme_place(forward).values(), speed_effect(forward)
     here = (
-        f"In {KINDS[axis]} slides the minimum comes {low[0]:.1f} to {low[1]:.1f} mm past the chamber's edge and the "
+        f"In {AXES[axis]} slides the minimum comes {low[0]:.1f} to {low[1]:.1f} mm past the chamber's edge and the "
         f"maximum {high[0]:.1f} to {high[1]:.1f} mm, by the distance of the line: a moment is not the speed's alone."
     )
     if drift is not None:
         here += f" On one line, extremes of different speeds differ by {drift:.1f} % (median range)."
     columns = ["recording", "split", "kind", "speed_mm_s", "distance_mm", "place_mm", "trigger_mm"]
     columns += [f"{name}_{unit}" for name in ("low", "high") for unit in ("v", "s", "mm")]
-    table = rows[columns].assign(kind=rows["kind"].map(dict(enumerate(KINDS))))
+    table = rows[columns].assign(kind=rows["kind"].map(dict(enumerate(AXES))))
     return Section(number, title, says, here, tuple(_traces(whole, forward, letter)), table)
 
 
@@ -187,5 +188,5 @@ def delays_mm(whole: AxisSlides) -> pd.DataFrame:
     """Median way past the edge at which the first extreme comes, by kind: `kind`, `first_mm`, `article_mm`."""
     first = whole.table[["low_mm", "high_mm"]].min(axis=1)
     median = first[whole.table["distance_mm"] <= 17.5].groupby(whole.table["kind"]).median()
-    rows = [(KINDS[k], median[k], DELAY_MM[k]) for k in range(4) if k in median.index]
+    rows = [(AXES[k], median[k], DELAY_MM[k]) for k in range(4) if k in median.index]
     return pd.DataFrame(rows, columns=["kind", "first_mm", "article_mm"])

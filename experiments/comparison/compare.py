@@ -20,7 +20,7 @@ from softslide.experiments.comparison.paired import paired
 from softslide.experiments.derived_labels import derived
 from softslide.experiments.evaluation.archive import Archive
 from softslide.experiments.evaluation.readout import predictions
-from softslide.experiments.evaluation.scoring import INTERVALS, score, summary
+from softslide.experiments.evaluation.scoring import INTERVALS, WORDS, score, summary
 from softslide.experiments.pages.page import render
 from softslide.experiments.train import train
 from softslide.features.card import read_card
@@ -38,12 +38,6 @@ MODELS = (*REGISTERED, "inversion")
 # The model that the others are held against, where it is among them; else the first.
 REFERENCE = "cnn"
 TEMPLATE = Path(__file__).parent / "comparison.html.j2"
-# Errors in comparison.csv: quantity of `scoring.summary`, name and unit.
-ERRORS = (
-    ("direction_deg", "direction", "deg"),
-    ("speed_percent", "speed", "percent"),
-    ("offset_mm", "offset", "mm"),
-)
 TIMED = 20  # windows
 
 
@@ -192,12 +186,13 @@ def error_rows(found: Findings) -> list[dict[str, Any]]:
             of = summary(part)
             row = {"split": split, "model": model, "stroke_fraction": fraction, "n": len(part)}
             row["valid_share"] = of["valid_share"]
-            for quantity, name, unit in ERRORS:
+            for quantity in WORDS:
+                name, unit = quantity.split("_")
                 row |= {f"{name}_{kind}_{unit}": of[quantity].get(kind, np.nan) for kind in ("mean", "max")}
             row["depth_mean_mm"] = (
                 (part["depth_mm"] - part["true_depth_mm"]).abs()[part["valid"].astype(bool)].mean()
             )
-            for column, (_, name, _) in zip(INTERVALS, ERRORS, strict=True):
-                row[f"{name}_coverage"] = of[f"{column}_coverage"].get("share", np.nan)
+            for column in INTERVALS:
+                row[f"{column.split('_')[0]}_coverage"] = of[f"{column}_coverage"].get("share", np.nan)
             rows.append(row | {"window_ms": found.window_ms[model]})
     return rows

@@ -1,12 +1,11 @@
 """The inverted response map, read out at the same moments and through the same runtime as a bundle, without a graph.
 
-The runtime runs twice over the recordings: first to note every window that it asks about, then with the estimator's
-answers for them. So what separates a slide from a touch, and a dead accelerometer from a live one, is the device's own.
+So what separates a slide from a touch, and a dead accelerometer from a live one, is the device's own.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import asdict
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
 import onnxruntime as ort
@@ -74,33 +73,19 @@ def window_card(
 
 def window_predictions(predict: Predict, card: Card, folder: Folder) -> pd.DataFrame:
     """The rows of `predictions.csv` for every recording of the folder, in the manifest's order."""
-    noted = _Noted(len(card.outputs))
-    for _ in _rows(card, noted, folder):
-        pass
-    if noted.windows:
-        volts, elapsed_s = (np.array(values) for values in zip(*noted.windows.values(), strict=True))
-        noted.rows = dict(zip(noted.windows, predict(volts, elapsed_s).astype(np.float32), strict=True))
-    return pd.DataFrame(_rows(card, noted, folder), columns=list(COLUMNS))
-
-
-class _Noted:
-    """In place of the runtime's ONNX session: records each window and returns its row if it is known."""
-
-    def __init__(self, outputs: int) -> None:
-        self.windows: dict[bytes, tuple[np.ndarray, float]] = {}
-        self.rows: dict[bytes, np.ndarray] = {}
-        self._unknown = np.full(outputs, np.nan, np.float32)
-
-    def run(self, names: list[str], inputs: dict[str, np.ndarray]) -> list[np.ndarray]:
-        """One window's row (1, K), NaN where it is not known yet."""
-        volts, elapsed_s = inputs["volts"][0], float(inputs["elapsed_s"][0])
-        key = volts.tobytes() + np.float64(elapsed_s).tobytes()
-        self.windows.setdefault(key, (volts.copy(), elapsed_s))
-        return [self.rows.get(key, self._unknown)[None]]
-
-
-def _rows(card: Card, session: _Noted, folder: Folder) -> Iterator[dict[str, Any]]:
-    localizer = Localizer(card, cast(ort.InferenceSession, session))
+    localizer, rows = Localizer(card, cast(ort.InferenceSession, _Session(predict))), []
     for name in folder.manifest.index:
         recording = folder.load(name)
-        yield from rows_of(localizer, recording, recording.volts, folder.manifest.loc[name].to_dict())
+        rows += rows_of(localizer, recording, recording.volts, folder.manifest.loc[name].to_dict())
+    return pd.DataFrame(rows, columns=list(COLUMNS))
+
+
+class _Session:
+    """The estimator in place of the runtime's ONNX session."""
+
+    def __init__(self, predict: Predict) -> None:
+        self._predict = predict
+
+    def run(self, names: list[str], inputs: dict[str, np.ndarray]) -> list[np.ndarray]:
+        """Rows (1, K) of one window."""
+        return [self._predict(inputs["volts"], inputs["elapsed_s"]).astype(np.float32)]

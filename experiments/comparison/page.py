@@ -3,25 +3,14 @@
 from collections.abc import Mapping
 from typing import Any
 
-import matplotlib as mpl
 import numpy as np
 import pandas as pd
+from matplotlib.axes import Axes
 
-from softslide.experiments.comparison.paired import QUANTITIES
 from softslide.experiments.evaluation.figures import along_the_stroke
-from softslide.experiments.evaluation.scoring import summary
-from softslide.experiments.pages.figures import (
-    COLOURS,
-    INK,
-    LEGEND_ROW_INCHES,
-    Panel,
-    axis_marks,
-    inline,
-    legend_below,
-    panel,
-)
+from softslide.experiments.evaluation.scoring import QUANTITIES, WORDS, summary
+from softslide.experiments.pages.figures import COLOURS, INK, Panel, axis_marks, drawn
 
-WORDS = {"direction_deg": "direction", "speed_percent": "speed", "offset_mm": "distance"}
 ROW_INCHES = 0.16
 
 
@@ -33,7 +22,7 @@ def section(folder: str, scored: Mapping[str, pd.DataFrame], pairs: pd.DataFrame
     return {
         "folder": folder,
         "against": None if pairs.empty else pairs["against"].iloc[0],
-        "panels": [] if pairs.empty else [_differences(pairs, quantity) for quantity in QUANTITIES],
+        "panels": [] if pairs.empty else [_differences(pairs, quantity) for quantity in WORDS],
         "over_stroke": [
             (split, along_the_stroke(rows, "model", f", {split}")) for split, rows in table.groupby("split")
         ],
@@ -45,7 +34,7 @@ def section(folder: str, scored: Mapping[str, pd.DataFrame], pairs: pd.DataFrame
             f"{split}, {model}": summary(rows)
             for (split, model), rows in end.groupby(["split", "model"], sort=False)
         },
-        "words": {quantity: f"{WORDS[quantity]}, {unit}" for quantity, unit in QUANTITIES.items()},
+        "words": {quantity: f"{word}, {QUANTITIES[quantity]}" for quantity, word in WORDS.items()},
     }
 
 
@@ -62,8 +51,9 @@ def _differences(pairs: pd.DataFrame, quantity: str) -> Panel:
     rows = pairs[pairs["quantity"] == quantity]
     models, splits = list(dict.fromkeys(rows["model"])), list(dict.fromkeys(rows["split"]))
     word, unit, against = WORDS[quantity], QUANTITIES[quantity], rows["against"].iloc[0]
-    below, every = LEGEND_ROW_INCHES * ((len(splits) + 1) // 2), len(splits) + 1
-    with panel(1.0 + below + ROW_INCHES * len(models) * every, below=below, left=1.15) as (figure, ax):
+    every = len(splits) + 1
+
+    def draw(ax: Axes) -> None:
         ax.axvline(0.0, color=INK, linestyle="--", linewidth=1)
         for n, split in enumerate(splits):
             part = rows[rows["split"] == split]
@@ -76,23 +66,24 @@ def _differences(pairs: pd.DataFrame, quantity: str) -> Panel:
         ax.set_ylim(len(models) * every - 0.5, -1.5)
         ax.grid(axis="y", visible=False)
         ax.set(xlabel=f"error less that of {against}, {unit}", title=f"{word}: right of zero is worse")
-        legend_below(figure, ax)
-        text = (
-            f"Mean difference of the {word} error ({unit}), each model less {against} on the same slides, by split; "
-            "bars: 95 % confidence intervals over lines. A bar that does not reach zero: the two differ."
-        )
-        return Panel(inline(figure, text), text)
+
+    text = (
+        f"Mean difference of the {word} error ({unit}), each model less {against} on the same slides, by split; "
+        "bars: 95 % confidence intervals over lines. A bar that does not reach zero: the two differ."
+    )
+    height = 1.0 + ROW_INCHES * len(models) * every
+    return drawn(text, draw, height, entries=len(splits), left=1.15)
 
 
-def _about_zero(ax: mpl.axes.Axes, drawn: np.ndarray) -> None:
+def _about_zero(ax: Axes, values: np.ndarray) -> None:
     """An axis that shows differences of a hundredth next to those of ten."""
-    sizes = np.abs(drawn[np.isfinite(drawn) & (drawn != 0)])
+    sizes = np.abs(values[np.isfinite(values) & (values != 0)])
     if not len(sizes):
         return
     most = np.ceil(np.log10(sizes.max()))
     least = 10.0 ** max(np.floor(np.log10(np.quantile(sizes, 0.25))), most - 3)
     ax.set_xscale("symlog", linthresh=least, linscale=0.7)
-    low, high = min(1.3 * np.nanmin(drawn), -0.3 * least), max(1.3 * np.nanmax(drawn), 0.3 * least)
+    low, high = min(1.3 * np.nanmin(values), -0.3 * least), max(1.3 * np.nanmax(values), 0.3 * least)
     ax.set_xlim(low, high)
     decades = 10.0 ** np.arange(np.log10(least), most + 1)
     axis_marks(ax.xaxis, [mark for mark in (*-decades[::-1], 0.0, *decades) if low <= mark <= high])

@@ -11,9 +11,9 @@ import numpy as np
 import pandas as pd
 from scipy.special import stdtrit
 
+from softslide.experiments.evaluation.scoring import WORDS
 from softslide.models.held_out import line_folds
 
-QUANTITIES = {"direction_deg": "deg", "speed_percent": "%", "offset_mm": "mm"}
 CONFIDENCE = 0.95
 LEAST_LINES = 3  # fewer show nothing of the spread between lines
 COLUMNS = (
@@ -33,7 +33,7 @@ def paired(scored: Mapping[str, pd.DataFrame], against: str) -> pd.DataFrame:
     rows = []
     for split, other in ends.pop(against).groupby("split"):
         for model, end in ends.items():
-            for quantity in QUANTITIES:
+            for quantity in WORDS:
                 mine, others = (table[f"{quantity}_error"] for table in (end.loc[other.index], other))
                 head = {"split": split, "model": model, "against": against, "quantity": quantity}
                 rows.append(head | _difference(mine, others, other))

@@ -58,7 +58,7 @@ def _bounds(bundle: Path, folder: Folder, names: list[str]) -> pd.DataFrame:
     if not known.any():
         return NO_BOUNDS
     windows = windows[known]
-    least = cramer_rao(response, card.conditioning.block_s, windows)[:, :3]
+    least = cramer_rao(response, card.conditioning.block_s, windows)
     columns = (windows.recording, windows.stroke_fraction, *least.T)
     return pd.DataFrame(dict(zip(COLUMNS, columns, strict=True)))
 

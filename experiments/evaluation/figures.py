@@ -9,7 +9,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 
 from softslide.experiments.evaluation.bounds import Verdict
-from softslide.experiments.evaluation.scoring import INTERVALS
+from softslide.experiments.evaluation.scoring import INTERVALS, WORDS
 from softslide.experiments.pages.figures import (
     COLOURS,
     EDGE,
@@ -17,10 +17,9 @@ from softslide.experiments.pages.figures import (
     Panel,
     axis_marks,
     chart,
-    inline,
+    drawn,
     on_cells,
     on_skin,
-    panel,
 )
 from softslide.features.card import HALF_WIDTH_SD
 from softslide.pipeline.sensor import Sensor
@@ -67,17 +66,19 @@ def _angles(rows: pd.DataFrame, quantity: str) -> Panel:
     word, unit, *_ = SHOWN[quantity]
     error, direction = rows[f"{quantity}_error"], rows["true_direction_deg"]
     means = error.groupby(sectors(direction)).mean()
-    with panel(3.9, projection="polar") as (figure, ax):
+
+    def draw(ax: Axes) -> None:
         middles, width = np.deg2rad(SECTOR_DEG * means.index.to_numpy()), np.deg2rad(0.9 * SECTOR_DEG)
         ax.bar(middles, means, width=width, color=COLOURS[5], alpha=0.55, linewidth=0)
         ax.plot(np.deg2rad(direction), error, "o", markersize=3, color=COLOURS[0], alpha=0.8)
         ax.set_ylim(0, 1.15 * max(float(error.max()), 1e-9))
         ax.yaxis.set_major_locator(mpl.ticker.MaxNLocator(3))
-        figure.text(0.02, 0.95, f"{word}, {unit}")
-        empty = ", ".join(missing_sectors(direction))
-        text = f"{word.capitalize()} ({unit}) by direction of motion: bars are means of {SECTOR_DEG:g} deg, dots "
-        text += f"recordings; none near {empty} deg." if empty else "recordings."
-        return Panel(inline(figure, text), text)
+        ax.figure.text(0.02, 0.95, f"{word}, {unit}")
+
+    empty = ", ".join(missing_sectors(direction))
+    text = f"{word.capitalize()} ({unit}) by direction of motion: bars are means of {SECTOR_DEG:g} deg, dots "
+    text += f"recordings; none near {empty} deg." if empty else "recordings."
+    return drawn(text, draw, 3.9, projection="polar")
 
 
 def sectors(direction_deg: pd.Series) -> pd.Series:
@@ -133,16 +134,17 @@ def along_the_stroke(scored: pd.DataFrame, by: str = "split", of: str = "") -> l
 def interval_coverage(scored: pd.DataFrame) -> list[Panel]:
     """Share of labels in their 90 % interval by split, with the range that the number of recordings leaves."""
     panels = []
-    for column, (word, *_) in zip(INTERVALS, SHOWN.values(), strict=True):
+    for column, word in zip(INTERVALS, WORDS.values(), strict=True):
         rows = scored[scored[f"{column}_covered"].notna()]
         if len(rows):
-            panels.append(_held(rows, f"{column}_covered", word.removesuffix(" error")))
+            panels.append(_held(rows, f"{column}_covered", word))
     return panels
 
 
 def _held(rows: pd.DataFrame, column: str, word: str) -> Panel:
     groups = rows.groupby("split").agg(share=(column, "mean"), count=("recording", "nunique"))[::-1]
-    with panel(0.9 + 0.42 * len(groups), left=1.6) as (figure, ax):
+
+    def draw(ax: Axes) -> None:
         ax.axvline(100 * INTERVAL, color=INK, linestyle="--", linewidth=1)
         for n, (share, count) in enumerate(zip(groups["share"], groups["count"], strict=True)):
             ax.plot(100 * np.array(wilson(share, count)), [n, n], color=COLOURS[0], linewidth=1.5)
@@ -152,11 +154,12 @@ def _held(rows: pd.DataFrame, column: str, word: str) -> Panel:
             xlim=(-3, 103), ylim=(-0.6, len(groups) - 0.4), xlabel="labels within the interval, %", title=word
         )
         ax.grid(axis="y", visible=False)
-        text = (
-            f"Share of labels within the 90 % interval of the {word}, by split with the number of recordings; bars: "
-            "what chance leaves open with so many recordings."
-        )
-        return Panel(inline(figure, text), text)
+
+    text = (
+        f"Share of labels within the 90 % interval of the {word}, by split with the number of recordings; bars: "
+        "what chance leaves open with so many recordings."
+    )
+    return drawn(text, draw, 0.9 + 0.42 * len(groups), left=1.6)
 
 
 def wilson(share: float, count: int) -> tuple[float, float]:

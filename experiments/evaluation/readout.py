@@ -13,19 +13,17 @@ import numpy as np
 import pandas as pd
 
 from softslide.experiments.evaluation.archive import Archive
-from softslide.experiments.evaluation.scoring import INTERVALS
+from softslide.experiments.evaluation.scoring import INTERVALS, interval_ends
 from softslide.features.errors import InputError
 from softslide.features.estimate import Estimate
 from softslide.pipeline.recordings.folder import Folder, Recording
 from softslide.serve.localizer import Localizer
 
 ESTIMATED = (
-    *(
-        f"{stem}{end}_{unit}"
-        for stem, unit in (n.split("_", 1) for n in INTERVALS)
-        for end in ("", "_lo", "_hi")
-    ),
-    *("depth_mm", "x_mm", "y_mm"),
+    *(name for column in INTERVALS for name in (column, *interval_ends(column))),
+    "depth_mm",
+    "x_mm",
+    "y_mm",
 )
 COLUMNS = ("recording", "stroke_fraction", *ESTIMATED, "valid")
 STROKE = tuple(n / 10 for n in range(1, 11))
@@ -57,18 +55,13 @@ def read_at(
     return estimates
 
 
-def predict_recording(bundle: Path, folder: Folder, name: str) -> list[dict[str, Any]]:
-    """One recording's rows of `predictions.csv`, as dictionaries of COLUMNS; NaN where not estimated."""
-    localizer, recording = open_localizer(bundle, folder.sensor.sample_rate_hz), folder.read(name)
-    return rows_of(
-        localizer, recording, samples_for(localizer, recording), folder.manifest.loc[name].to_dict()
-    )
-
-
 def rows_of(
     localizer: Localizer, recording: Recording, samples: np.ndarray, label: Mapping[Any, Any]
 ) -> list[dict[str, Any]]:
-    """The rows of a recording that a localizer reads as `samples`. label: its row of the manifest."""
+    """The rows of `predictions.csv`, NaN where not estimated, of a recording that a localizer reads as `samples`.
+
+    label: its row of the manifest.
+    """
     fractions, moments_s = zip(*moments(label, recording.time_s), strict=True)
     estimates = read_at(localizer, samples, recording.time_s, moments_s)
     return [
@@ -89,7 +82,11 @@ def predictions(bundle: Path, folder: Folder, archive: Archive) -> Iterator[pd.D
 
 
 def _read_out(bundle: Path, folder: Folder, names: list[str]) -> pd.DataFrame:
-    rows = [row for name in names for row in predict_recording(bundle, folder, name)]
+    localizer, rows = open_localizer(bundle, folder.sensor.sample_rate_hz), []
+    for name in names:
+        recording = folder.read(name)
+        samples, label = samples_for(localizer, recording), folder.manifest.loc[name].to_dict()
+        rows += rows_of(localizer, recording, samples, label)
     return pd.DataFrame(rows, columns=list(COLUMNS))
 
 

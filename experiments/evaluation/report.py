@@ -86,7 +86,9 @@ def write_report(
         tracked=tracks.QUANTITIES,
         covered=tracks.COVERED,
         track_panels=track_figures.along_the_contact(followed),
-        track_pictures=_pictures(followed, folder),
+        track_pictures=[
+            (split, track_figures.pictures(part, sensor)) for split, part in tracks.by_split(followed).items()
+        ],
         card=_lines(metrics["bundle"]["card"]),
     )
     path.write_text(text, encoding="utf-8")
@@ -160,13 +162,6 @@ def _shown(row: pd.Series, rows: pd.DataFrame, folder: Folder) -> tuple[str, str
         + ", ".join(f"{word} {number(error)} {unit}" for word, unit, error in off if np.isfinite(error))
     )
     return name, what, panels
-
-
-def _pictures(followed: Sequence[Track], folder: Folder) -> list[tuple[str, list[Panel]]]:
-    """For each split its name and its panels."""
-    splits = dict.fromkeys(track.split for track in followed)
-    parts = {split: [track for track in followed if track.split == split] for split in splits}
-    return [(split, track_figures.pictures(part, folder.sensor)) for split, part in parts.items()]
 
 
 def _lines(card: dict[str, Any]) -> list[tuple[str, str]]:

@@ -23,6 +23,8 @@ QUANTITIES = {
     "position_mm": "mm",
     "position_percent": "%",
 }
+# Those of a slide at its end that tables and figures show, in a word.
+WORDS = {"direction_deg": "direction", "speed_percent": "speed", "offset_mm": "distance"}
 # The column of predictions that each quantity is the error of.
 ESTIMATES = {
     "direction_deg": "direction_deg",
@@ -39,6 +41,12 @@ BETWEEN = ("0 to 90 deg", "90 to 180 deg", "180 to 270 deg", "270 to 360 deg")
 # A slide this close to an axis counts as one of the article's X- or Y-slides.
 AXIS_TOLERANCE_DEG = 1.0
 ROUNDING = 1e-9  # of mm and mm/s in labels computed from angles
+
+
+def interval_ends(column: str) -> tuple[str, str]:
+    """The columns of the interval's low and high end, as in speed_lo_mm_s."""
+    stem, unit = column.split("_", 1)
+    return f"{stem}_lo_{unit}", f"{stem}_hi_{unit}"
 
 
 def signed_errors(table: pd.DataFrame) -> pd.DataFrame:
@@ -89,8 +97,7 @@ def score(predictions: pd.DataFrame, manifest: pd.DataFrame, sensor: Sensor) -> 
     table["position_percent_error"] = np.maximum(forward, sideways)
 
     for column in INTERVALS:
-        stem, unit = column.split("_", 1)
-        low, high = estimated[f"{stem}_lo_{unit}"], estimated[f"{stem}_hi_{unit}"]
+        low, high = (estimated[end] for end in interval_ends(column))
         truth = table[f"true_{column}"]
         if column == "direction_deg":
             # Measured from the lower bound, so that an interval across 0 degrees needs no case of its own.

@@ -14,6 +14,7 @@ import pandas as pd
 
 from softslide.experiments.evaluation.archive import Archive
 from softslide.experiments.evaluation.readout import open_localizer, samples_for
+from softslide.experiments.evaluation.scoring import INTERVALS, interval_ends
 from softslide.features.angles import wrapped_deg
 from softslide.features.estimate import Estimate
 from softslide.pipeline.recordings.folder import Folder
@@ -27,21 +28,12 @@ MOVING_MM_S = 0.2
 # An estimate is wrong where an error exceeds this many half widths of its 90 % interval, or one of the two below.
 WRONG_HALF_WIDTHS = 3.0
 GROSS_MM, GROSS_DEG = 5.0, 20.0
-# Estimates with an interval: stem and unit of their columns.
-BOUNDED = (
-    ("x", "mm"),
-    ("y", "mm"),
-    ("vx", "mm_s"),
-    ("vy", "mm_s"),
-    ("direction", "deg"),
-    ("speed", "mm_s"),
-    ("offset", "mm"),
-    ("depth", "mm"),
-)
+# Estimates with an interval.
+BOUNDED = ("x_mm", "y_mm", "vx_mm_s", "vy_mm_s", *INTERVALS, "depth_mm")
 # Quantities that are summarized, and their units.
 QUANTITIES = {"position": "mm", "direction": "deg", "speed": "%", "offset": "mm", "depth": "mm"}
 COVERED = ("position", "velocity", "direction", "speed", "offset", "depth")
-_COLUMNS = [f"{stem}{end}_{unit}" for stem, unit in BOUNDED for end in ("", "_lo", "_hi")]
+_COLUMNS = [name for column in BOUNDED for name in (column, *interval_ends(column))]
 
 
 @dataclass(frozen=True)
@@ -138,8 +130,8 @@ def judge(stream: pd.DataFrame, truth: pd.DataFrame, reference_mm: tuple[float, 
 
     off, half = _from_middles(stream, true)
     held = (off.abs() <= half).astype(float).where(half.notna() & true[half.columns].notna())
-    for stem in ("direction", "speed", "offset", "depth"):
-        table[f"{stem}_held"] = held[_column(stem)]
+    for column in (*INTERVALS, "depth_mm"):
+        table[f"{column.split('_')[0]}_held"] = held[column]
     table["position_held"] = (held["x_mm"] + held["y_mm"]) / 2
     table["velocity_held"] = (held["vx_mm_s"] + held["vy_mm_s"]) / 2
 
@@ -188,10 +180,15 @@ def summarize(judged: Sequence[pd.DataFrame]) -> dict[str, Any]:
     return result
 
 
-def by_split(followed: Sequence[Track]) -> dict[str, dict[str, Any]]:
-    """A summary for each split, in the order of their first recordings."""
+def by_split(followed: Sequence[Track]) -> dict[str, list[Track]]:
+    """The tracks of each split, in the order of their first recordings."""
     splits = dict.fromkeys(track.split for track in followed)
-    return {split: summarize([each.judged for each in followed if each.split == split]) for split in splits}
+    return {split: [track for track in followed if track.split == split] for split in splits}
+
+
+def summaries(followed: Sequence[Track]) -> dict[str, dict[str, Any]]:
+    """`summarize` for each split."""
+    return {split: summarize([each.judged for each in part]) for split, part in by_split(followed).items()}
 
 
 def line(split: str, row: dict[str, Any]) -> str:
@@ -230,17 +227,11 @@ def _touching(time_s: np.ndarray, truth: pd.DataFrame) -> np.ndarray:
 
 def _from_middles(stream: pd.DataFrame, true: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Distance of the truth from the middle of each interval, and the half width; NaN without one."""
-    columns = {
-        _column(stem): (stream[f"{stem}_lo_{unit}"], stream[f"{stem}_hi_{unit}"]) for stem, unit in BOUNDED
-    }
+    columns = {name: [stream[end] for end in interval_ends(name)] for name in BOUNDED}
     half = pd.DataFrame({name: (high - low) / 2 for name, (low, high) in columns.items()})
     off = pd.DataFrame({name: true[name] - (low + high) / 2 for name, (low, high) in columns.items()})
     off["direction_deg"] = wrapped_deg(off["direction_deg"].to_numpy())
     return off, half
-
-
-def _column(stem: str) -> str:
-    return f"{stem}_{dict(BOUNDED)[stem]}"
 
 
 def _first(judged: pd.DataFrame) -> float:

@@ -7,8 +7,7 @@ side by side. It takes its colours from the page, which has a set for light and 
 import html
 import io
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -62,13 +61,6 @@ def draw_sensor(ax: Axes, sensor: Sensor, width: float, label: str) -> None:
     ax.plot(*places.T, "s", color=INK, markersize=5, label=label)
 
 
-def svg(figure: Figure) -> str:
-    """The figure as a text, without the date that would make two of the same numbers differ."""
-    text = io.StringIO()
-    figure.savefig(text, format="svg", metadata={"Date": None, "Creator": None})
-    return text.getvalue()
-
-
 @dataclass(frozen=True)
 class Panel:
     """One figure of a page. svg: of `inline`; caption: a sentence of what it shows."""
@@ -77,21 +69,34 @@ class Panel:
     caption: str
 
 
-@contextmanager
-def panel(
-    height: float = PANEL_INCHES[1], below: float = 0.0, left: float = MARGINS[0], **options: Any
-) -> Iterator[tuple[Figure, Axes]]:
-    """A figure of one panel in the page's style, to be drawn into and passed to `inline` within the block.
+def drawn(
+    caption: str,
+    draw: Callable[[Axes], None],
+    height: float,
+    *,
+    entries: int = 0,
+    columns: int = 2,
+    left: float = MARGINS[0],
+    **options: Any,
+) -> Panel:
+    """A panel of one pair of axes in the page's style, that `draw` draws into.
 
-    height, below, left: inches, of the figure, of a legend below its axes and of the margin at their left; options: of
-    `add_subplot`. The margins are fixed: to fit them to each figure takes as long as to draw it.
+    height, left: inches, of the figure and of the margin at the left. entries: of a legend below the axes, in so many
+    columns; 0: none. options: of `add_subplot`. The margins are fixed: to fit them to each figure takes as long as to
+    draw it.
     """
-    width = PANEL_INCHES[0]
+    below, width = LEGEND_ROW_INCHES * -(-entries // columns), PANEL_INCHES[0]
     with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(width, height))
+        figure = Figure(figsize=(width, height + below))
         _, right, bottom, top = MARGINS
-        figure.subplots_adjust(left / width, (bottom + below) / height, 1 - right / width, 1 - top / height)
-        yield figure, figure.add_subplot(**options)
+        low, high = (bottom + below) / (height + below), 1 - top / (height + below)
+        figure.subplots_adjust(left / width, low, 1 - right / width, high)
+        ax = figure.add_subplot(**options)
+        draw(ax)
+        handles, names = ax.get_legend_handles_labels()
+        if entries and handles:
+            figure.legend(handles, names, loc="lower center", ncols=columns, fontsize=8)
+        return Panel(inline(figure, caption), caption)
 
 
 def chart(
@@ -106,10 +111,8 @@ def chart(
     colours: Sequence[str] = COLOURS,
     limit: float | None = None,
     log: bool = False,
-    draw: Callable[[Axes], None] | None = None,
+    draw: Callable[[Axes], None] = lambda ax: None,
     below: int = 0,
-    height: float = PANEL_INCHES[1],
-    left: float = MARGINS[0],
     **axes: Any,
 ) -> Panel:
     """A panel of column `y` against column `x`, a series for each value of column `by` in the order of the rows.
@@ -117,10 +120,9 @@ def chart(
     labels: title, and what x and y are. mark: Matplotlib's format. limit: drawn dashed. log: y logarithmic, with zero.
     draw: draws the rest. below: entries of a legend below the axes; 0: it stands in them. axes: of `Axes.set`.
     """
-    room = LEGEND_ROW_INCHES * ((below + 1) // 2)
-    with panel(height + room, room, left) as (figure, ax):
-        if draw:
-            draw(ax)
+
+    def series(ax: Axes) -> None:
+        draw(ax)
         for n, (name, rows) in enumerate(table.groupby(by, sort=False)):
             look: Any = {"alpha": 0.8} if mark == "o" else {}
             colour, line = colours[n % len(colours)], ("-", "--")[n // len(colours) % 2]
@@ -132,11 +134,10 @@ def chart(
         if log:
             log_with_zero(ax, np.array([*table[y].astype(float), *([] if limit is None else [limit])]))
         ax.set(title=labels[0], xlabel=labels[1], ylabel=labels[2], **axes)
-        if below:
-            legend_below(figure, ax)
-        elif ax.get_legend_handles_labels()[0]:
+        if not below and ax.get_legend_handles_labels()[0]:
             ax.legend(fontsize=8)
-        return Panel(inline(figure, caption), caption)
+
+    return drawn(caption, series, PANEL_INCHES[1], entries=below)
 
 
 def on_skin(
@@ -147,20 +148,16 @@ def on_skin(
     entries: int = 2,
     columns: int = 2,
 ) -> Panel:
-    """A panel of the skin from above, x and y in mm, with the chamber and the accelerometers.
-
-    entries: of the legend below, in so many columns; 0: none.
-    """
-    below = LEGEND_ROW_INCHES * -(-entries // columns)
+    """A panel of the skin from above, x and y in mm, with the chamber and the accelerometers; else as `drawn`."""
     x, y = np.array(sensor.chamber_mm) / 2
-    with panel(4.1 + below, below) as (figure, ax):
+
+    def skin(ax: Axes) -> None:
         draw(ax)
         draw_sensor(ax, sensor, width=1.2, label="sensor")
         ax.set(xlim=(-x - 6, x + 6), ylim=(-y - 6, y + 6), aspect="equal", title=title)
         ax.set(xlabel="x, mm", ylabel="y, mm")
-        if entries:
-            legend_below(figure, ax, columns)
-        return Panel(inline(figure, caption), caption)
+
+    return drawn(caption, skin, 4.1, entries=entries, columns=columns)
 
 
 def on_cells(
@@ -198,22 +195,18 @@ def rectangle(ax: Axes, low: np.ndarray, high: np.ndarray, **look: Any) -> None:
     ax.add_patch(mpl.patches.Rectangle((float(low[0]), float(low[1])), *(high - low), **look))
 
 
-def legend_below(figure: Figure, ax: Axes, columns: int = 2) -> None:
-    """The legend of the axes at the figure's lower end, where `panel` has left room `below`."""
-    handles, names = ax.get_legend_handles_labels()
-    if handles:
-        figure.legend(handles, names, loc="lower center", ncols=columns, fontsize=8)
-
-
 def inline(figure: Figure, alt: str) -> str:
     """The figure as an SVG element of an HTML page, in the page's colours; alt: what it shows, for who cannot see it.
 
-    A page needs neither its XML head nor its name spaces nor its metadata.
+    A page needs neither its XML head nor its name spaces nor its metadata, whose date would make two figures of the
+    same numbers differ.
     """
     figure.patch.set_alpha(0.0)
     for axes in figure.axes:
         axes.patch.set_alpha(0.0)
-    text = svg(figure)
+    file = io.StringIO()
+    figure.savefig(file, format="svg", metadata={"Date": None, "Creator": None})
+    text = file.getvalue()
     text = re.sub(r"<metadata>.*?</metadata>", "", text[text.index("<svg") :], flags=re.DOTALL)
     head = re.search(r'viewBox="[^"]*"', text)
     assert head is not None

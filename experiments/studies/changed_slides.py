@@ -9,7 +9,6 @@ samples.
     python -m softslide.experiments.studies.changed_slides --model my-model --recordings my-recordings
 """
 
-import argparse
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -76,11 +75,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     recordings(words, "of the bundle's sensor, with test slides")
     count(words, "--every", 1, "of so many test slides one is read")
     count(words, "--jobs", 2, "slides that are read at a time")
-
-    def study(given: argparse.Namespace) -> Iterator[Part]:
-        return changed_slides(given.model, read_folder(given.recordings), given.every, given.jobs)
-
-    return run(words, study, argv)
+    return run(words, lambda g: changed_slides(g.model, read_folder(g.recordings), g.every, g.jobs), argv)
 
 
 if __name__ == "__main__":

@@ -23,15 +23,20 @@ from timeit import timeit
 
 import numpy as np
 
-from softslide.experiments.one_node import ONE_NODE, one_node
 from softslide.experiments.studies.script import Part, bundle, count, parser, run
 from softslide.features.errors import InputError
 from softslide.features.stream.tracker import SlideState
-from softslide.serve.bundle import open_bundle
+from softslide.serve.bundle import open_bundle, open_session
 from softslide.serve.files import read_recording
 from softslide.serve.localizer import DRIFT_BLOCKS, Localizer
 
 PASSES = 3
+# A graph of one Identity over one float32 (opset 18), serialized, so that only ONNX Runtime is needed: its call is the
+# unit in which times are compared between computers.
+ONE_NODE = (
+    b'\x08\x08:7\n\x10\n\x01x\x12\x01y"\x08Identity\x12\x01oZ\x0f\n\x01x\x12\n\n\x08\x08\x01\x12\x04\n\x02\x08\x01'
+    b"b\x0f\n\x01y\x12\n\n\x08\x08\x01\x12\x04\n\x02\x08\x01B\x04\n\x00\x10\x12"
+)
 START = """
 import json, os, sys, time
 from pathlib import Path
@@ -59,17 +64,16 @@ def costs(bundle: Path, slides: Sequence[Path], decisions: int) -> Iterator[Part
         InputError: the bundle does not work, a recording is not of its sensor, or no slide is found in any.
     """
     card, graph = open_bundle(bundle)
-    localizer, bare = Localizer(replace(card, base=None), graph), one_node()
+    localizer = Localizer(replace(card, base=None), graph)
+    session = open_session(ONE_NODE, Path("one node"))
+    bare = partial(session.run, None, {"x": np.zeros(1, np.float32)})
     volts = [read_recording(path, card.channels, card.sample_rate_hz) for path in slides]
     in_slides = _in_slides(localizer, bare, volts)
     yield "decision_at_rest", _us(*_at_rest(localizer, bare, decisions))
     yield "decision_in_a_slide", _us(in_slides[0], in_slides[2])
     yield "inference_alone", _us(in_slides[1], in_slides[2])
-    words, one_thread = (
-        [sys.executable, "-c", START, str(bundle.resolve()), ONE_NODE.hex()],
-        {"OMP_NUM_THREADS": "1"},
-    )
-    root, env = Path(__file__).parents[2], os.environ | one_thread
+    words = [sys.executable, "-c", START, str(bundle.resolve()), ONE_NODE.hex()]
+    root, env = Path(__file__).parents[2], os.environ | {"OMP_NUM_THREADS": "1"}
     done = subprocess.run(words, cwd=root, env=env, capture_output=True, text=True)
     if done.returncode:
         raise InputError(f"{bundle}: does not start ({done.stderr.strip().splitlines()[-1]})")

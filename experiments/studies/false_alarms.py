@@ -105,9 +105,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     count(words, "--seed", 0, "of all that is random", least=0)
     count(words, "--jobs", 1, "streams that are read at a time")
 
-    def study(given: argparse.Namespace) -> Iterator[Part]:
-        how = (given.streams, given.seconds, given.seed, given.jobs)
-        return false_alarms(given.model, read_folder(given.recordings), *how)
+    def study(g: argparse.Namespace) -> Iterator[Part]:
+        return false_alarms(g.model, read_folder(g.recordings), g.streams, g.seconds, g.seed, g.jobs)
 
     return run(words, study, argv)
 

@@ -72,8 +72,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     count(words, "--slides", [0, 4, 12, 24, 48], least=0, nargs="+")
     count(words, "--draws", 3)
     words.add_argument("--plan", type=Path, metavar="plan.csv", help="from 'softslide plan --candidates'")
-    scored = "beginnings of what to score"
-    words.add_argument("--split", nargs="+", default=["test"], metavar="NAME", help=scored)
+    what = "beginnings of what to score"
+    words.add_argument("--split", nargs="+", default=["test"], metavar="NAME", help=what)
 
     def study(given: argparse.Namespace) -> Iterator[Part]:
         folder = without_base_motion(read_folder(given.recordings))

@@ -37,10 +37,8 @@ from softslide.pipeline.workers import results
 
 def needed(given: argparse.Namespace) -> Iterator[Part]:
     """The parts printed: of the plan, of each order drawn, and of those drawn together."""
-    learned, goal = (
-        recordings_to_learn_from(without_base_motion(read_folder(given.recordings))),
-        read_goal(given.until),
-    )
+    learned = recordings_to_learn_from(without_base_motion(read_folder(given.recordings)))
+    goal = read_goal(given.until)
     planned = [str(name) for name in read_table(given.plan)["recording"]]
     if unknown := sorted(set(planned) - set(learned.manifest.index)):
         raise InputError(f"{given.plan}: '{unknown[0]}' is not a calibration slide of {learned.root}")

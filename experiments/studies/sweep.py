@@ -19,7 +19,7 @@ import optuna
 import tomli_w
 
 from softslide.experiments.kept_map import kept_map
-from softslide.experiments.provenance import data_tags
+from softslide.experiments.provenance import data_hashes
 from softslide.experiments.studies.script import Part, count, parser, recordings, run
 from softslide.experiments.train import design_for
 from softslide.features.errors import InputError
@@ -96,7 +96,7 @@ def search(given: argparse.Namespace) -> Iterator[Part]:
     folder = recordings_to_learn_from(without_base_motion(read_folder(given.recordings)))
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     # Trials of other recordings are another study.
-    name, pruner = f"{given.model}-{data_tags(folder)['data.slides'][:12]}", PRUNERS[given.pruner]
+    name, pruner = f"{given.model}-{data_hashes(folder)['slides'][:12]}", PRUNERS[given.pruner]
     study = optuna.create_study(study_name=name, storage=given.storage, pruner=pruner, load_if_exists=True)
     # A sampler with the same seed would draw the same first trials again.
     study.sampler = optuna.samplers.TPESampler(seed=len(study.trials))

@@ -12,7 +12,6 @@ from softslide.features.contact.calibration import ContactCalibration
 from softslide.features.stream.conditioning import Conditioning
 from softslide.models.classical.regression import late_windows
 from softslide.models.held_out import line_folds
-from softslide.models.response_map.card import contact_of
 from softslide.models.response_map.from_atlas import SensorSpread
 from softslide.models.response_map.map import ResponseMap
 from softslide.models.response_map.select import LEAST_ALONE, CalibratedMap, calibrated_map
@@ -97,7 +96,7 @@ def learned_windows(
         found.summary,
         found.untimed,
         found.left_out | _without_window(read, recorded),
-        contact_of(found.response, found.folder, found.conditioning, atlas, found.heights, found.summary),
+        found.contact(atlas),
     )
 
 

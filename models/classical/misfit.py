@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from onnx import TensorProto
 
-from softslide.models.classical.regression import Scale, float_features, late_windows, read_columns
+from softslide.models.classical.regression import Scale, read_windows
 from softslide.models.graph.builder import GraphBuilder
 from softslide.pipeline.recordings.windows import LabelledWindows
 
@@ -31,9 +31,8 @@ class Misfit:
     @classmethod
     def of(cls, windows: LabelledWindows) -> "Misfit":
         """From the late windows of the slides that are learnt from."""
-        late = late_windows(windows)
-        columns = read_columns(late.volts.shape[1] // 3)
-        read = float_features(late)[:, columns].astype(np.float64)
+        _, columns, read = read_windows(windows)
+        read = read.astype(np.float64)
         scale = Scale.of(read)
         standard = scale.standard(read)
         variance, vectors = np.linalg.eigh(standard.T @ standard / len(standard))

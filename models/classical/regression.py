@@ -48,6 +48,13 @@ def float_features(windows: LabelledWindows) -> np.ndarray:
     return feature_matrix(windows.volts, windows.elapsed_s).astype(np.float32)
 
 
+def read_windows(windows: LabelledWindows) -> tuple[LabelledWindows, np.ndarray, np.ndarray]:
+    """The late windows, the columns that are read of them (F',), and these features (n, F') in float32."""
+    late = late_windows(windows)
+    columns = read_columns(late.volts.shape[1] // 3)
+    return late, columns, float_features(late)[:, columns]
+
+
 def targets(windows: LabelledWindows) -> np.ndarray:
     """Targets (n, K) in OUTPUTS order; without the last one if it is not known of all windows."""
     angle = np.deg2rad(windows.direction_deg)
@@ -133,9 +140,8 @@ def regression_table(windows: LabelledWindows, between_lines: bool) -> tuple[Uni
 
     between_lines: whether rows between neighbouring lines are added (augmentation.py).
     """
-    late = late_windows(windows)
-    columns = read_columns(late.volts.shape[1] // 3)
-    read, goals = float_features(late)[:, columns].astype(np.float64), targets(late)
+    late, columns, read = read_windows(windows)
+    read, goals = read.astype(np.float64), targets(late)
     if between_lines:
         read, goals = with_lines_between(late, read, goals)
     units = Units(columns, Scale.of(read), Scale.of(goals))

@@ -13,14 +13,7 @@ from softslide.features.stream.conditioning import Conditioning
 from softslide.models.classical.augmentation import with_lines_between
 from softslide.models.classical.fit import feature_model
 from softslide.models.classical.learned_lines import SharesConfig
-from softslide.models.classical.regression import (
-    OUTPUTS,
-    Scale,
-    float_features,
-    late_windows,
-    read_columns,
-    targets,
-)
+from softslide.models.classical.regression import OUTPUTS, Scale, read_windows, targets
 from softslide.models.graph.builder import OPSET, OPSET_ML, GraphBuilder
 from softslide.pipeline.ranges import SEED, check_ranges
 from softslide.pipeline.recordings.windows import LabelledWindows
@@ -87,9 +80,8 @@ class Trees:
 
 def fit_trees(windows: LabelledWindows, config: TreesConfig) -> Trees:
     """Fits to the late windows and to rows between their lines."""
-    late = late_windows(windows)
-    columns = read_columns(late.volts.shape[1] // 3)
-    read, goals = with_lines_between(late, float_features(late)[:, columns], targets(late))
+    late, columns, read = read_windows(windows)
+    read, goals = with_lines_between(late, read, targets(late))
     scale = Scale.of(goals)
     standard = scale.standard(goals)
     forests = tuple(

@@ -13,15 +13,11 @@ from softslide.pipeline.recordings.windows import LabelledWindows
 KNOWN_MM = 1e-6
 
 
-def cramer_rao(
-    response: ResponseMap, block_s: float, windows: LabelledWindows, depth_sd_mm: float = KNOWN_MM
-) -> np.ndarray:
-    """Least standard deviations (n, 4) that any unbiased estimate can have: direction deg, log speed, offset mm, depth
-    mm.
+def cramer_rao(response: ResponseMap, block_s: float, windows: LabelledWindows) -> np.ndarray:
+    """Least standard deviations (n, 3) that any unbiased estimate can have: direction deg, log speed, offset mm.
 
-    The inverse Fisher information of the map at the true line, with gain and zero unknown within their spread, and the
-    depth within depth_sd_mm: known, unless given. The place along the line is fitted: a slide that has ended stands
-    still while its label moves on.
+    The inverse Fisher information of the map at the true line, with the depth known, and gain and zero unknown within
+    their spread. The place along the line is fitted: a slide that has ended stands still while its label moves on.
     """
     angle = np.radians(windows.direction_deg)
     truth = np.stack(
@@ -29,8 +25,7 @@ def cramer_rao(
         axis=1,
     )
     line, boards = torch.tensor(truth, dtype=torch.float32), windows.volts.shape[1] // 3
-
-    response = replace(response, depth_sd_mm=depth_sd_mm)
+    response = replace(response, depth_sd_mm=KNOWN_MM)
 
     def refined(steps: int, least_prior: tuple[float, float, float, float]) -> tuple[Tensor, ...]:
         config = RefinementConfig(steps=steps, trust=1.0, least_prior=least_prior)
@@ -49,4 +44,4 @@ def cramer_rao(
     line = torch.cat([line[:, :4], state[:, 3:4].float()], 1)
     _, _, variance, *_ = refined(1, (1e3, 1e3, 1e3, 1e3))
     sd = variance.sqrt().numpy()
-    return np.stack([np.degrees(sd[:, 0]), sd[:, 1], sd[:, 2], sd[:, 5]], axis=1)
+    return np.stack([np.degrees(sd[:, 0]), sd[:, 1], sd[:, 2]], axis=1)

@@ -16,10 +16,9 @@ from softslide.models.cnn.training import TrainingConfig, train_proposal
 from softslide.models.cnn.training_windows import SynthesisConfig, WindowSource
 from softslide.models.fitted_model import NOTHING, FittedModel, Given, Model
 from softslide.models.graph.from_torch import export_graph
-from softslide.models.graph.packing import unpack
 from softslide.models.held_out import WHOLE, believed, offset_reach_mm, signed_errors
 from softslide.models.intervals import LEAST_WINDOWS, conformal_interval, misfit_limit
-from softslide.models.response_map.card import calibrated_forces, contact_of
+from softslide.models.response_map.card import calibrated_forces
 from softslide.models.response_map.from_atlas import SensorSpread
 from softslide.models.response_map.map import ResponseMap
 from softslide.models.response_map.select import CalibratedMap
@@ -27,7 +26,7 @@ from softslide.models.response_map.slide_fit import CalibrationConfig
 from softslide.models.response_map.slides import LEAST_APART_MM
 from softslide.pipeline.recordings.folder import Folder
 from softslide.pipeline.recordings.heights import HEIGHT
-from softslide.pipeline.recordings.windows import LabelledWindows, labelled_windows
+from softslide.pipeline.recordings.windows import LabelledWindows, joined, labelled_windows
 
 # Without recordings nothing says how far this sensor is from its design: the article's own bounds, and a margin.
 UNCALIBRATED = {
@@ -52,6 +51,13 @@ LOST_DEG = 20.0
 EARLY = 0.35  # share of the stroke before which slides that differ look alike
 # Rows (n, K) of the network, and the windows that they are of.
 Held = tuple[np.ndarray, LabelledWindows]
+# Of each quantity that has an interval, the column of the graph's own standard deviation.
+DEVIATIONS = {
+    "direction_deg": "direction_sd_deg",
+    "log_speed": "log_speed_sd",
+    "offset_mm": "offset_sd_mm",
+    "depth_mm": "depth_sd_mm",
+}
 SHARED_HEIGHT_MM = 0.02  # held-out windows within it share a network; the response changes by 0.2 %
 
 
@@ -90,19 +96,20 @@ def fit_cnn(folder: Folder, config: CnnConfig, given: Given = NOTHING) -> Fitted
 
     def judged(thirds: int, proposal: Proposal) -> None:
         assert judge is not None
-        judge(thirds, _held_out_summary(_held_out(found.folder, found, proposal.eval(), config)))
+        judge(thirds, _errors(_held_out(found, proposal.eval(), config)))
 
     halting = judged if judge is not None and found.held_out else None
     proposal = train_proposal(source, config.network, config.training, start, given.progress, halting)
     network = _network(proposal, found.response, config)
     intervals, validity, summary = UNCALIBRATED, UNCALIBRATED_VALIDITY, found.summary
     if found.held_out:
-        held = _held_out(found.folder, found, proposal, config)
-        further = None if found.response.depth_sd_mm else _other_depths(found.response, network, config, held)
-        intervals, validity = _judge(*held, network.outputs, further)
+        held, response = _held_out(found, proposal, config), found.response
+        # Where recordings have several depths the map holds what is expected.
+        further = None if response.depth_sd_mm else _other_depths(response, network, config, len(held[1]))
+        intervals, validity = _judge(held, network.outputs, further)
         if not found.response.rim:
             validity = replace(validity, misfit=OTHER_DAY * validity.misfit)
-        summary = summary | _held_out_summary(held)
+        summary = summary | _errors(held)
     graph = export_graph(network, len(folder.sensor.accelerometers))
     return FittedModel(
         name="cnn",
@@ -114,9 +121,7 @@ def fit_cnn(folder: Folder, config: CnnConfig, given: Given = NOTHING) -> Fitted
         validity=validity,
         conditioning=config.conditioning,
         summary=dict(summary),
-        contact=contact_of(
-            found.response, found.folder, config.conditioning, atlas, found.heights, found.summary
-        ),
+        contact=found.contact(atlas),
         force=None
         if atlas is None
         else calibrated_forces(_at_main_height(found), atlas, found.summary, found.response.depth_mm),
@@ -136,10 +141,6 @@ def _at_main_height(found: CalibratedMap) -> Folder:
     return replace(found.folder, manifest=table[kept])
 
 
-def _held_out_summary(held: Held) -> dict[str, float]:
-    return {f"heldout_{name}": error for name, error in _errors(*held).items()}
-
-
 def _with_more_steps(config: CnnConfig, further: int) -> CnnConfig:
     """The same with so many further steps of Gauss-Newton."""
     refinement = config.network.refinement
@@ -148,15 +149,12 @@ def _with_more_steps(config: CnnConfig, further: int) -> CnnConfig:
 
 
 def initial_proposal(graph: onnx.ModelProto, response: ResponseMap, config: NetworkConfig) -> Proposal:
-    """The proposal network inside an exported graph.
+    """The proposal network inside a bundle's graph, as `read_graph` gives it.
 
     Raises:
         InputError: the graph holds another network, or one for another number of channels.
     """
-    whole = onnx.ModelProto()
-    whole.CopyFrom(graph)
-    unpack(whole)
-    found = {i.name: onnx.numpy_helper.to_array(i) for i in whole.graph.initializer}
+    found = {i.name: onnx.numpy_helper.to_array(i) for i in graph.graph.initializer}
     proposal = Proposal(response.channels, response.boards, config)
     state = proposal.state_dict()
     for name, value in state.items():
@@ -181,12 +179,18 @@ def _run(network: SlideNetwork, volts: np.ndarray, elapsed_s: np.ndarray, weight
     return row.numpy()
 
 
-def _held_out(folder: Folder, found: CalibratedMap, proposal: Proposal, config: CnnConfig) -> Held:
+def _rows(network: SlideNetwork, windows: LabelledWindows) -> np.ndarray:
+    """Rows (n, K) of the network, every accelerometer in use."""
+    weight = np.ones((len(windows), windows.volts.shape[1] // 3))
+    return _run(network, windows.volts, windows.elapsed_s, weight)
+
+
+def _held_out(found: CalibratedMap, proposal: Proposal, config: CnnConfig) -> Held:
     """Rows (n, K) for windows of lines that the map behind them was not fitted to, and those windows.
 
     Of a map over heights each is read at the height that follows from its own static output, as on a device.
     """
-    windows = labelled_windows(folder, config.conditioning)
+    windows = labelled_windows(found.folder, config.conditioning)
     main_mm = found.response.height_mm if found.heights is not None else 0.0
     own_mm = [found.static_heights_mm.get(name, main_mm) for name in windows.recording]
     heights_mm = SHARED_HEIGHT_MM * np.round(np.where(np.isnan(own_mm), main_mm, own_mm) / SHARED_HEIGHT_MM)
@@ -195,36 +199,36 @@ def _held_out(folder: Folder, found: CalibratedMap, proposal: Proposal, config: 
     for response, unseen in found.held_out:
         for height_mm in np.unique(heights_mm[np.isin(windows.recording, unseen)]):
             mask = np.isin(windows.recording, unseen) & (heights_mm == height_mm)
-            weight = np.ones((int(mask.sum()), windows.volts.shape[1] // 3))
             network = _network(proposal, response.at(height_mm=height_mm), config)
-            rows[mask] = _run(network, windows.volts[mask], windows.elapsed_s[mask], weight)
+            rows[mask] = _rows(network, windows[mask])
     known = np.isfinite(rows[:, 0])
     return rows[known], windows[known]
 
 
-def _other_depths(response: ResponseMap, network: SlideNetwork, config: CnnConfig, held: Held) -> Held:
-    """As many windows of slides drawn from the map at other depths, where recordings have one depth alone.
+def _other_depths(response: ResponseMap, network: SlideNetwork, config: CnnConfig, count: int) -> Held:
+    """So many windows of slides drawn from the map at other depths, where recordings have one depth alone.
 
     Of how far other depths are from it nothing is known but the refinement's own prior.
     """
     spread = replace(config.synthesis, depth_mm=config.network.refinement.depth_sd_mm)
     source = WindowSource(replace(response, height_slope=None), config.conditioning.block_s, spread)
-    windows = source.draw(len(held[1]), torch.Generator().manual_seed(2)).labelled()
-    weight = np.ones((len(windows), windows.volts.shape[1] // 3))
-    return _run(network, windows.volts, windows.elapsed_s, weight), windows
+    windows = source.draw(count, torch.Generator().manual_seed(2)).labelled()
+    return _rows(network, windows), windows
 
 
 def _judge(
-    rows: np.ndarray, windows: LabelledWindows, outputs: tuple[str, ...], further: Held | None = None
+    held: Held, outputs: tuple[str, ...], further: Held | None = None
 ) -> tuple[dict[str, Interval], Validity]:
     """Intervals and validity from held-out windows; intervals hold over those and further ones together.
 
-    outputs: names of the rows' columns.
+    outputs: names of the rows' columns. Errors are taken over what a gain that is unusual widens intervals by
+    (`Interval`).
     """
+    rows, windows = held
     column = dict(zip(outputs, rows.T.astype(float), strict=True))
-    errors = signed_errors(rows, outputs, windows)
+    turned = signed_errors(rows, outputs, windows)["direction_deg"]
     late = windows.stroke_fraction > EARLY
-    ordinary = late & (np.abs(errors["direction_deg"]) < LOST_DEG)
+    ordinary = late & (np.abs(turned) < LOST_DEG)
     misfit = UNCALIBRATED_VALIDITY.misfit
     # A network that is lost more often than not finds its way by chance, and its misfit may be anything.
     if ordinary.sum() > late.sum() / 2:
@@ -235,66 +239,33 @@ def _judge(
         log_speed_sd=0.1,
         offset_mm=offset_reach_mm(windows),
     )
-    groups = [_believed(rows, windows, outputs, validity)]
-    if len(groups[0].slide) < LEAST_WINDOWS:
-        return UNCALIBRATED, validity
     if further is not None:
-        groups.append(_believed(*further, outputs, validity))
-    slide = np.concatenate([group.slide for group in groups])
+        rows, windows = np.concatenate([rows, further[0]]), joined([windows, further[1]])
+        column = dict(zip(outputs, rows.T.astype(float), strict=True))
+    valid = believed(rows, outputs, validity) & (np.abs(column["offset_mm"]) <= validity.offset_mm)
+    if valid[: len(held[1])].sum() < LEAST_WINDOWS:
+        return UNCALIBRATED, validity
+    errors = signed_errors(rows, outputs, windows)
+    if "depth_mm" in column:
+        errors["depth_mm"] = column["depth_mm"] - windows.depth_mm
+    wider = widening(column["strain"])
     return {
-        name: conformal_interval(
-            np.concatenate([group.errors[name] for group in groups]),
-            np.concatenate([group.sd[name] for group in groups]),
-            slide,
-        )
-        for name in groups[0].sd
+        name: conformal_interval((errors[name] / wider)[valid], column[sd][valid], windows.recording[valid])
+        for name, sd in DEVIATIONS.items()
+        if sd in column
     }, validity
 
 
-@dataclass(frozen=True)
-class _Believed:
-    """Valid windows (n,): which slide each is of, and by quantity the graph's deviations and the errors, over what a
-    gain that is unusual widens intervals by (`Interval`)."""
-
-    slide: np.ndarray
-    errors: dict[str, np.ndarray]
-    sd: dict[str, np.ndarray]
-
-
-def _believed(
-    rows: np.ndarray, windows: LabelledWindows, outputs: tuple[str, ...], validity: Validity
-) -> _Believed:
-    """The windows whose rows are valid."""
-    column = dict(zip(outputs, rows.T.astype(float), strict=True))
-    errors = signed_errors(rows, outputs, windows)
-    valid = believed(rows, outputs, validity) & (np.abs(column["offset_mm"]) <= validity.offset_mm)
-    sd = {
-        "direction_deg": column["direction_sd_deg"],
-        "log_speed": column["log_speed_sd"],
-        "offset_mm": column["offset_sd_mm"],
-    }
-    if "depth_mm" in column:
-        errors, sd = (
-            errors | {"depth_mm": column["depth_mm"] - windows.depth_mm},
-            sd | {"depth_mm": column["depth_sd_mm"]},
-        )
-    wider = widening(column["strain"])
-    return _Believed(
-        windows.recording[valid],
-        {name: (errors[name] / wider)[valid] for name in sd},
-        {name: values[valid] for name, values in sd.items()},
-    )
-
-
-def _errors(rows: np.ndarray, windows: LabelledWindows) -> dict[str, float]:
+def _errors(held: Held) -> dict[str, float]:
     """Mean absolute errors at the whole stroke, and the share of slides whose direction is lost."""
+    rows, windows = held
     whole = windows.stroke_fraction > WHOLE
     error = {name: np.abs(e[whole]) for name, e in signed_errors(rows, OUTPUTS, windows).items()}
     return {
-        "direction_deg": float(error["direction_deg"].mean()),
-        "lost": float((error["direction_deg"] > LOST_DEG).mean()),
-        "speed_percent": float(100 * np.abs(np.expm1(error["log_speed"])).mean()),
-        "offset_mm": float(error["offset_mm"].mean()),
+        "heldout_direction_deg": float(error["direction_deg"].mean()),
+        "heldout_lost": float((error["direction_deg"] > LOST_DEG).mean()),
+        "heldout_speed_percent": float(100 * np.abs(np.expm1(error["log_speed"])).mean()),
+        "heldout_offset_mm": float(error["offset_mm"].mean()),
     }
 
 

@@ -6,6 +6,8 @@ What is one for a window has the shape (B, 1, 1, ., .), what each such channel h
 """
 
 import math
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -27,20 +29,21 @@ SHIFTS = (-1.5, -0.5, 0.5, 1.5)
 PHASES = np.array([[0.5, 1.0], [0.0, 0.5]]) * np.pi
 
 
-class Prediction(nn.Module):
-    """The measured signal less what the map predicts, and the prediction's derivatives."""
+class WithConstants(nn.Module):
+    """A module whose constants are attributes by the names under which it holds them."""
 
-    table: Tensor
-    patch: Tensor
-    first: Tensor
-    stride: Tensor
-    weights: Tensor
-    shifts: Tensor
-    phases: Tensor
-    path: Tensor
-    path_ones: Tensor
-    signals: Tensor
-    products: Tensor
+    if TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> Tensor: ...
+
+    def hold(self, constants: Mapping[str, Any], dtype: torch.dtype, persistent: bool = True) -> None:
+        """Holds arrays by name. persistent: whether they are a part of the saved state."""
+        for name, value in constants.items():
+            self.register_buffer(name, torch.tensor(value, dtype=dtype), persistent)
+
+
+class Prediction(WithConstants):
+    """The measured signal less what the map predicts, and the prediction's derivatives."""
 
     def __init__(self, response: ResponseMap) -> None:
         super().__init__()
@@ -49,7 +52,7 @@ class Prediction(nn.Module):
         corner = np.array(response.reference_mm) + response.half_mm
         spacing_mm = response.spacing_mm
         path, path_ones = path_and_factors(spacing_mm)
-        buffers = {
+        constants = {
             "first": (corner / spacing_mm + 1 + EDGE)[:, None],
             "stride": np.array([[cells, 1.0]]),
             "weights": np.float32(spline_weights(spacing_mm)),
@@ -60,12 +63,9 @@ class Prediction(nn.Module):
             "signals": signal_mixture(),
             "products": products(),
         }
-        for name, value in buffers.items():
-            self.register_buffer(name, torch.tensor(value, dtype=torch.float64))
+        self.hold(constants, torch.float64)
         self.register_buffer("table", rounded(torch.tensor(table, dtype=torch.float32)))
-        self.register_buffer(
-            "patch", torch.tensor([cells * i + j for i in range(-1, 3) for j in range(-1, 3)])
-        )
+        self.hold({"patch": [cells * i + j for i in range(-1, 3) for j in range(-1, 3)]}, torch.int64)
         self.last_cell, self.corners = cells - 3.001, (cells + 1, (cells + 1) * (cells - 3))
 
     def forward(self, measured: Tensor, start: Tensor, state: Tensor, time: Tensor) -> Tensor:

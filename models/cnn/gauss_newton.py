@@ -9,11 +9,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 from torch.nn import functional as F
 
 from softslide.features.window import WINDOW_BINS
-from softslide.models.cnn.forward_model import BINS, PHASES, STATE, Prediction
+from softslide.models.cnn.forward_model import BINS, PHASES, STATE, Prediction, WithConstants
 from softslide.models.response_map.map import ResponseMap
 from softslide.pipeline.ranges import POSITIVE, SHARE, SIZE, check_ranges
 
@@ -55,8 +55,6 @@ class RefinementConfig:
     same_depth: prior probability that a slide has the calibration's contact depth; depth_sd_mm: standard deviation
         about it of those that do not. Where calibration slides have several depths, the map holds what is expected.
     cross_axis_sd: standard deviation of V_z's coupling into V_x and V_y after a change of the mounting's tilt.
-    lean_v: standard deviation, in V, of what a slow tilt of the sensor adds to every V_x, and to every V_y, by a
-        slide's end; 0 for a sensor that does not tilt. An accelerometer off the skin measures it separately.
     """
 
     steps: int = 3
@@ -65,14 +63,13 @@ class RefinementConfig:
     same_depth: float = 0.9
     depth_sd_mm: float = 0.35
     cross_axis_sd: float = 0.02
-    lean_v: float = 0.0
 
     def __post_init__(self) -> None:
         check_ranges(self, steps=(1, 100), trust=POSITIVE, least_prior=POSITIVE, same_depth=SHARE)
-        check_ranges(self, depth_sd_mm=POSITIVE, cross_axis_sd=SIZE, lean_v=SIZE)
+        check_ranges(self, depth_sd_mm=POSITIVE, cross_axis_sd=SIZE)
 
 
-class Refinement(nn.Module):
+class Refinement(WithConstants):
     """Gauss-Newton on (turn, log speed, offset, along, gain, depth) against the response map.
 
     Residuals are weighted by the inverse of their covariance: noise that falls with the number of blocks in a bin, the
@@ -87,38 +84,15 @@ class Refinement(nn.Module):
     as they are.
     """
 
-    noise: Tensor
-    drift: Tensor
-    pooled: Tensor
-    rippled: Tensor
-    ago: Tensor
-    lag: Tensor
-    looseness: Tensor
-    tightest: Tensor
-    longest_step: Tensor
-    each: Tensor
-    whole: Tensor
-    frame: Tensor
-    phases: Tensor
-    lean: Tensor
-    change: Tensor
-    bend_precision: Tensor
-    cycle: Tensor
-    uncycle: Tensor
-    mixing: Tensor
-    unmixed: Tensor
-
     def __init__(
         self, response: ResponseMap, block_s: float, config: RefinementConfig, settled: bool = True
     ) -> None:
         super().__init__()
-        assert response.noise_v is not None
-        assert response.drift_v is not None
         self.boards, self.axes = response.boards, response.axes
         self.predicted = Prediction(response)
         nuisance = (response.gain_sd, response.depth_sd_mm or config.depth_sd_mm)
         middle = (np.arange(BINS) + 0.5) / BINS
-        buffers = {
+        constants = {
             "noise": response.noise_v.reshape(self.boards, self.axes, 1, 1) ** 2,
             "drift": response.drift_v.reshape(self.boards, self.axes, 1, 1) ** 2,
             "pooled": np.float32(pooling() @ np.linalg.inv(bin_means()).T),
@@ -134,7 +108,6 @@ class Refinement(nn.Module):
             # (cos, sin) -> cos, -sin; sin, cos.
             "frame": np.array([[1.0, 0, 0, 1], [0, -1, 1, 0]]),
             "phases": PHASES[:, :1],
-            "lean": config.lean_v * middle[:, None],
             "bend_precision": np.diag(np.square(BEND_SD) ** -1.0),
             "cycle": np.roll(np.eye(3), 1, axis=1),
             "uncycle": np.roll(np.eye(3), -1, axis=1),
@@ -142,18 +115,15 @@ class Refinement(nn.Module):
         self.mixes = response.whitening is not None
         if response.whitening is not None:
             unmixed = np.eye(response.channels)
-            buffers |= {"unmixed": unmixed, "mixing": response.whitening - unmixed}
+            constants |= {"unmixed": unmixed, "mixing": response.whitening - unmixed}
         # In doubles: partial strokes leave the normal matrix nearly singular.
-        for name, value in buffers.items():
-            self.register_buffer(name, torch.tensor(value, dtype=torch.float64))
+        self.hold(constants, torch.float64)
         self.block_s, self.cross_axis_sd = block_s, config.cross_axis_sd
         self.depth_mm = response.depth_mm
         self.depth_sd_mm = config.depth_sd_mm
         self.same_depth = 0.0 if response.depth_sd_mm else config.same_depth
         self.knows_depth = bool(np.any(response.depth_slope))
         self.steps = config.steps
-        # Of elements that measure gravity; the others' maps have no rim.
-        self.leans = config.lean_v > 0 and response.rim
         # Held-out cells show what the map leaves in full (models/response_map/select.py).
         self.level_v = response.level_v if response.rim else LEVEL_SHARE * response.floor_v
         self.output_share, self.place_mm = response.output_share, response.place_mm
@@ -201,8 +171,6 @@ class Refinement(nn.Module):
                 if self.rim
                 else self._without_local_errors(rows, inverse)
             )
-            if self.leans:
-                gram = gram - self._leaning(rows, inverse)
             # The prior's part: it holds the state to the proposal.
             normal = gram[..., :STATE, :] + precision * (self.each - F.pad(state - centre, (STATE, 0)))
             covariance = inverted(normal[..., :STATE])
@@ -261,10 +229,7 @@ class Refinement(nn.Module):
         friction = turn - (on_mm - back) * offset + left_mm * along
         bend = back * (0.5 * back * offset - friction)
         rows = torch.cat([rows, bend, 0.5 * speed * ago * ago * along, -back * depth], 3)
-        both = self._products(rows[..., STATE + 1 :, :] @ inverse, rows)
-        if self.leans:
-            both = both - self._leaning(rows, inverse)[..., STATE + 1 :, :]
-        both = BEND_INFORMATION * both
+        both = BEND_INFORMATION * self._products(rows[..., STATE + 1 :, :] @ inverse, rows)
         shared, residual, own = both.split((STATE, 1, 3), 4)
         # The prior holds the state to the proposal, whatever the information is worth.
         diagonal = precision * self.each[:, :STATE]
@@ -296,14 +261,6 @@ class Refinement(nn.Module):
     def _mixing(self, weight: Tensor) -> Tensor:
         """(B, C, C): what channels are mixed by; with a dead accelerometer by nothing."""
         return self.unmixed + weight.amin((1, 2, 3, 4)).reshape(-1, 1, 1) * self.mixing
-
-    def _leaning(self, rows: Tensor, inverse: Tensor) -> Tensor:
-        """What the device's own slow turn takes from the rows' products: it leans all boards alike, a number for each
-        axis, whose worth is not asked for."""
-        along = inverse @ self.lean
-        known = (self.lean * along).sum((1, 3), keepdim=True)
-        leaning = (rows @ along).sum(1, keepdim=True)
-        return (leaning * (leaning / (1.0 + known)).transpose(3, 4)).sum(2, keepdim=True)
 
     def _without_local_errors(self, rows: Tensor, inverse: Tensor) -> Tensor:
         """The rows' products (B, 1, 1, 7, 7) where each bin's place and gain are off by errors of their own.

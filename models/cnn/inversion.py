@@ -5,6 +5,7 @@ it, and both against the Cramer-Rao bound of the map (cramer_rao.py).
 """
 
 import math
+from itertools import product
 
 import numpy as np
 import torch
@@ -27,8 +28,8 @@ WIDEST_DEG, NEVER = 60.0, 1e6
 class Inversion:
     """Least squares over direction, offset, speed, place, gain and depth from a fan of starts; the best fit wins."""
 
-    def __init__(self, response: ResponseMap, block_s: float, config: RefinementConfig = STARTS) -> None:
-        self._network = SlideNetwork(_Starts(), Refinement(response, block_s, config)).eval()
+    def __init__(self, response: ResponseMap, block_s: float) -> None:
+        self._network = SlideNetwork(_Starts(), Refinement(response, block_s, STARTS)).eval()
         self.outputs = self._network.outputs
 
     def predict(self, volts: np.ndarray, elapsed_s: np.ndarray) -> np.ndarray:
@@ -65,12 +66,7 @@ class _Starts(torch.nn.Module):
 def _fan(elapsed_s: float, centre: float, width: float) -> Tensor:
     """Starts (n, 5): the contact is taken to pass the reference point where the signal's energy is centred."""
     rows = []
-    for k in range(HEADINGS):
-        a = 2 * math.pi * k / HEADINGS
-        for offset in OFFSETS_MM:
-            for length in LENGTHS_MM:
-                speed = length / (width * elapsed_s)
-                rows.append(
-                    [math.cos(a), math.sin(a), math.log(speed), offset, speed * elapsed_s * (1 - centre)]
-                )
+    for k, offset, length in product(range(HEADINGS), OFFSETS_MM, LENGTHS_MM):
+        a, speed = 2 * math.pi * k / HEADINGS, length / (width * elapsed_s)
+        rows.append([math.cos(a), math.sin(a), math.log(speed), offset, speed * elapsed_s * (1 - centre)])
     return torch.tensor(rows)

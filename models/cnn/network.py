@@ -17,6 +17,7 @@ from torch.nn import functional as F
 
 from softslide.features.card import BENT
 from softslide.features.window import WINDOW_BINS
+from softslide.models.cnn.forward_model import WithConstants
 from softslide.models.cnn.gauss_newton import DEPTH, Refinement, RefinementConfig
 from softslide.pipeline.ranges import check_ranges
 
@@ -54,20 +55,12 @@ class NetworkConfig:
         check_ranges(self, filters=(1, 1024), hidden=(1, 4096))
 
 
-class Proposal(nn.Module):
+class Proposal(WithConstants):
     """The temporal CNN: (B, C, 64) V, (B,) s, (B, A) weights -> proposal (B, 5) and log standard deviations (B, 4).
 
     Proposal: direction cos, sin, log speed, offset mm, along mm; deviations: direction rad, log speed, offset mm,
     along mm.
     """
-
-    bins: Tensor
-    scale: Tensor
-    middle: Tensor
-    unit: Tensor
-    usual: Tensor
-    speed_alone: Tensor
-    usual_sd: Tensor
 
     def __init__(self, channels: int, boards: int, config: NetworkConfig) -> None:
         super().__init__()
@@ -87,8 +80,7 @@ class Proposal(nn.Module):
             "speed_alone": [0.0, 0.0, 1.0, 0.0, 0.0],
             "usual_sd": [-2.0, -2.0, math.log(LENGTH_MM) - 2.0, math.log(LENGTH_MM) - 2.0],
         }
-        for name, values in constants.items():
-            self.register_buffer(name, torch.tensor(values), persistent=False)
+        self.hold(constants, torch.float32, persistent=False)
         # PyTorch's own start shrinks the signal threefold a layer; what reaches the head of many channels' network
         # is then too faint to learn a direction from.
         for layer in (self.conv1, self.conv2, self.conv3, self.dense1, self.dense2):
@@ -114,13 +106,13 @@ class Proposal(nn.Module):
         return raw * self.unit + self.usual - log_s, log_sd.clamp(-4.5, 4.0) + self.usual_sd
 
 
-class SlideNetwork(nn.Module):
+class SlideNetwork(WithConstants):
     """The exported graph: window, duration and weights in; the row of `OUTPUTS` out."""
 
     def __init__(self, proposal: nn.Module, refinement: Refinement) -> None:
         super().__init__()
         self.proposal, self.refinement = proposal, refinement
-        self.register_buffer("sd_unit", torch.tensor([[180.0 / math.pi], [1.0], [1.0]], dtype=torch.float64))
+        self.hold({"sd_unit": [[180.0 / math.pi], [1.0], [1.0]]}, torch.float64)
 
     @property
     def outputs(self) -> tuple[str, ...]:

@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable
 from copy import deepcopy
 from dataclasses import dataclass
+from typing import cast
 
 import torch
 from torch import Tensor
@@ -58,10 +59,11 @@ def train_proposal(
     proposal = start or Proposal(source.response.channels, source.response.boards, network)
     averaged = torch.optim.swa_utils.AveragedModel(
         proposal,
-        avg_fn=lambda kept, new, count: (
-            kept + (new - kept) * (1 - min(config.average, float(1 - 1 / (count + 1))))
+        avg_fn=lambda mean, new, count: (
+            mean + (new - mean) * (1 - min(config.average, float(1 - 1 / (count + 1))))
         ),
     )
+    kept = cast(Proposal, averaged.module)
     optimizer = torch.optim.AdamW(proposal.parameters(), lr=config.rate, weight_decay=1e-4)
     for step in range(config.steps):
         rate = config.rate * min(1.0, (step + 1) / 200) * 0.5 * (1 + math.cos(math.pi * step / config.steps))
@@ -78,17 +80,11 @@ def train_proposal(
         if step % 50 == 0:
             progress(step, loss.item())
         if judge is not None and step + 1 in thirds:
-            judge(thirds[step + 1], deepcopy(_kept(averaged)))
-    kept = _kept(averaged)
+            judge(thirds[step + 1], deepcopy(kept))
     with torch.no_grad():
         for values in kept.parameters():
             values.copy_(rounded(values) if values.dim() == 1 else rounded_weights(values))
     return kept.eval()
-
-
-def _kept(averaged: torch.optim.swa_utils.AveragedModel) -> Proposal:
-    assert isinstance(averaged.module, Proposal)
-    return averaged.module
 
 
 def likelihood_loss(proposal: Tensor, log_sd: Tensor, targets: Tensor) -> Tensor:

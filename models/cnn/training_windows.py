@@ -26,10 +26,8 @@ WITHIN_MM = 3.0  # and up to so far within it where it does not
 MIDWAY_SHARE = 0.6  # of the chord: the latest place on the dome where a slide begins
 LEAST_SEEN = 0.06  # share of a slide at which the first windows end
 LONGEST_PAUSE = 0.3  # share of the slide's own time
-WAVE_MM = (
-    15.0,
-    50.0,
-)  # lengths of the map residual's waves, well above the splines' spacing and up to the chamber's size
+# Lengths of the map residual's waves: well above the splines' spacing and up to the chamber's size.
+WAVE_MM = (15.0, 50.0)
 ZERO_SHARE = 0.3  # share of the slide at which the moving part of the drift is zero
 TRIGGER_SAMPLES = 3  # that the trigger averages
 LEAST_SAMPLES = 8  # after the trigger, for a window's bins to differ
@@ -102,21 +100,15 @@ class WindowSource:
     """Draws batches of windows from a response map."""
 
     def __init__(self, response: ResponseMap, block_s: float, config: SynthesisConfig) -> None:
-        assert response.noise_v is not None
-        assert response.drift_v is not None
         self.response, self.block_s, self.config = response, block_s, config
         grid = np.arange(-response.half_mm - 1, response.half_mm + 1 + TABLE_MM / 2, TABLE_MM)
         x, y = (axis.ravel() for axis in np.meshgrid(grid, grid, indexing="ij"))
-        mean = response.response(x, y, np.pi / 2) + response.response(x, y, -np.pi / 2)
-        along_x = response.response(x, y, 0.0) - response.response(x, y, np.pi)
-        along_y = response.response(x, y, np.pi / 2) - response.response(x, y, -np.pi / 2)
-        deep = response.at(response.depth_mm + 1.0).response(x, y, 0.0) - response.response(x, y, 0.0)
-        parts = [mean / 2, along_x / 2, along_y / 2, deep]
+        right, left, up, down = (response.response(x, y, a) for a in (0.0, np.pi, np.pi / 2, -np.pi / 2))
+        deeper = response.at(response.depth_mm + 1.0).response(x, y, 0.0)
+        parts = [(up + down) / 2, (right - left) / 2, (up - down) / 2, deeper - right]
         if response.height_slope is not None:
-            higher = response.at(height_mm=response.height_mm + 1.0)
-            parts.append(higher.response(x, y, 0.0) - response.response(x, y, 0.0))
-        table = np.concatenate(parts, axis=1)
-        self._table = torch.tensor(table, dtype=torch.float32)
+            parts.append(response.at(height_mm=response.height_mm + 1.0).response(x, y, 0.0) - right)
+        self._table = torch.tensor(np.concatenate(parts, axis=1), dtype=torch.float32)
         self._origin, self._size = float(grid[0]), len(grid)
         self._noise = torch.tensor(response.noise_v, dtype=torch.float32)
         self._drift = torch.tensor(response.drift_v, dtype=torch.float32)
@@ -127,68 +119,65 @@ class WindowSource:
         Every number is drawn whether it is used or not: the same generator gives the same windows.
         """
         random = _Random(count, generator)
-        lines = self._lines(random)
-        motion = self._motion(lines, random)
-        volts, depth = self._volts(lines, motion, random)
+        slides = self._slides(random)
+        volts, depth = self._volts(slides, random)
         integral = F.pad(volts.cumsum(1), (0, 0, 1, 0))
         start, passed = self._trigger(integral, random)
-        seconds = motion.seconds * (1 - start / SAMPLES)
-        whole = lines.crosses & passed & (seconds > LEAST_BLOCKS * self.block_s)
+        seconds = slides.seconds * (1 - start / SAMPLES)
+        whole = slides.crosses & passed & (seconds > LEAST_BLOCKS * self.block_s)
         weight = self._weights(random)
         start = start.clamp(max=SAMPLES - LEAST_SAMPLES)
         windows = _bins(integral, start) * weight.repeat_interleave(self.response.axes, 1)[:, :, None]
-        elapsed = motion.seconds * (1 - start / SAMPLES)
-        along, depth_mm = motion.first + motion.length, self.response.depth_mm + depth
-        targets = torch.stack([lines.cos, lines.sin, lines.speed.log(), lines.offset, along, depth_mm], 1)
-        return WindowBatch(windows[whole], elapsed[whole], weight[whole], targets[whole], motion.seen[whole])
+        along, depth_mm = slides.first + slides.length, self.response.depth_mm + depth
+        targets = torch.stack([slides.cos, slides.sin, slides.speed.log(), slides.offset, along, depth_mm], 1)
+        return WindowBatch(windows[whole], seconds[whole], weight[whole], targets[whole], slides.seen[whole])
 
-    def _lines(self, random: "_Random") -> "_Lines":
-        """Lines at any angle, at an offset that crosses the chamber or not, with a speed."""
-        response = self.response
+    def _slides(self, random: "_Random") -> "_Slides":
+        """Along lines at any angle and offset, which cross the chamber or not: where each slide begins, how far it is
+        seen, and whether it rests at its end."""
+        c, response = self.config, self.response
         heading = random.uniform(0, 2 * math.pi)
         cos, sin = heading.cos(), heading.sin()
         reach = max(response.chamber_mm) / 2 + max(abs(r) for r in response.reference_mm)
         offset = random.uniform(-reach, reach)
-        low, high = self.config.speed_mm_s
+        low, high = c.speed_mm_s
         speed = torch.exp(random.uniform(math.log(low), math.log(high)))
         foot_x = response.reference_mm[0] - offset * sin
         foot_y = response.reference_mm[1] + offset * cos
         in_x = _crossing(foot_x, cos, response.chamber_mm[0] / 2)
         in_y = _crossing(foot_y, sin, response.chamber_mm[1] / 2)
         enter, leave = torch.maximum(in_x[0], in_y[0]), torch.minimum(in_x[1], in_y[1])
-        return _Lines(cos, sin, offset, speed, foot_x, foot_y, enter, leave)
-
-    def _motion(self, lines: "_Lines", random: "_Random") -> "_Motion":
-        """Where along its line each slide begins, how far it is seen, and whether it rests at its end."""
-        c, chord = self.config, lines.leave - lines.enter
+        chord = leave - enter
         midway = random.chance(c.midway)
-        on_the_dome = lines.enter + random.uniform(0.0, MIDWAY_SHARE) * chord
-        beyond_mm = BEYOND_MM if self.response.rim else -WITHIN_MM
-        first = torch.where(midway, on_the_dome, lines.enter - beyond_mm * random.uniform(0.0, 1.0))
-        last = lines.leave + beyond_mm * random.uniform(0.0, 1.0)
+        on_the_dome = enter + random.uniform(0.0, MIDWAY_SHARE) * chord
+        beyond_mm = BEYOND_MM if response.rim else -WITHIN_MM
+        first = torch.where(midway, on_the_dome, enter - beyond_mm * random.uniform(0.0, 1.0))
+        last = leave + beyond_mm * random.uniform(0.0, 1.0)
         complete = random.chance(c.complete)
         seen = torch.where(complete, torch.ones(random.count), random.uniform(LEAST_SEEN, 1.0))
         length = (last - first) * seen
         paused = random.chance(c.paused)
         pause = torch.where(paused, length * random.uniform(0.0, LONGEST_PAUSE), torch.zeros(random.count))
-        return _Motion(first, length, pause, (length + pause) / lines.speed, seen)
+        return _Slides(
+            cos, sin, offset, speed, foot_x, foot_y, chord > GRAZING_MM, first, length, pause, seen
+        )
 
-    def _volts(self, lines: "_Lines", motion: "_Motion", random: "_Random") -> tuple[Tensor, Tensor]:
+    def _volts(self, slides: "_Slides", random: "_Random") -> tuple[Tensor, Tensor]:
         """Output (B, SAMPLES, C) V as a device would record it, and the depth (B,) mm about the map's."""
         c, response = self.config, self.response
         share = (torch.arange(SAMPLES) + 0.5) / SAMPLES
-        path_mm = (motion.length + motion.pause)[:, None]
-        travelled = torch.minimum(share * path_mm, motion.length[:, None])
-        s = motion.first[:, None] + travelled - (lines.speed * response.lag_s)[:, None]
+        path_mm = (slides.length + slides.pause)[:, None]
+        travelled = torch.minimum(share * path_mm, slides.length[:, None])
+        s = slides.first[:, None] + travelled - (slides.speed * response.lag_s)[:, None]
         depth = c.depth_mm * random.normal(random.count).clamp(-2.0, 3.0)
         low, high = (at - response.height_mm for at in response.height_range_mm)
         # Drawn for a map over heights alone: the windows of others stay as they are.
         height = None if response.height_slope is None else random.uniform(low, high)
         clean = self._response(
-            lines.foot_x[:, None] + s * lines.cos[:, None],
-            lines.foot_y[:, None] + s * lines.sin[:, None],
-            lines.cos,
-            lines.sin,
+            slides.foot_x[:, None] + s * slides.cos[:, None],
+            slides.foot_y[:, None] + s * slides.sin[:, None],
+            slides.cos,
+            slides.sin,
             depth,
             height,
         )
@@ -196,7 +185,7 @@ class WindowSource:
         gain = (
             1 + response.gain_sd * random.normal(random.count, 1, 1) + c.channel_gain * random.normal(*each)
         )
-        blocks = (motion.seconds / self.block_s / SAMPLES).clamp(min=LEAST_BLOCK_SHARE)
+        blocks = (slides.seconds / self.block_s / SAMPLES).clamp(min=LEAST_BLOCK_SHARE)
         # The static output is off by its drift at the start, and drifts on by as much again.
         zero = self._drift * random.normal(*each)
         zero = zero + self._drift * random.normal(*each) * (share[:, None] - ZERO_SHARE)
@@ -276,9 +265,10 @@ class _Random:
 
 
 @dataclass(frozen=True)
-class _Lines:
-    """(B,) each: direction, offset mm, speed mm/s, the foot of the perpendicular, and where along the line, mm from
-    the foot, it enters and leaves the chamber."""
+class _Slides:
+    """(B,) each: direction, offset mm, speed mm/s and the foot of the perpendicular; whether the line crosses the
+    chamber by more than GRAZING_MM; where on it, mm from the foot, the slide begins; its length and the rest at its
+    end, as a length, mm; and which share of the slide that is."""
 
     cos: Tensor
     sin: Tensor
@@ -286,25 +276,16 @@ class _Lines:
     speed: Tensor
     foot_x: Tensor
     foot_y: Tensor
-    enter: Tensor
-    leave: Tensor
-
-    @property
-    def crosses(self) -> Tensor:
-        """Whether it crosses the chamber by more than GRAZING_MM."""
-        return self.leave - self.enter > GRAZING_MM
-
-
-@dataclass(frozen=True)
-class _Motion:
-    """(B,) each: where the slide begins along its line, mm; its length and the rest at its end, as a length, mm; how
-    long both take, s; and which share of the slide that is."""
-
+    crosses: Tensor
     first: Tensor
     length: Tensor
     pause: Tensor
-    seconds: Tensor
     seen: Tensor
+
+    @property
+    def seconds(self) -> Tensor:
+        """How long the slide and the rest take."""
+        return (self.length + self.pause) / self.speed
 
 
 def _crossing(foot: Tensor, slope: Tensor, half_mm: float) -> tuple[Tensor, Tensor]:

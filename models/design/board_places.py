@@ -24,7 +24,7 @@ from softslide.models.design.line_information import (
     without_static,
 )
 from softslide.models.response_map.from_atlas import DESIGN_DRIFT_V, DESIGN_NOISE_V
-from softslide.models.response_map.map import MARGIN_MM, PARTS, ResponseMap, spline_coefficients, spline_grid
+from softslide.models.response_map.map import PARTS, ResponseMap, half_of, spline_coefficients, spline_grid
 from softslide.pipeline.atlas.bare_skin import TiltField
 from softslide.pipeline.sensor import Sensor
 
@@ -42,9 +42,9 @@ class Arrangement:
     deviations: np.ndarray
 
 
-def lines_over(sensor: Sensor, seed: int = 0) -> list[Line]:
+def lines_over(sensor: Sensor) -> list[Line]:
     """BOARD_LINES lines over the sensor's chamber, seen from its centre."""
-    return list(draw_lines(sensor.chamber_mm, CENTRE_MM, BOARD_LINES, np.random.default_rng(seed)))
+    return list(draw_lines(sensor.chamber_mm, CENTRE_MM, BOARD_LINES, np.random.default_rng(0)))
 
 
 def information(field: TiltField, sensor: Sensor, lines: Sequence[Line]) -> np.ndarray:
@@ -105,13 +105,13 @@ def _variances(information: np.ndarray) -> np.ndarray:
 
 def response_of(field: TiltField, sensor: Sensor) -> ResponseMap:
     """The map of boards at all places, two channels each."""
-    half = max(sensor.chamber_mm) / 2 + MARGIN_MM
-    grid, x, y = spline_grid(half)
+    half = half_of(sensor.chamber_mm)
+    x, y = spline_grid(half)
     volts = sensor.accelerometers[0].sensitivity_v_per_g * field.parts
     surfaces = []
     for part in range(PARTS):
         flat = volts[part].reshape(len(field.x_mm), len(field.y_mm), -1)
         at = RegularGridInterpolator((field.x_mm, field.y_mm), flat, bounds_error=False, fill_value=0.0)
-        surfaces.append(spline_coefficients(at((x, y)), grid, half))
+        surfaces.append(spline_coefficients(at((x, y)), half))
     coefficients = np.stack(surfaces)
     return ResponseMap(coefficients, np.zeros_like(surfaces[0]), sensor.chamber_mm, CENTRE_MM, field.depth_mm)

@@ -78,13 +78,12 @@ def plan_slides(
     depth_mm: float,
     config: CalibrationConfig,
     spread: SensorSpread,
-    seed: int = 0,
     progress: Callable[[Sequence[int]], Sequence[int]] = lambda steps: steps,
 ) -> Plan:
-    """Chooses `count` of the candidates, rows with the manifest's labels. seed: of the lines averaged over."""
+    """Chooses `count` of the candidates, rows with the manifest's labels."""
     unknowns = Unknowns(atlas, sensor, depth_mm, config.stiffened(RESIDUAL_STIFFNESS), spread)
     observations = [_observation(unknowns, row, config) for _, row in candidates.iterrows()]
-    errors = _line_errors(unknowns, sensor, np.random.default_rng(seed))
+    errors = _line_errors(unknowns, sensor, np.random.default_rng(0))
 
     def after(chosen: list[int]) -> np.ndarray:
         return _posterior(unknowns.size, observations, chosen)
@@ -145,7 +144,11 @@ class Unknowns:
         weights = part_weights(direction_rad)
         splines = tensor_splines(x_mm, y_mm, self.response.half_mm)
         changes = (splines @ self._changes).reshape(len(x_mm), PARTS, channels, parameters)
-        volts, slope = _volts_and_slope(self.response, x_mm, y_mm, direction_rad)
+        steps = ALONG_STEP_MM * np.array([[0.0], [1.0], [-1.0]])
+        x, y = x_mm + steps * np.cos(direction_rad), y_mm + steps * np.sin(direction_rad)
+        shown = self.response.response(x.ravel(), y.ravel(), direction_rad)
+        volts, ahead, behind = shown.reshape(3, len(x_mm), -1)
+        slope = (ahead - behind) / (2 * ALONG_STEP_MM)
         by_parameter = np.tensordot(weights, changes, (0, 1)) - speed_mm_s * slope[..., None] * self._lags_s
         mean, friction = (splines @ modes for modes in self._modes)
         by_mode = np.hstack([weights[0] * mean, weights[1] * friction, weights[2] * friction])
@@ -154,7 +157,7 @@ class Unknowns:
 
 def _modes(response: ResponseMap, smooth: float, near: float) -> np.ndarray:
     """(K^2, MODES) V: the residual's largest principal components, each times its standard deviation."""
-    k, noise_v = knots(response.half_mm), _noise_v(response)
+    k, noise_v = knots(response.half_mm), float(np.median(response.noise_v))
     scale = (noise_v / PENALTY_NOISE_V) ** 2
     penalty = smooth * roughness(k) + (RIDGE * smooth + near) * np.eye(k * k)
     precision = scale * np.asarray(penalty) + RIM_WEIGHT * rim_gram(response).toarray()
@@ -162,26 +165,9 @@ def _modes(response: ResponseMap, smooth: float, near: float) -> np.ndarray:
     return noise_v * vectors[:, :MODES] / np.sqrt(values[:MODES])
 
 
-def _noise_v(response: ResponseMap) -> float:
-    assert response.noise_v is not None
-    return float(np.median(response.noise_v))
-
-
-def _volts_and_slope(
-    response: ResponseMap, x_mm: np.ndarray, y_mm: np.ndarray, direction_rad: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """The response, (n, C) V, and its derivative along a motion, (n, C) V/mm."""
-    steps = ALONG_STEP_MM * np.array([[0.0], [1.0], [-1.0]])
-    x, y = x_mm + steps * np.cos(direction_rad), y_mm + steps * np.sin(direction_rad)
-    volts = response.response(x.ravel(), y.ravel(), direction_rad)
-    here, ahead, behind = volts.reshape(3, len(x_mm), -1)
-    return here, (ahead - behind) / (2 * ALONG_STEP_MM)
-
-
 def _observation(unknowns: Unknowns, row: pd.Series, config: CalibrationConfig) -> tuple[Rows, np.ndarray]:
     """A slide's rows and the covariance (C n, C n) V^2 of its noise, at places PLACES_MM apart."""
     response = unknowns.response
-    assert response.drift_v is not None
     direction = float(np.deg2rad(row["direction_deg"]))
     along = np.arange(PLACES_MM / 2, row["travel_mm"], PLACES_MM)
     x = row["start_x_mm"] + along * np.cos(direction)
@@ -191,7 +177,7 @@ def _observation(unknowns: Unknowns, row: pd.Series, config: CalibrationConfig) 
     rows, volts, slope = unknowns.rows(x, y, direction, float(row["speed_mm_s"]))
     blocks = max(1.0, STRETCH_MM / row["speed_mm_s"] / Conditioning.block_s)
     # As the calibration weighs a stretch, for the stretches between two places.
-    variance = _noise_v(response) ** 2 * (1 / blocks + MAP_VARIANCE) * STRETCH_MM / PLACES_MM
+    variance = np.median(response.noise_v) ** 2 * (1 / blocks + MAP_VARIANCE) * STRETCH_MM / PLACES_MM
     static = np.repeat(np.diag(np.broadcast_to(response.drift_v, response.channels)), len(x), axis=0)
     own = np.column_stack([config.gain_sd * volts.T.ravel(), config.shift_sd_mm * slope.T.ravel(), static])
     noise = variance * np.eye(volts.size) + own @ own.T
@@ -209,8 +195,7 @@ def _line_errors(unknowns: Unknowns, sensor: Sensor, random: np.random.Generator
 def _line_error(unknowns: Unknowns, line: Line) -> np.ndarray:
     """(3, R) for one line: least squares over direction, log speed, offset, place, gain and static output."""
     response = unknowns.response
-    assert response.drift_v is not None
-    jacobian, variance = slopes(response, line), reading_variance(_noise_v(response))
+    jacobian, variance = slopes(response, line), reading_variance(float(np.median(response.noise_v)))
     weighted = without_static(jacobian, response.drift_v, variance) / variance
     information = np.einsum("ncj,nck->jk", weighted, jacobian)
     by_channel = weighted.transpose(2, 1, 0).reshape(len(STEPS), -1)

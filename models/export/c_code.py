@@ -151,6 +151,7 @@ def _array(name: str, values: np.ndarray) -> str:
 
 
 def _header(signature: str, card: Card) -> str:
+    columns = "\n".join(f"    SOFTSLIDE_{name.upper()}, /* {UNITS[name]} */" for name in card.outputs)
     return f"""\
 /* What slides over {card.sensor["name"]}: direction, speed and place, by the model '{card.model}'.
 
@@ -167,7 +168,7 @@ extern "C" {{
 #endif
 
 enum {{
-{_columns(card)}
+{columns}
 }};
 
 {signature};
@@ -199,37 +200,29 @@ def _inputs(card: Card) -> str:
     )
 
 
-def _columns(card: Card) -> str:
-    return "\n".join(f"    SOFTSLIDE_{name.upper()}, /* {UNITS[name]} */" for name in card.outputs)
-
-
 def _check(inputs: dict[str, list[int]], card: Card) -> str:
     """A program that ends with 0 if the code computes the card's example."""
     given = {name: np.array(card.golden["inputs"][name], np.float32).ravel() for name in inputs}
-    arrays = [_array(name, v) for name, v in given.items()]
     wanted = np.array(card.golden["estimate"], np.float32)
+    arrays = "\n".join(_array(name, values) for name, values in {**given, "wanted": wanted}.items())
     arguments = [f"{name}[0]" if value.size == 1 else name for name, value in given.items()]
-    return "\n".join(
-        [
-            "/* Works the example of model.json: prints what came out and what should, ends with 0 if they agree. */",
-            '#include "model.h"',
-            "#include <math.h>",
-            "#include <stdio.h>",
-            "",
-            *arrays,
-            _array("wanted", wanted),
-            "",
-            "int main(void)",
-            "{",
-            f"    float estimate[{wanted.size}];",
-            "    int wrong = 0;",
-            f"    softslide_estimate({', '.join(arguments)}, estimate);",
-            f"    for (int n = 0; n < {wanted.size}; n++) {{",
-            '        printf("%g %g\\n", (double)estimate[n], (double)wanted[n]);',
-            "        wrong += !(fabsf(estimate[n] - wanted[n]) <= 1e-3f * fmaxf(1, fabsf(wanted[n])));",
-            "    }",
-            "    return wrong;",
-            "}",
-            "",
-        ]
-    )
+    return f"""\
+/* Works the example of model.json: prints what came out and what should, ends with 0 if they agree. */
+#include "model.h"
+#include <math.h>
+#include <stdio.h>
+
+{arrays}
+
+int main(void)
+{{
+    float estimate[{wanted.size}];
+    int wrong = 0;
+    softslide_estimate({", ".join(arguments)}, estimate);
+    for (int n = 0; n < {wanted.size}; n++) {{
+        printf("%g %g\\n", (double)estimate[n], (double)wanted[n]);
+        wrong += !(fabsf(estimate[n] - wanted[n]) <= 1e-3f * fmaxf(1, fabsf(wanted[n])));
+    }}
+    return wrong;
+}}
+"""

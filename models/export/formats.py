@@ -28,7 +28,6 @@ from softslide.models.graph.optimized import optimized
 from softslide.models.held_out import believed
 from softslide.pipeline.recordings.folder import SAMPLE, read_folder
 from softslide.pipeline.recordings.windows import labelled_windows
-from softslide.pipeline.sensor import Sensor
 from softslide.pipeline.staging import staged
 from softslide.serve.bundle import open_bundle
 
@@ -81,7 +80,8 @@ def precision_difference(card: Card, graph: onnx.ModelProto, single: onnx.ModelP
     """The largest relative difference of two graphs' believed rows, on the card's example and windows of the sample."""
     inputs = {name: np.array(value, np.float32) for name, value in card.golden["inputs"].items()}
     folder = read_folder(SAMPLE)
-    if _is_like(folder.sensor, card):
+    # Its outputs mean what the card's do.
+    if (folder.sensor.channels, folder.sensor.touch_axes) == (card.channels, card.conditioning.touch_axes):
         some = replace(folder, manifest=folder.manifest.iloc[::EVERY])
         windows = labelled_windows(some, card.conditioning, (0.6, 0.8, 1.0))
         more = graph_inputs(card.input, windows.volts, windows.elapsed_s)
@@ -146,8 +146,3 @@ def _operators(graph: onnx.ModelProto) -> list[str]:
         f"{domain};{opsets.get(domain, 1)};{','.join(sorted(kinds))}"
         for domain, kinds in sorted(found.items())
     ]
-
-
-def _is_like(sensor: Sensor, card: Card) -> bool:
-    """Whether a sensor's outputs mean what the card's do."""
-    return (sensor.channels, sensor.touch_axes) == (card.channels, card.conditioning.touch_axes)

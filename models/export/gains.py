@@ -11,12 +11,16 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from softslide.features.angles import touch_channels
 from softslide.features.height import HeightCalibration
-from softslide.features.stream.conditioning import Conditioning, block_means
+from softslide.features.stream.conditioning import Conditioning
 from softslide.models.response_map.map import ResponseMap
 from softslide.models.response_map.slide_fit import CalibrationConfig, fit_slide
-from softslide.models.response_map.slides import LEAST_REST_BLOCKS, CalibrationSlide, calibration_slides
+from softslide.models.response_map.slides import (
+    LEAST_REST_BLOCKS,
+    CalibrationSlide,
+    calibration_slides,
+    touch_blocks,
+)
 from softslide.pipeline.recordings.derived_labels import UNTIMED
 from softslide.pipeline.recordings.folder import Folder
 
@@ -81,9 +85,11 @@ def _evidence(
     scaled, config = response.scaled(gain), CalibrationConfig()
     parts = []
     for slide in slides:
-        x, y = slide.place(fit_slide(slide, scaled, config).shift_mm, response.lag_s)
-        shown = response.at(slide.depth_mm, slide.height_mm).response(x, y, slide.direction_rad)
-        parts.append((shown, slide.volts, np.full(len(x), 1.0 / ALIKE)))
+        own, shift_mm = (
+            response.at(slide.depth_mm, slide.height_mm),
+            fit_slide(slide, scaled, config).shift_mm,
+        )
+        parts.append((slide.shown(own, shift_mm), slide.volts, np.full(len(slide.volts), 1.0 / ALIKE)))
     for press in presses:
         x, y = (np.array([place]) for place in press.place_mm)
         # Opposite directions: what a contact that stands shows has no friction.
@@ -122,12 +128,9 @@ def _press(
     folder: Folder, name: str, conditioning: Conditioning, heights: HeightCalibration | None
 ) -> Press | None:
     """The press of one recording; None if its rest or the press itself is too short."""
-    recording = folder.load(name)
     row: Any = folder.manifest.loc[name]
-    touch = touch_channels(len(folder.sensor.channels), folder.sensor.touch_axes)
-    blocks = block_means(recording.volts, conditioning, folder.sensor.sample_rate_hz)[:, touch]
+    middle_s, blocks = touch_blocks(folder, name, conditioning)
     half_s = conditioning.block_s / 2
-    middle_s = recording.time_s[0] + (2 * np.arange(len(blocks)) + 1) * half_s
     rest = blocks[middle_s < row.motion_start_s - half_s]
     pressed = blocks[(middle_s > row.motion_start_s + half_s) & (middle_s < row.motion_end_s - half_s)]
     if len(rest) < LEAST_REST_BLOCKS or not len(pressed):

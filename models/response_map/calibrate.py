@@ -13,14 +13,14 @@ height. The lines of each are too few for a change that is free in place: held-o
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from scipy import sparse
 from scipy.linalg import solveh_banded
 from scipy.optimize import minimize
 
-from softslide.models.response_map.map import MARGIN_MM, PARTS, SPACING_MM, ResponseMap, knots, tensor_splines
+from softslide.models.response_map.map import PARTS, SPACING_MM, ResponseMap, half_of, knots, tensor_splines
 from softslide.models.response_map.slide_fit import (
     LEAST_RESIDUAL_V,
     SHIFT_STEP_MM,
@@ -52,6 +52,10 @@ COVARIATES = ("depth", "height")
 # Priors of such a change: of its factor on the design's, and of what it holds of the response itself, 1/mm.
 CHANGE_SD = (0.5, 0.1)
 
+T = TypeVar("T")
+# A slide with its own gain and its shift along its line, mm.
+Placed = tuple[CalibrationSlide, float, float]
+
 
 def calibrate(
     slides: list[CalibrationSlide], prior: ResponseMap, informed: bool, config: CalibrationConfig
@@ -72,10 +76,9 @@ def calibrate(
     changing = [name for name in COVARIATES if several(slides, name)]
     for first in (True, *[False] * (config.iterations - 1)):
         fitted = _first_slides(slides, response) if first else keep
-        response = fit_splines(
-            *_some(fitted, slides, gains, shifts), response, prior if informed else None, config
-        )
-        response = _with_changes(response, *_some(keep, slides, gains, shifts), prior, changing)
+        placed: list[Placed] = list(zip(slides, gains, shifts, strict=True))
+        response = fit_splines(_some(placed, fitted), response, prior if informed else None, config)
+        response = _with_changes(response, _some(placed, keep), prior, changing)
         for i, slide in enumerate(slides):
             fit = fit_slide(slide, response, config, gains[i], shifts[i])
             gains[i], shifts[i], rms[i] = fit.gain, fit.shift_mm, fit.rms_v
@@ -97,11 +100,11 @@ def calibrate(
     drift = _deviation(means[keep], LEAST_DRIFT_V)
     response = replace(response, gain_sd=gain_sd, floor_v=residual, drift_v=drift)
     if response.rim:
-        left = [residual for residual, kept in zip(residuals, keep, strict=True) if kept]
-        kept_slides, *places = _some(keep, slides, gains, shifts)
-        weak_v, share = _growth(kept_slides, left)
+        left = _some(residuals, keep)
+        weak_v, share = _growth(_some(slides, keep), left)
         response = replace(response, weak_floor_v=weak_v, floor_share=share)
-        response = _with_parts(response, left, kept_slides, *places)
+        placed = list(zip(slides, gains, shifts, strict=True))
+        response = _with_parts(response, _some(placed, keep), left)
     if "depth" in changing:
         farthest = max(abs(slide.depth_mm - response.depth_mm) for slide in slides)
         response = replace(response, depth_sd_mm=float(farthest))
@@ -115,11 +118,9 @@ def calibrate(
     }
 
 
-def _some(
-    mask: np.ndarray, slides: list[CalibrationSlide], gains: np.ndarray, shifts: np.ndarray
-) -> tuple[list[CalibrationSlide], np.ndarray, np.ndarray]:
-    """Those of the slides, gains and shifts that a mask (n,) marks."""
-    return [slide for slide, marked in zip(slides, mask, strict=True) if marked], gains[mask], shifts[mask]
+def _some(each: list[T], mask: np.ndarray) -> list[T]:
+    """What a mask (n,) marks."""
+    return [one for one, marked in zip(each, mask, strict=True) if marked]
 
 
 def _growth(slides: list[CalibrationSlide], residuals: list[np.ndarray]) -> tuple[float, float]:
@@ -156,24 +157,15 @@ def _likeliest(
     return np.exp(minimize(unlikely, middle, method="Nelder-Mead").x).tolist()
 
 
-def _with_parts(
-    response: ResponseMap,
-    residuals: list[np.ndarray],
-    slides: list[CalibrationSlide],
-    gains: np.ndarray,
-    shifts: np.ndarray,
-) -> ResponseMap:
+def _with_parts(response: ResponseMap, placed: list[Placed], residuals: list[np.ndarray]) -> ResponseMap:
     """The map with the likeliest parts of its slides' residuals (m, C) V: `level_v`, `output_share`, `place_mm`.
 
     Along a slide residuals are alike, so that each counts as one observation.
     """
     each = []
-    for slide, gain, shift, residual in zip(slides, gains, shifts, residuals, strict=True):
+    for (slide, gain, shift), residual in zip(placed, residuals, strict=True):
         own = response.at(slide.depth_mm, slide.height_mm)
-        ahead, behind = (
-            own.response(*slide.place(shift - step, response.lag_s), slide.direction_rad)
-            for step in (SHIFT_STEP_MM, -SHIFT_STEP_MM)
-        )
+        ahead, behind = (slide.shown(own, shift - step) for step in (SHIFT_STEP_MM, -SHIFT_STEP_MM))
         change = gain * (ahead - behind) / (2 * SHIFT_STEP_MM)
         even = np.ones_like(change)
         noise = slide.rest_noise_v / math.sqrt(slide.blocks) * even
@@ -213,18 +205,12 @@ def _first_slides(slides: list[CalibrationSlide], response: ResponseMap) -> np.n
 
 
 def _with_changes(
-    response: ResponseMap,
-    slides: list[CalibrationSlide],
-    gains: np.ndarray,
-    shifts: np.ndarray,
-    prior: ResponseMap,
-    changing: list[str],
+    response: ResponseMap, placed: list[Placed], prior: ResponseMap, changing: list[str]
 ) -> ResponseMap:
     """The map with its change with those of COVARIATES that are changing. prior: with the design's.
 
     A change is c times the design's + b M, its two numbers c and b fitted by least squares, in V/mm.
     """
-    assert response.noise_v is not None
     noise = float(np.median(response.noise_v))
     still, flat = response.coefficients[0], np.zeros_like(response.depth_slope)
     for name in changing:
@@ -235,12 +221,11 @@ def _with_changes(
         # In units of a block's noise.
         normal = np.diag(1.0 / np.square(CHANGE_SD))
         right = np.array([1.0, 0.0]) / np.square(CHANGE_SD)
-        for slide, gain, shift in zip(slides, gains, shifts, strict=True):
-            place, a = slide.place(shift, without.lag_s), slide.direction_rad
+        for slide, gain, shift in placed:
             off_mm = getattr(slide, f"{name}_mm") - getattr(response, f"{name}_mm")
-            known = without.at(slide.depth_mm, slide.height_mm).response(*place, a)
+            known = slide.shown(without.at(slide.depth_mm, slide.height_mm), shift)
             rest = (slide.volts - gain * known) / noise
-            shown = np.stack([part.response(*place, a).ravel() for part in parts], axis=1)
+            shown = np.stack([slide.shown(part, shift).ravel() for part in parts], axis=1)
             rows = gain * off_mm / noise * shown
             weight = _weight(slide)
             normal += weight * rows.T @ rows
@@ -263,12 +248,7 @@ def _weight(slide: CalibrationSlide) -> float:
 
 
 def fit_splines(
-    slides: list[CalibrationSlide],
-    gains: np.ndarray,
-    shifts: np.ndarray,
-    response: ResponseMap,
-    prior: ResponseMap | None,
-    config: CalibrationConfig,
+    placed: list[Placed], response: ResponseMap, prior: ResponseMap | None, config: CalibrationConfig
 ) -> ResponseMap:
     """One penalised least-squares solution for M, Fx, Fy with the slides' gains and shifts held.
 
@@ -276,15 +256,16 @@ def fit_splines(
     the coefficients' distance from the prior's. The unknowns are in the order place, part: the normal matrix is then a
     band of a few hundred.
     """
-    assert response.noise_v is not None
     k = response.coefficients.shape[1]
     size = k * k
     right = np.zeros((size, PARTS, response.channels))
-    start = np.zeros_like(right) if prior is None else _by_place(prior.coefficients)
+    start = np.zeros_like(right)
+    if prior is not None:
+        start = prior.coefficients.transpose(1, 2, 0, 3).reshape(right.shape)
     still = replace(response, coefficients=np.zeros_like(response.coefficients))
     # Slides of one direction share their weights of M, Fx, Fy, so that their Gram matrices add up.
     grams: dict[float, sparse.csr_matrix] = {}
-    for slide, gain, shift in zip(slides, gains, shifts, strict=True):
+    for slide, gain, shift in placed:
         place = slide.place(shift, response.lag_s)
         rows = tensor_splines(*place, response.half_mm, response.spacing_mm) * gain
         weight, parts = _weight(slide), part_weights(slide.direction_rad)
@@ -327,12 +308,6 @@ def rim_gram(response: ResponseMap) -> sparse.csr_matrix:
     return rows.T @ rows
 
 
-def _by_place(coefficients: np.ndarray) -> np.ndarray:
-    """(3, K, K, C) -> (K^2, 3, C)."""
-    parts, k, _, channels = coefficients.shape
-    return coefficients.transpose(1, 2, 0, 3).reshape(k * k, parts, channels)
-
-
 def part_weights(direction_rad: float) -> np.ndarray:
     """Weights (3,) of M, Fx, Fy for a motion's direction."""
     return np.array([1.0, np.cos(direction_rad), np.sin(direction_rad)])
@@ -371,7 +346,7 @@ def _deviation(errors: np.ndarray, prior_sd: float) -> np.ndarray:
 
 def blank_map(sensor: Sensor, depth_mm: float, spacing_mm: float = SPACING_MM) -> ResponseMap:
     """A map without any response: the start of a fit from recordings alone."""
-    k = knots(max(sensor.chamber_mm) / 2 + MARGIN_MM, spacing_mm)
+    k = knots(half_of(sensor.chamber_mm), spacing_mm)
     axes = len(sensor.touch_axes)
     channels = axes * len(sensor.accelerometers)
     return ResponseMap(

@@ -1,9 +1,7 @@
 """What a device needs of a calibrated map, as sections of the model card: contacts, heights of the skin, forces."""
 
 import math
-from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -12,14 +10,14 @@ from softslide.features.contact.calibration import ContactCalibration, encoded
 from softslide.features.contact.force_map import ForceMap, in_steps
 from softslide.features.force import STEP_MM, ForceReader
 from softslide.features.height import HeightCalibration
-from softslide.features.stream.conditioning import ONSETS, Conditioning
+from softslide.features.stream.conditioning import ONSETS
 from softslide.features.track_estimate import PARTIAL_UNKNOWNS
-from softslide.models.response_map.from_atlas import depth_bounds, tilt_v_per_g
+from softslide.models.response_map.from_atlas import depth_slope
 from softslide.models.response_map.map import (
-    MARGIN_MM,
     PARTS,
     SPACING_MM,
     ResponseMap,
+    half_of,
     spline_coefficients,
     spline_grid,
 )
@@ -27,12 +25,10 @@ from softslide.models.response_map.slides import (
     LEAST_STATIC_SD_V,
     CalibrationSlide,
     StaticScatter,
-    static_scatter,
 )
 from softslide.pipeline.atlas.atlas import Atlas
 from softslide.pipeline.recordings.folder import Folder
 from softslide.pipeline.recordings.heights import laser_readings_mm
-from softslide.pipeline.sensor import Sensor
 from softslide.pipeline.skin.lines import PER_BOARD
 
 SCALE = "force_mn"  # column of the manifest: the largest normal force of the stroke that a scale read
@@ -49,9 +45,8 @@ READING_SD = 0.05
 def contact_calibration(
     response: ResponseMap, inflation_v_per_mm: tuple[float, ...] = (), static: StaticScatter | None = None
 ) -> ContactCalibration:
-    """What a device needs of the map to track contacts. inflation_v_per_mm: as there, empty where not known. static: of
-    the output at rest."""
-    assert response.noise_v is not None
+    """What a device needs of the map to track contacts. inflation_v_per_mm: (C,), by which the output at rest changes
+    as the skin rises, empty where not known. static: of the output at rest."""
     # With fewer channels than a contact that is pressed on has unknowns a wrong place fits as well: of touch-downs 21 %
     # were wrong where 12 are with the larger residual of all outputs (experiments/LOG.md).
     grows, weak_v = response.channels > PARTIAL_UNKNOWNS, response.weak_floor_v
@@ -75,26 +70,6 @@ def contact_calibration(
     )
 
 
-def contact_of(
-    response: ResponseMap,
-    folder: Folder,
-    conditioning: Conditioning,
-    atlas: Atlas | None,
-    heights: HeightCalibration | None,
-    fit: Mapping[str, float],
-) -> ContactCalibration:
-    """`contact_calibration` of a map, with what the recordings and the design show of the output at rest.
-
-    fit: as in `inflation_v_per_mm`.
-    """
-    sensor = folder.sensor.scaled(conditioning.scale)
-    inflation = inflation_v_per_mm(heights, atlas, sensor, fit)
-    main_mm = None if heights is None else heights.height_mm
-    return contact_calibration(
-        response, inflation, static_scatter(folder, conditioning, main_mm) if inflation else None
-    )
-
-
 def response_of(card: Card) -> ResponseMap:
     """The map that a card carries: without the lag, which its conditioning undoes, and the drift, which it has not.
 
@@ -105,7 +80,7 @@ def response_of(card: Card) -> ResponseMap:
     if contact is None:
         raise ValueError("the card carries no response map")
     surfaces = contact.splines()
-    return ResponseMap(
+    response = ResponseMap(
         surfaces[:PARTS],
         surfaces[PARTS],
         (contact.chamber_mm[0], contact.chamber_mm[1]),
@@ -118,20 +93,15 @@ def response_of(card: Card) -> ResponseMap:
         axes=len(card.conditioning.touch_axes),
         rim=card.conditioning.onset == ONSETS[0],
         spacing_mm=contact.spacing_mm,
-        **_heights(card),
     )
-
-
-def _heights(card: Card) -> dict[str, Any]:
-    """What a map has of the heights of the skin that a card is for."""
-    heights = card.heights
-    if heights is None:
-        return {}
-    return {
-        "height_mm": heights.height_mm,
-        "height_slope": heights.splines(),
-        "height_range_mm": (heights.lowest_mm, heights.highest_mm),
-    }
+    if card.heights is None:
+        return response
+    return replace(
+        response,
+        height_mm=card.heights.height_mm,
+        height_slope=card.heights.splines(),
+        height_range_mm=(card.heights.lowest_mm, card.heights.highest_mm),
+    )
 
 
 def calibrated_heights(response: ResponseMap, slides: list[CalibrationSlide]) -> HeightCalibration | None:
@@ -160,25 +130,6 @@ def calibrated_heights(response: ResponseMap, slides: list[CalibrationSlide]) ->
     )
 
 
-def inflation_v_per_mm(
-    heights: HeightCalibration | None, atlas: Atlas | None, sensor: Sensor, fit: Mapping[str, float]
-) -> tuple[float, ...]:
-    """(C,) V/mm, by which the output at rest changes as the skin rises: as recordings of several heights show it, else
-    as the solved design does, on the whole of its way from the flat skin; empty where neither is known.
-
-    fit: figures of the calibration; a board that tilts `NAME_gain` times as far in a contact does so at
-    rest.
-    """
-    if heights is not None:
-        return heights.static_v_per_mm
-    if atlas is None:
-        return ()
-    tilts_g = atlas.statics[:, :, :2].reshape(len(atlas.height_mm), -1)
-    per_mm = atlas.height_mm @ tilts_g / (atlas.height_mm @ atlas.height_mm)
-    gain = np.repeat([fit.get(f"{board.name}_gain", 1.0) for board in sensor.accelerometers], 2)
-    return tuple((tilt_v_per_g(sensor) * gain * per_mm).tolist())
-
-
 def with_gains(heights: HeightCalibration, gain: np.ndarray) -> HeightCalibration:
     """The same of a sensor whose channels answer `gain` (C,) times as much. What they show at rest is left as it is."""
     text, scale = encoded(gain * heights.splines())
@@ -194,18 +145,16 @@ def force_map(
     """
     height_mm = float(np.clip(height_mm, atlas.height_mm[0], atlas.height_mm[-1]))
     depth_mm = float(np.clip(depth_mm, atlas.depth_mm[0], atlas.depth_mm[-1]))
-    level, half = atlas.pressure_at(height_mm), max(chamber_mm) / 2 + MARGIN_MM
-    grid, x, y = spline_grid(half)
+    level, half = atlas.pressure_at(height_mm), half_of(chamber_mm)
+    x, y = spline_grid(half)
     forces = slice(PER_BOARD * atlas.boards, None)
 
     def parts_mn(depth: float) -> np.ndarray:
         return 1e3 * np.nan_to_num(atlas.friction_parts(x, y, depth, level, forces))
 
-    low, high = depth_bounds(atlas, depth_mm)
-    parts = parts_mn(depth_mm)
-    slope = (parts_mn(high) - parts_mn(low))[:, 0] / (high - low) if high > low else 0 * parts[:, 0]
+    parts, slope = parts_mn(depth_mm), depth_slope(atlas, depth_mm, lambda depth: parts_mn(depth)[:, 0])
     surfaces = (parts[:, 0], friction * parts[:, 1], friction * parts[:, 2], slope)
-    splines = np.stack([spline_coefficients(values, grid, half) for values in surfaces])
+    splines = np.stack([spline_coefficients(values, half) for values in surfaces])
     text, steps_mn = in_steps(splines)
     return ForceMap(
         coefficients=text,

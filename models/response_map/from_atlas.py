@@ -5,15 +5,17 @@ numbers are fitted with priors of their own: four recordings already correct the
 design's.
 """
 
+import math
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import least_squares
 
 from softslide.models.response_map.map import (
-    MARGIN_MM,
     PARTS,
     ResponseMap,
+    half_of,
     spline_coefficients,
     spline_grid,
     tensor_splines,
@@ -76,18 +78,18 @@ def tilt_v_per_g(sensor: Sensor) -> np.ndarray:
     return np.repeat([a.sensitivity_v_per_g for a in sensor.accelerometers], 2)
 
 
-def depth_bounds(atlas: Atlas, depth_mm: float) -> tuple[float, float]:
-    """The contact depths of a central difference about one, within the atlas."""
-    low, high = np.clip(
-        [depth_mm - DEPTH_STEP_MM, depth_mm + DEPTH_STEP_MM], atlas.depth_mm[0], atlas.depth_mm[-1]
-    )
-    return float(low), float(high)
+def depth_slope(atlas: Atlas, depth_mm: float, values: Callable[[float], np.ndarray]) -> np.ndarray:
+    """The change of values with the contact depth, by a central difference within the atlas."""
+    ends = [depth_mm - DEPTH_STEP_MM, depth_mm + DEPTH_STEP_MM]
+    low, high = np.clip(ends, atlas.depth_mm[0], atlas.depth_mm[-1]).tolist()
+    below, above = values(low), values(high)
+    return (above - below) / (high - low) if high > low else np.zeros_like(below)
 
 
 def design_map(atlas: Atlas, sensor: Sensor, height_mm: float, depth_mm: float) -> ResponseMap:
     """The response map (V) that the atlas gives for a skin height and a contact depth, both within the atlas."""
-    half = max(sensor.chamber_mm) / 2 + MARGIN_MM
-    grid, x, y = spline_grid(half)
+    half = half_of(sensor.chamber_mm)
+    x, y = spline_grid(half)
     level = atlas.pressure_at(height_mm)
     volts_per_g = tilt_v_per_g(sensor)
 
@@ -97,9 +99,8 @@ def design_map(atlas: Atlas, sensor: Sensor, height_mm: float, depth_mm: float) 
 
     mean = tilt(None, depth_mm)
     along_x, along_y = tilt(0.0, depth_mm) - mean, tilt(90.0, depth_mm) - mean
-    low, high = depth_bounds(atlas, depth_mm)
-    slope = (tilt(None, high) - tilt(None, low)) / (high - low) if high > low else np.zeros_like(mean)
-    surfaces = [spline_coefficients(values, grid, half) for values in (mean, along_x, along_y, slope)]
+    slope = depth_slope(atlas, depth_mm, lambda depth: tilt(None, depth))
+    surfaces = [spline_coefficients(values, half) for values in (mean, along_x, along_y, slope)]
     channels = mean.shape[1]
     floor_v = DESIGN_RESIDUAL_G * float(np.mean([a.sensitivity_v_per_g for a in sensor.accelerometers]))
     return ResponseMap(
@@ -124,8 +125,8 @@ def prior_map(
     Without slides the parameters are the means of the spread. Slides of several heights of the skin: they are fitted to
     those of the height that most have, and the map has the design's change with height.
     """
-    family = _family(atlas, sensor, depth_mm, spread)
-    start = family.centre
+    family = _Family(atlas, sensor, depth_mm, spread)
+    p = family.centre
     over_heights = several(slides, "height")
     if over_heights:
         height_mm = main_height_mm(slides)
@@ -135,31 +136,19 @@ def prior_map(
         peak = max(float(np.abs(s.volts).max()) for s in slides)
 
         def residuals(p: np.ndarray) -> np.ndarray:
-            design = family.design(p)
-            errors = [np.ravel((_predicted(design, sensor, p, s) - s.volts)[:: _every(s)]) for s in slides]
+            errors = [
+                np.ravel((volts - s.volts)[:: _every(s)])
+                for volts, s in zip(family.predicted(p, slides), slides, strict=True)
+            ]
             scale = spread.misfit * peak * np.sqrt(sum(len(v) for v in errors) / (PIECES * len(slides)))
             counted = [v * np.sqrt(s.weight) / scale for v, s in zip(errors, slides, strict=True)]
             return np.concatenate([*counted, (p - family.centre) / family.sd])
 
-        start = least_squares(residuals, start, x_scale=family.sd, method="trf", max_nfev=12).x
-    moved = _with_depth_change(_warped(family.design(start), sensor, start), spread)
+        p = least_squares(residuals, p, x_scale=family.sd, method="trf", max_nfev=12).x
+    response = family.map(p)
     if over_heights:
-        moved = replace(moved, height_mm=height_mm, height_slope=_height_slope(family, sensor, start))
-    return moved, _parameters(family, sensor, start)
-
-
-def _parameters(family: "_Family", sensor: Sensor, p: np.ndarray) -> dict[str, float]:
-    """The parameters p by name."""
-    named = {
-        "height_mm": family.height_mm(p),
-        "friction": 1 + float(p[1]),
-        "lag_s": float(p[2]),
-        "width": float(np.exp(p[3])),
-    }
-    for board, (gain, turn, dx, dy) in zip(sensor.accelerometers, p[COMMON:].reshape(-1, 4), strict=True):
-        values = {"gain": np.exp(gain), "turn_deg": np.degrees(turn), "dx_mm": dx, "dy_mm": dy}
-        named |= {f"{board.name}_{name}": float(value) for name, value in values.items()}
-    return named
+        response = replace(response, height_mm=height_mm, height_slope=family.height_slope(p))
+    return response, family.named(p)
 
 
 def prior_deviations(
@@ -169,14 +158,10 @@ def prior_deviations(
 
     The latter are maps of differences: their coefficients and their lag are the change.
     """
-    family = _family(atlas, sensor, depth_mm, spread)
-
-    def moved(p: np.ndarray) -> ResponseMap:
-        return _with_depth_change(_warped(family.design(p), sensor, p), spread)
-
+    family = _Family(atlas, sensor, depth_mm, spread)
     changes = []
     for step in np.diag(family.sd):
-        above, below = moved(family.centre + step), moved(family.centre - step)
+        above, below = family.map(family.centre + step), family.map(family.centre - step)
         changes.append(
             replace(
                 above,
@@ -185,7 +170,7 @@ def prior_deviations(
                 lag_s=(above.lag_s - below.lag_s) / 2,
             )
         )
-    return moved(family.centre), changes
+    return family.map(family.centre), changes
 
 
 def _every(slide: CalibrationSlide) -> int:
@@ -194,78 +179,109 @@ def _every(slide: CalibrationSlide) -> int:
     return max(1, round(SAMPLE_MM / max(step, 1e-3)))
 
 
-@dataclass(frozen=True)
 class _Family:
-    """The designs that a sensor may have, by their parameters p: height, friction, lag and width, then each board's
-    log gain, turn and place.
+    """The maps that a sensor of a design may have, at the contact depth of the atlas that is nearest to depth_mm.
 
-    levels: the design's map at each height of `heights_mm`. middle_mm: the height at p = 0. centre, sd: of p's prior.
+    They depend on parameters p: height, friction, lag and width, then each board's log gain, turn and place. centre,
+    sd: of p's prior.
     """
 
-    levels: list[ResponseMap]
-    heights_mm: np.ndarray
-    middle_mm: float
-    centre: np.ndarray
-    sd: np.ndarray
+    def __init__(self, atlas: Atlas, sensor: Sensor, depth_mm: float, spread: SensorSpread) -> None:
+        depth_mm = float(np.clip(depth_mm, atlas.depth_mm[0], atlas.depth_mm[-1]))
+        self._sensor, self._depth_change, self._heights_mm = sensor, spread.depth_change, atlas.height_mm
+        self._levels = [design_map(atlas, sensor, float(h), depth_mm) for h in atlas.height_mm]
+        # At p = 0.
+        self._middle_mm = float(np.clip(spread.height_mm[0], atlas.height_mm[0], atlas.height_mm[-1]))
+        boards = len(sensor.accelerometers)
+        self.centre = np.zeros(COMMON + 4 * boards)
+        self.centre[3] = spread.width[0]
+        self.sd = np.array(
+            [spread.height_mm[1], spread.friction, spread.lag_s, spread.width[1]]
+            + [spread.gain, spread.turn_rad, spread.place_mm, spread.place_mm] * boards
+        )
+        if len(atlas.height_mm) == 1:
+            self.sd[0] = 1e-6
 
     def height_mm(self, p: np.ndarray) -> float:
         """The skin's height, within the atlas."""
-        return float(np.clip(self.middle_mm + p[0], self.heights_mm[0], self.heights_mm[-1]))
+        return float(np.clip(self._middle_mm + p[0], self._heights_mm[0], self._heights_mm[-1]))
 
-    def design(self, p: np.ndarray) -> ResponseMap:
-        """The design at the height, friction and lag of p: Lagrange's polynomial through the levels."""
-        heights, height_mm = self.heights_mm, self.height_mm(p)
-        weights = np.ones(len(heights))
-        for i, h in enumerate(heights):
-            for j, other in enumerate(heights):
-                if i != j:
-                    weights[i] *= (height_mm - other) / (h - other)
-        friction = np.array([1.0, 1 + p[1], 1 + p[1]])[:, None, None, None]
-        coefficients = np.tensordot(weights, np.stack([level.coefficients for level in self.levels]), 1)
-        slope = np.tensordot(weights, np.stack([level.depth_slope for level in self.levels]), 1)
+    def named(self, p: np.ndarray) -> dict[str, float]:
+        """The parameters p by name."""
+        named = {
+            "height_mm": self.height_mm(p),
+            "friction": 1 + float(p[1]),
+            "lag_s": float(p[2]),
+            "width": float(np.exp(p[3])),
+        }
+        boards = self._sensor.accelerometers
+        for board, (gain, turn, dx, dy) in zip(boards, p[COMMON:].reshape(-1, 4), strict=True):
+            values = {"gain": np.exp(gain), "turn_deg": np.degrees(turn), "dx_mm": dx, "dy_mm": dy}
+            named |= {f"{board.name}_{name}": float(value) for name, value in values.items()}
+        return named
+
+    def map(self, p: np.ndarray) -> ResponseMap:
+        """The map with parameters p: splines fitted to the design's responses on a grid.
+
+        Its change with depth is as sensors show it, not as solved.
+        """
+        design = self._design(p)
+        x, y = spline_grid(design.half_mm)
+        boards = []
+        for k in range(design.channels // 2):
+            one, splines = _board(design, k), tensor_splines(*self._place(x, y, k, p), design.half_mm)
+            surfaces = np.stack([*one.coefficients, one.depth_slope], axis=2)
+            values = (splines @ surfaces.reshape(splines.shape[1], -1)).reshape(len(x), *surfaces.shape[2:])
+            boards.append(spline_coefficients(_turned(values, k, p), design.half_mm).reshape(surfaces.shape))
+        moved = np.concatenate(boards, axis=-1).transpose(2, 0, 1, 3)
+        factor, share = self._depth_change
         return replace(
-            self.levels[0], coefficients=friction * coefficients, depth_slope=slope, lag_s=float(p[2])
+            design, coefficients=moved[:PARTS], depth_slope=factor * moved[PARTS] + share * moved[0]
         )
 
+    def height_slope(self, p: np.ndarray) -> np.ndarray:
+        """The change (K, K, C) V/mm of M with height; zero where the atlas has one height alone."""
+        low, high = (p + step * np.eye(len(p))[0] for step in (-HEIGHT_STEP_MM, HEIGHT_STEP_MM))
+        apart_mm = self.height_mm(high) - self.height_mm(low)
+        below, above = (self.map(q).coefficients[0] for q in (low, high))
+        return (above - below) / apart_mm if apart_mm > 0 else np.zeros_like(below)
 
-def _family(atlas: Atlas, sensor: Sensor, depth_mm: float, spread: SensorSpread) -> _Family:
-    """The family of a design, at the contact depth of the atlas that is nearest to depth_mm."""
-    depth_mm = float(np.clip(depth_mm, atlas.depth_mm[0], atlas.depth_mm[-1]))
-    heights, boards = atlas.height_mm, len(sensor.accelerometers)
-    centre = np.zeros(COMMON + 4 * boards)
-    centre[3] = spread.width[0]
-    sd = np.array(
-        [spread.height_mm[1], spread.friction, spread.lag_s, spread.width[1]]
-        + [spread.gain, spread.turn_rad, spread.place_mm, spread.place_mm] * boards
-    )
-    sd[0] = sd[0] if len(heights) > 1 else 1e-6
-    return _Family(
-        [design_map(atlas, sensor, float(h), depth_mm) for h in heights],
-        heights,
-        float(np.clip(spread.height_mm[0], heights[0], heights[-1])),
-        centre,
-        sd,
-    )
+    def predicted(self, p: np.ndarray, slides: list[CalibrationSlide]) -> Iterator[np.ndarray]:
+        """Output (m, C) V along each slide, predicted by the design with parameters p."""
+        design = self._design(p)
+        for slide in slides:
+            contact, own, boards = slide.place(0.0, design.lag_s), design.at(slide.depth_mm), []
+            for k in range(design.channels // 2):
+                volts = _board(own, k).response(*self._place(*contact, k, p), slide.direction_rad)
+                boards.append(_turned(volts, k, p))
+            yield np.hstack(boards)
 
+    def _design(self, p: np.ndarray) -> ResponseMap:
+        """The design at the height, friction and lag of p: Lagrange's polynomial through the levels."""
+        heights, height_mm = self._heights_mm, self.height_mm(p)
+        weights = np.array([math.prod((height_mm - o) / (h - o) for o in heights if o != h) for h in heights])
+        friction = np.array([1.0, 1 + p[1], 1 + p[1]])[:, None, None, None]
+        coefficients = np.tensordot(weights, np.stack([level.coefficients for level in self._levels]), 1)
+        slope = np.tensordot(weights, np.stack([level.depth_slope for level in self._levels]), 1)
+        return replace(
+            self._levels[0], coefficients=friction * coefficients, depth_slope=slope, lag_s=float(p[2])
+        )
 
-def _height_slope(family: _Family, sensor: Sensor, p: np.ndarray) -> np.ndarray:
-    """The change (K, K, C) V/mm of the design's M with height; zero where the atlas has one height alone."""
-    low, high = (p + step * np.eye(len(p))[0] for step in (-HEIGHT_STEP_MM, HEIGHT_STEP_MM))
-    apart_mm = family.height_mm(high) - family.height_mm(low)
-    below, above = (_warped(family.design(q), sensor, q).coefficients[0] for q in (low, high))
-    return (above - below) / apart_mm if apart_mm > 0 else np.zeros_like(below)
+    def _place(
+        self, x_mm: np.ndarray, y_mm: np.ndarray, board: int, p: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Where a contact on the design would show in the design's board as it does in this sensor's.
 
-
-def _predicted(design: ResponseMap, sensor: Sensor, p: np.ndarray, slide: CalibrationSlide) -> np.ndarray:
-    """Output (m, C) V along a slide, predicted by the design with parameters p."""
-    contact = slide.place(0.0, design.lag_s)
-    boards = []
-    for k in range(design.channels // 2):
-        gain, turn = p[COMMON + 4 * k : COMMON + 2 + 4 * k]
-        place = _design_place(*contact, sensor, k, p)
-        volts = _board(design.at(slide.depth_mm), k).response(*place, slide.direction_rad)
-        boards.append(np.exp(gain) * _rotated(volts, turn))
-    return np.hstack(boards)
+        Inside the chamber all is moved and drawn towards the board's home; the rim, where the skin is clamped, stays.
+        """
+        accelerometer = self._sensor.accelerometers[board]
+        home, off = (accelerometer.x_mm, accelerometer.y_mm), p[COMMON:].reshape(-1, 4)[board, 2:]
+        narrow = np.exp(-p[3])
+        moved = []
+        for place, at, shift, size in zip((x_mm, y_mm), home, off, self._sensor.chamber_mm, strict=True):
+            inside = 1.0 - np.minimum(np.abs(place) / (size / 2), 1.0) ** RIM_POWER
+            moved.append(place + inside * (at + narrow * (place - at - shift) - place))
+        return moved[0], moved[1]
 
 
 def _board(design: ResponseMap, k: int) -> ResponseMap:
@@ -276,46 +292,8 @@ def _board(design: ResponseMap, k: int) -> ResponseMap:
     )
 
 
-def _rotated(volts: np.ndarray, turn_rad: float) -> np.ndarray:
-    """V_x, V_y (..., 2) of a board turned about its normal."""
-    cos, sin = np.cos(turn_rad), np.sin(turn_rad)
-    return volts @ np.array([[cos, -sin], [sin, cos]])
-
-
-def _design_place(
-    x_mm: np.ndarray, y_mm: np.ndarray, sensor: Sensor, board: int, p: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Where a contact on the design would show in the design's board as it does in this sensor's.
-
-    Inside the chamber all is moved and drawn towards the board's home; the rim, where the skin is clamped, stays.
-    """
-    accelerometer, off = sensor.accelerometers[board], p[COMMON + 2 + 4 * board : COMMON + 4 + 4 * board]
-    home = (accelerometer.x_mm, accelerometer.y_mm)
-    narrow = np.exp(-p[3])
-    moved = []
-    for place, at, shift, size in zip((x_mm, y_mm), home, off, sensor.chamber_mm, strict=True):
-        inside = 1.0 - np.minimum(np.abs(place) / (size / 2), 1.0) ** RIM_POWER
-        moved.append(place + inside * (at + narrow * (place - at - shift) - place))
-    return moved[0], moved[1]
-
-
-def _with_depth_change(response: ResponseMap, spread: SensorSpread) -> ResponseMap:
-    """The map with its change with depth as sensors show it, not as solved."""
-    factor, share = spread.depth_change
-    slope = factor * response.depth_slope + share * response.coefficients[0]
-    return replace(response, depth_slope=slope)
-
-
-def _warped(design: ResponseMap, sensor: Sensor, p: np.ndarray) -> ResponseMap:
-    """The design with parameters p as a map: splines fitted to its responses on a grid."""
-    grid, x, y = spline_grid(design.half_mm)
-    boards = []
-    for k in range(design.channels // 2):
-        gain, turn = p[COMMON + 4 * k : COMMON + 2 + 4 * k]
-        one, splines = _board(design, k), tensor_splines(*_design_place(x, y, sensor, k, p), design.half_mm)
-        surfaces = np.stack([*one.coefficients, one.depth_slope], axis=2)
-        values = (splines @ surfaces.reshape(splines.shape[1], -1)).reshape(len(x), *surfaces.shape[2:])
-        turned = np.exp(gain) * _rotated(values, turn)
-        boards.append(spline_coefficients(turned, grid, design.half_mm).reshape(surfaces.shape))
-    moved = np.concatenate(boards, axis=-1).transpose(2, 0, 1, 3)
-    return replace(design, coefficients=moved[:PARTS], depth_slope=moved[PARTS])
+def _turned(volts: np.ndarray, board: int, p: np.ndarray) -> np.ndarray:
+    """V_x, V_y (..., 2) of a board with its gain, and turned about its normal."""
+    gain, turn = p[COMMON:].reshape(-1, 4)[board, :2]
+    cos, sin = np.cos(turn), np.sin(turn)
+    return np.exp(gain) * (volts @ np.array([[cos, -sin], [sin, cos]]))

@@ -11,7 +11,7 @@ adds nothing to them. Sensing elements of other kinds may have three mapped axes
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy import sparse
@@ -42,7 +42,7 @@ class ResponseMap:
     depth_sd_mm: standard deviation about d0 of the depths that are to be expected, where the recordings have several;
         0: they have one.
     lag_s: the skin's lag behind the contact.
-    noise_v: (C,) V, standard deviation of one block's mean at rest.
+    noise_v: (C,) V, standard deviation of one block's mean at rest. Empty: not known; drift_v likewise.
     drift_v: (C,) V, standard deviation of the static output between a slide's start and end.
     floor_v: V, standard deviation of the map's residual. weak_floor_v, floor_share: where there is no output, and what
         is added in quadrature as a share of the largest output of the channels; None: not known.
@@ -59,8 +59,8 @@ class ResponseMap:
     depth_mm: float = 0.5
     depth_sd_mm: float = 0.0
     lag_s: float = 0.0
-    noise_v: np.ndarray | None = None
-    drift_v: np.ndarray | None = None
+    noise_v: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    drift_v: np.ndarray = field(default_factory=lambda: np.zeros(0))
     floor_v: float = 1e-3
     weak_floor_v: float | None = None
     floor_share: float | None = None
@@ -79,7 +79,7 @@ class ResponseMap:
     @property
     def half_mm(self) -> float:
         """The splines cover [-half_mm, half_mm] in x and y: the chamber and a margin of its rim."""
-        return max(self.chamber_mm) / 2 + MARGIN_MM
+        return half_of(self.chamber_mm)
 
     @property
     def channels(self) -> int:
@@ -119,6 +119,11 @@ class ResponseMap:
             depth_slope=self.depth_slope * gain,
             height_slope=None if self.height_slope is None else self.height_slope * gain,
         )
+
+
+def half_of(chamber_mm: tuple[float, float]) -> float:
+    """How far a chamber's splines reach from its centre, mm."""
+    return max(chamber_mm) / 2 + MARGIN_MM
 
 
 def knots(half_mm: float, spacing_mm: float = SPACING_MM) -> int:
@@ -161,16 +166,20 @@ def spline_basis(position_mm: np.ndarray, half_mm: float) -> np.ndarray:
     return basis
 
 
-def spline_grid(half_mm: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A square grid, GRID_MM apart, that covers the splines' range: its axis (n,), and x and y (n^2,) of its points."""
-    grid = np.arange(-half_mm, half_mm + GRID_MM / 2, GRID_MM)
-    x, y = (axis.ravel() for axis in np.meshgrid(grid, grid, indexing="ij"))
-    return grid, x, y
+def grid_axis(half_mm: float) -> np.ndarray:
+    """(n,) mm: places GRID_MM apart that cover the splines' range."""
+    return np.arange(-half_mm, half_mm + GRID_MM / 2, GRID_MM)
 
 
-def spline_coefficients(values: np.ndarray, grid_mm: np.ndarray, half_mm: float) -> np.ndarray:
-    """Least-squares coefficients (K, K, C) of (n^2, C) values on a square grid, whose axis (n,) covers the splines."""
-    basis = spline_basis(grid_mm, half_mm)
-    inverse = np.linalg.pinv(basis, rcond=1e-6)
-    square = values.reshape(len(grid_mm), len(grid_mm), -1)
+def spline_grid(half_mm: float) -> tuple[np.ndarray, np.ndarray]:
+    """x and y (n^2,) of the points of a square grid over the splines' range."""
+    x, y = np.meshgrid(grid_axis(half_mm), grid_axis(half_mm), indexing="ij")
+    return x.ravel(), y.ravel()
+
+
+def spline_coefficients(values: np.ndarray, half_mm: float) -> np.ndarray:
+    """Least-squares coefficients (K, K, C) of values (n^2, C) at the points of `spline_grid`."""
+    axis = grid_axis(half_mm)
+    inverse = np.linalg.pinv(spline_basis(axis, half_mm), rcond=1e-6)
+    square = values.reshape(len(axis), len(axis), -1)
     return np.einsum("in,nmc,jm->ijc", inverse, square, inverse, optimize=True)

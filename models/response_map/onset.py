@@ -66,8 +66,18 @@ def with_onsets(
             table.loc[name, list(placed)] = list(placed.values())
     fitted = frozenset(str(name) for name in folder.manifest.index[~known]) - set(left_out)
     folder = replace(folder, manifest=table)
-    if atlas is not None:
-        folder = _refined(folder, fitted, atlas, conditioning, spread, config)
+    if atlas is None:
+        return Onsets(folder, fitted, left_out)
+    # The onsets are fitted to the design's map, and its parameters to the slides, in turn.
+    for _ in range(ONSET_ROUNDS):
+        slides = calibration_slides(folder, conditioning, fitted)
+        if not slides:
+            break
+        depth_mm = float(np.median([slide.depth_mm for slide in slides]))
+        response, _ = prior_map(atlas, sensor, slides, depth_mm, spread)
+        response = replace(response, lag_s=0.0) if len(fitted) == len(slides) else response
+        untimed = [slide for slide in slides if slide.recording in fitted]
+        folder = moved(folder, {s.recording: fit_slide(s, response, config).shift_mm for s in untimed})
     return Onsets(folder, fitted, left_out)
 
 
@@ -78,32 +88,6 @@ def moved(folder: Folder, shift_mm: dict[str, float]) -> Folder:
         a = np.deg2rad(float(table["direction_deg"][name]))
         table.loc[name, ["start_x_mm", "start_y_mm"]] -= shift * np.array([np.cos(a), np.sin(a)])
     return replace(folder, manifest=table)
-
-
-def _refined(
-    folder: Folder,
-    fitted: frozenset[str],
-    atlas: Atlas,
-    conditioning: Conditioning,
-    spread: SensorSpread,
-    config: CalibrationConfig,
-) -> Folder:
-    """The onsets fitted to the design's map, and its parameters to the slides, in turn."""
-    sensor = folder.sensor.scaled(conditioning.scale)
-    for _ in range(ONSET_ROUNDS):
-        slides = calibration_slides(folder, conditioning, fitted)
-        if not slides:
-            return folder
-        depth_mm = float(np.median([slide.depth_mm for slide in slides]))
-        response, _ = prior_map(atlas, sensor, slides, depth_mm, spread)
-        response = replace(response, lag_s=0.0) if len(fitted) == len(slides) else response
-        shifts = {
-            slide.recording: fit_slide(slide, response, config).shift_mm
-            for slide in slides
-            if slide.recording in fitted
-        }
-        folder = moved(folder, shifts)
-    return folder
 
 
 def _passing_s(
@@ -118,7 +102,11 @@ def _passing_s(
     response: predicts the output along the line, the filter's template; without it the signal's energy is taken to be
     centred at the accelerometers.
     """
-    stretch_mm, output = _stretches(folder, recording, row, conditioning)
+    tilt = tilt_channels(recording.volts.shape[1])
+    blocks = block_means(recording.volts, conditioning, folder.sensor.sample_rate_hz)[:, tilt]
+    rest = blocks[: max(1, round(REST_S / conditioning.block_s))].mean(axis=0)
+    count = stretch_blocks(row["speed_mm_s"], conditioning.block_s)
+    output, stretch_mm = means(blocks, count) - rest, count * conditioning.block_s * row["speed_mm_s"]
     if np.abs(output).max() < conditioning.trigger_v:
         return None
     along, left = _axes(row)
@@ -134,17 +122,6 @@ def _passing_s(
         likeness = sum(np.correlate(o, t, "full") for o, t in zip(output.T, template.T, strict=True))
         passed = int(np.argmax(likeness)) - (len(s) - 1) - s[0] / stretch_mm
     return float(recording.time_s[0] + (passed + 0.5) * stretch_mm / row["speed_mm_s"])
-
-
-def _stretches(
-    folder: Folder, recording: Recording, row: pd.Series, conditioning: Conditioning
-) -> tuple[float, np.ndarray]:
-    """Subtracted output (m, C) V of V_x, V_y in stretches of STRETCH_MM, and a stretch's true length in mm."""
-    tilt = tilt_channels(recording.volts.shape[1])
-    blocks = block_means(recording.volts, conditioning, folder.sensor.sample_rate_hz)[:, tilt]
-    rest = blocks[: max(1, round(REST_S / conditioning.block_s))].mean(axis=0)
-    count = stretch_blocks(row["speed_mm_s"], conditioning.block_s)
-    return count * conditioning.block_s * row["speed_mm_s"], means(blocks, count) - rest
 
 
 def _placed(folder: Folder, recording: Recording, row: pd.Series, passing_s: float) -> dict[str, float]:

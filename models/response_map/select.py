@@ -15,13 +15,14 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from softslide.features.contact.calibration import ContactCalibration
 from softslide.features.errors import InputError
 from softslide.features.height import HeightCalibration
 from softslide.features.stream.conditioning import Conditioning
 from softslide.models.held_out import line_folds
 from softslide.models.response_map.calibrate import blank_map, calibrate
-from softslide.models.response_map.card import calibrated_heights
-from softslide.models.response_map.from_atlas import SensorSpread, prior_map
+from softslide.models.response_map.card import calibrated_heights, contact_calibration
+from softslide.models.response_map.from_atlas import SensorSpread, prior_map, tilt_v_per_g
 from softslide.models.response_map.map import SPACING_MM, ResponseMap
 from softslide.models.response_map.onset import Onsets, moved, with_onsets
 from softslide.models.response_map.slide_fit import CalibrationConfig, fit_slide, with_lag
@@ -31,6 +32,7 @@ from softslide.models.response_map.slides import (
     at_height,
     calibration_slides,
     main_height_mm,
+    static_scatter,
 )
 from softslide.pipeline.atlas.atlas import Atlas
 from softslide.pipeline.progress import progress_bar
@@ -80,6 +82,27 @@ class CalibratedMap:
     heights: HeightCalibration | None = None
     static_heights_mm: dict[str, float] = field(default_factory=dict)
 
+    def contact(self, atlas: Atlas | None) -> ContactCalibration:
+        """What a device needs to track contacts, with what recordings and design show of the output at rest."""
+        inflation = self._inflation_v_per_mm(atlas)
+        main_mm = None if self.heights is None else self.heights.height_mm
+        static = static_scatter(self.folder, self.conditioning, main_mm) if inflation else None
+        return contact_calibration(self.response, inflation, static)
+
+    def _inflation_v_per_mm(self, atlas: Atlas | None) -> tuple[float, ...]:
+        """(C,) V/mm, by which the output at rest changes as the skin rises: as recordings of several heights show it,
+        else as the solved design does, on the whole of its way from the flat skin; empty where neither is known."""
+        if self.heights is not None:
+            return self.heights.static_v_per_mm
+        if atlas is None:
+            return ()
+        tilts_g = atlas.statics[:, :, :2].reshape(len(atlas.height_mm), -1)
+        per_mm = atlas.height_mm @ tilts_g / (atlas.height_mm @ atlas.height_mm)
+        sensor = self.folder.sensor.scaled(self.conditioning.scale)
+        # A board that tilts so many times as far in a contact does so at rest.
+        gains = [self.summary.get(f"{board.name}_gain", 1.0) for board in sensor.accelerometers]
+        return tuple((tilt_v_per_g(sensor) * np.repeat(gains, 2) * per_mm).tolist())
+
 
 def calibrated_map(
     folder: Folder,
@@ -99,34 +122,31 @@ def calibrated_map(
     """
     onsets = with_onsets(folder, atlas, conditioning, spread, calibration)
     known = _Known(atlas, folder.sensor.scaled(conditioning.scale), spread, calibration)
-    found = _fitted(onsets, conditioning, known)
+    found, slides = _fitted(onsets, conditioning, known)
     left_out: dict[str, str] = {}
     figures: dict[str, float] = {}
     if found.response.height_slope is not None:
-        shares = _shares_at_other_heights(found.slides, found.held_out, known)
+        shares = _shares_at_other_heights(slides, found.held_out, known)
         figures = {f"heldout_residual_{name}": share for name, share in shares.items()}
         if shares and shares["map_a_height"] < shares["map_over_heights"]:
-            main = at_height(found.slides, main_height_mm(found.slides))
-            others = [s.recording for s, mains in zip(found.slides, main, strict=True) if not mains]
+            main = at_height(slides, main_height_mm(slides))
+            others = [s.recording for s, mains in zip(slides, main, strict=True) if not mains]
             why = "a map of each height predicts held-out lines better; train one for it"
             left_out = dict.fromkeys(others, why)
             kept = onsets.folder.manifest.drop(index=others)
             onsets = replace(onsets, folder=replace(onsets.folder, manifest=kept))
-            found = _fitted(onsets, found.conditioning, known)
-    untimed = [slide for slide in found.slides if not slide.timed]
+            found, slides = _fitted(onsets, found.conditioning, known)
+    untimed = [slide for slide in slides if not slide.timed]
     shifts = {slide.recording: fit_slide(slide, found.response, calibration).shift_mm for slide in untimed}
-    heights = calibrated_heights(found.response, found.slides)
-    return CalibratedMap(
-        found.response,
-        found.held_out,
-        found.conditioning,
-        len(found.slides),
-        found.summary | figures,
-        moved(onsets.folder, shifts),
-        len(untimed),
-        _left_out(onsets, found.slides) | left_out,
-        heights,
-        {} if heights is None else {s.recording: heights.estimate(s.static_v) for s in found.slides},
+    heights = calibrated_heights(found.response, slides)
+    return replace(
+        found,
+        summary=found.summary | figures,
+        folder=moved(onsets.folder, shifts),
+        untimed=len(untimed),
+        left_out=found.left_out | left_out,
+        heights=heights,
+        static_heights_mm={s.recording: heights.estimate(s.static_v) for s in slides if heights is not None},
     )
 
 
@@ -140,30 +160,22 @@ class _Known:
     config: CalibrationConfig
 
 
-@dataclass(frozen=True)
-class _Fitted:
-    """conditioning: of the signal of the slides, which the map and the held-out ones were fitted to."""
-
-    conditioning: Conditioning
-    slides: list[CalibrationSlide]
-    response: ResponseMap
-    held_out: Maps
-    summary: dict[str, float]
-
-
-def _fitted(onsets: Onsets, conditioning: Conditioning, known: _Known) -> _Fitted:
-    """The map of the signal without the lag that maps show; a lag that `conditioning` names is not looked for."""
+def _fitted(
+    onsets: Onsets, conditioning: Conditioning, known: _Known
+) -> tuple[CalibratedMap, list[CalibrationSlide]]:
+    """The map of the signal without the lag that maps show, and its slides; a lag that `conditioning` names is not
+    looked for."""
     undone = conditioning
     for _ in range(FITS):
         read = undone
         slides = calibration_slides(onsets.folder, read, onsets.fitted)
-        _left_out(onsets, slides)
+        left_out = _left_out(onsets, slides)
         response, held_out, summary = _chosen(slides, known)
         undone = read if conditioning.delayed > 0 else with_lag(read, slides, response, held_out)
         if undone == read:
             break
-    lag = {"delayed": read.delayed, "tau_s": read.tau_s}
-    return _Fitted(read, slides, response, held_out, summary | lag)
+    summary |= {"delayed": read.delayed, "tau_s": read.tau_s}
+    return CalibratedMap(response, held_out, read, len(slides), summary, onsets.folder, 0, left_out), slides
 
 
 def _left_out(onsets: Onsets, slides: list[CalibrationSlide]) -> dict[str, str]:

@@ -86,19 +86,13 @@ def fit_slide(
     shift_mm: float = 0.0,
 ) -> SlideFit:
     """A slide's gain and shift given the map, by Gauss-Newton with priors, from the gain and shift given."""
-    assert response.noise_v is not None
     noise = float(np.hypot(np.median(response.noise_v) / np.sqrt(slide.blocks), LEAST_RESIDUAL_V))
     shift_sd_mm = config.shift_sd_mm if slide.timed else config.untimed_sd_mm
     own = response.at(slide.depth_mm, slide.height_mm)
-
-    def model(at: float) -> np.ndarray:
-        x, y = slide.place(at, response.lag_s)
-        return own.response(x, y, slide.direction_rad)
-
     for _ in range(ITERATIONS):
-        volts = model(shift_mm)
+        volts = slide.shown(own, shift_mm)
         h = SHIFT_STEP_MM
-        slope = gain * (model(shift_mm + h) - model(shift_mm - h)) / (2 * h)
+        slope = gain * (slide.shown(own, shift_mm + h) - slide.shown(own, shift_mm - h)) / (2 * h)
         jacobian = np.stack([volts.ravel(), slope.ravel()], axis=1) / noise
         jacobian = np.vstack([jacobian, np.diag([1 / config.gain_sd, 1 / shift_sd_mm])])
         residuals = np.append(
@@ -107,7 +101,7 @@ def fit_slide(
         )
         step = np.linalg.lstsq(jacobian, residuals, rcond=None)[0]
         gain, shift_mm = gain + step[0], shift_mm + step[1]
-    return SlideFit(gain, shift_mm, slide.volts - gain * model(shift_mm))
+    return SlideFit(gain, shift_mm, slide.volts - gain * slide.shown(own, shift_mm))
 
 
 def with_lag(
@@ -161,15 +155,13 @@ def _lag_projection(
     response = response.at(slide.depth_mm, slide.height_mm)
     fit = fit_slide(slide, response, CalibrationConfig())
 
-    def signal(at: float, lag: float) -> np.ndarray:
-        return fit.gain * response.response(*slide.place(at, lag), slide.direction_rad)
+    def signal(at: float, lag: float | None = None) -> np.ndarray:
+        return fit.gain * slide.shown(response, at, lag)
 
-    plain = signal(fit.shift_mm, response.lag_s)
-    h = LAG_STEP_MM
-    slope = signal(fit.shift_mm + h, response.lag_s) - signal(fit.shift_mm - h, response.lag_s)
-    solid = standard_solid(
-        signal(fit.shift_mm, response.lag_s - lag_s), slide.step_s, min(lag_s / tau_s, MOST_DELAYED), tau_s
-    )
+    plain = signal(fit.shift_mm)
+    slope = signal(fit.shift_mm + LAG_STEP_MM) - signal(fit.shift_mm - LAG_STEP_MM)
+    still = signal(fit.shift_mm, response.lag_s - lag_s)
+    solid = standard_solid(still, slide.step_s, min(lag_s / tau_s, MOST_DELAYED), tau_s)
     own = np.stack([plain.ravel(), slope.ravel()], axis=1)
     both = np.stack([(solid - plain).ravel(), fit.residual_v.ravel()], axis=1)
     added, residual = (both - own @ np.linalg.lstsq(own, both, rcond=None)[0]).T

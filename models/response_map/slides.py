@@ -11,6 +11,7 @@ import numpy as np
 
 from softslide.features.angles import touch_channels
 from softslide.features.stream.conditioning import ONSETS, Conditioning, block_means, without_lag
+from softslide.models.response_map.map import ResponseMap
 from softslide.pipeline.recordings.folder import Folder
 from softslide.pipeline.recordings.heights import HEIGHT
 from softslide.pipeline.recordings.pooled import WEIGHT
@@ -77,6 +78,11 @@ class CalibrationSlide:
             self.start_mm[1] + s * np.sin(self.direction_rad),
         )
 
+    def shown(self, response: ResponseMap, shift_mm: float, lag_s: float | None = None) -> np.ndarray:
+        """Output (m, C) V along the slide by a map at its depth and height. lag_s: None, the map's."""
+        place = self.place(shift_mm, response.lag_s if lag_s is None else lag_s)
+        return response.response(*place, self.direction_rad)
+
 
 def calibration_slides(
     folder: Folder, conditioning: Conditioning, untimed: frozenset[str] = frozenset()
@@ -92,10 +98,7 @@ def calibration_slides(
 
 def _slide(folder: Folder, name: str, row: Any, conditioning: Conditioning) -> CalibrationSlide | None:
     """One recording, labelled by `row` of the manifest; None if its rest is too short."""
-    recording, sensor = folder.load(name), folder.sensor
-    touch = touch_channels(len(sensor.channels), sensor.touch_axes)
-    blocks = block_means(recording.volts, conditioning, sensor.sample_rate_hz)[:, touch]
-    time_s = recording.time_s[0] + (np.arange(len(blocks)) + 0.5) * conditioning.block_s
+    time_s, blocks = touch_blocks(folder, name, conditioning)
     rest = blocks[time_s < row.motion_start_s - conditioning.block_s]
     if len(rest) < LEAST_REST_BLOCKS:
         return None
@@ -124,6 +127,14 @@ def _slide(folder: Folder, name: str, row: Any, conditioning: Conditioning) -> C
         height_mm=float(row.get(HEIGHT, math.nan)),
         weight=float(row.get(WEIGHT, 1.0)),
     )
+
+
+def touch_blocks(folder: Folder, name: str, conditioning: Conditioning) -> tuple[np.ndarray, np.ndarray]:
+    """Blocks of one recording: the middle of each (n,) s, and its means (n, C) V in channels that answer to a touch."""
+    recording, sensor = folder.load(name), folder.sensor
+    touch = touch_channels(len(sensor.channels), sensor.touch_axes)
+    blocks = block_means(recording.volts, conditioning, sensor.sample_rate_hz)[:, touch]
+    return recording.time_s[0] + (np.arange(len(blocks)) + 0.5) * conditioning.block_s, blocks
 
 
 def several(slides: list[CalibrationSlide], covariate: str) -> bool:

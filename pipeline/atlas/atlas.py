@@ -40,6 +40,7 @@ LARGEST = 1e6
 # A height asked for is solved to within 1 um (pipeline/skin/solver.py).
 _HEIGHT_MARGIN_MM = 1.1e-3
 _ARRAYS = ("x_mm", "y_mm", "depth_mm", "pressure_mpa", "height_mm", "statics", "parts", "valid")
+Values = np.ndarray | float  # (n,), or one for all
 
 
 @dataclass(frozen=True)
@@ -67,12 +68,7 @@ class Atlas:
         return self.meta["failed"]
 
     def response(
-        self,
-        x_mm: np.ndarray,
-        y_mm: np.ndarray,
-        heading_deg: np.ndarray | float | None,
-        depth_mm: np.ndarray | float,
-        pressure_level: np.ndarray | float,
+        self, x_mm: Values, y_mm: Values, heading_deg: Values | None, depth_mm: Values, pressure_level: Values
     ) -> np.ndarray:
         """The subtracted gravity vector in each board's frame, contact minus static.
 
@@ -93,12 +89,7 @@ class Atlas:
         return values.reshape(len(values), self.boards, PER_BOARD)[..., :3]
 
     def force(
-        self,
-        x_mm: np.ndarray,
-        y_mm: np.ndarray,
-        heading_deg: np.ndarray | float | None,
-        depth_mm: np.ndarray | float,
-        pressure_level: np.ndarray | float,
+        self, x_mm: Values, y_mm: Values, heading_deg: Values | None, depth_mm: Values, pressure_level: Values
     ) -> np.ndarray:
         """The skin's force on the indenter (n, 3) N: along x and y, and normal (positive = out)."""
         forces = slice(PER_BOARD * self.boards, None)
@@ -136,10 +127,10 @@ class Atlas:
 
     def friction_parts(
         self,
-        x_mm: np.ndarray,
-        y_mm: np.ndarray,
-        depth_mm: np.ndarray | float,
-        pressure_level: np.ndarray | float,
+        x_mm: Values,
+        y_mm: Values,
+        depth_mm: Values,
+        pressure_level: Values,
         wanted: slice = slice(None),
     ) -> np.ndarray:
         """Mean, fx and fy (n, 3, channels) of the wanted channels, ordered as in `parts`.
@@ -219,7 +210,7 @@ class Atlas:
         return bad
 
 
-def _towards(heading_deg: np.ndarray | float | None, parts: np.ndarray) -> np.ndarray:
+def _towards(heading_deg: Values | None, parts: np.ndarray) -> np.ndarray:
     """(n, channels) of friction's parts (n, 3, channels): the mean, and what motion along the heading adds."""
     if heading_deg is None:
         return parts[:, 0]

@@ -9,9 +9,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from softslide.features.errors import InputError
-from softslide.pipeline.atlas.solve import COARSE, Progress
-from softslide.pipeline.sensor import Accelerometer, Sensor
-from softslide.pipeline.skin.lines import Line, join_families, lines, reach_mm, representative
+from softslide.pipeline.atlas.solve import COARSE, Progress, on_grid
+from softslide.pipeline.sensor import RIM_MM, Accelerometer, Sensor
+from softslide.pipeline.skin.lines import Line, lines, reach_mm, representative
 from softslide.pipeline.skin.mesh import Mesh, graded, mounted, outline, plate
 from softslide.pipeline.skin.solved_line import material_of
 from softslide.pipeline.skin.solver import NoEquilibrium, Skin
@@ -20,7 +20,6 @@ from softslide.pipeline.skin.system import State
 MESH_MM = 3.4  # as coarse as the coarse atlas's
 LAYERS = 3
 PLACE_STEP_MM = 2.5
-RIM_MM = 0.5  # of skin between a board and the clamped rim
 
 
 @dataclass(frozen=True)
@@ -66,7 +65,9 @@ def solve_tilts(
     places = board_places(sensor)
     # A single board at the centre has all the symmetry of the bare skin, and so needs the same lines.
     symmetric = replace(sensor, accelerometers=(Accelerometer("none", 0.0, 0.0),))
-    mesh = _bare_mesh(sensor)
+    grid_x, grid_y = (graded([*ends, 0.0], MESH_MM) for ends in outline(sensor))
+    z = np.linspace(0, sensor.skin_thickness_mm, LAYERS + 1)
+    mesh = mounted(plate(grid_x, grid_y, z, np.zeros((0, 2)), np.zeros(2), (0, 0)), sensor)
     skin = Skin(mesh, material_of(sensor))
     try:
         pressure, inflated = skin.inflate_to(height_mm)
@@ -82,25 +83,17 @@ def solve_tilts(
     rest = reader.tilts(skin, inflated)
     solved: dict[Line, np.ndarray] = {}
     for line in progress(wanted, len(wanted)) if progress else wanted:
-        solved[line] = (
-            _line_tilts(skin, inflated, pressure, line, (x, y)[line.axis], depth_mm, sensor, reader) - rest
-        )
-    along_x = np.zeros((2, len(x), len(line_y), 2 * len(places)))
-    along_y = np.zeros((2, len(line_x), len(y), 2 * len(places)))
-    for line in every:
-        values, side = _mirrored(line, symmetric, solved, places), (1 - line.sense) // 2
-        if line.axis == 0:
-            along_x[side][:, np.searchsorted(line_y, line.offset_mm - 1e-9)] = values
-        else:
-            along_y[side][np.searchsorted(line_x, line.offset_mm - 1e-9)] = values
-    parts = join_families((along_x[0], along_x[1]), (along_y[0], along_y[1]), (x, y, line_y, line_x))
+        postures, _ = skin.slide(inflated, pressure, line.centres((x, y)[line.axis], depth_mm, sensor))
+        tilts = [reader.tilts(skin, posture) for posture in postures if posture is not None]
+        if len(tilts) < len(postures):
+            raise InputError(
+                f"{sensor.name}: the bare skin has no equilibrium under the contact of line {line.name}; lower the "
+                "height"
+            )
+        solved[line] = np.array(tilts) - rest
+    mirrored = {line: _mirrored(line, symmetric, solved, places) for line in every}
+    parts = on_grid(mirrored, (x, y, line_y, line_x))
     return TiltField(places, x, y, parts.reshape(*parts.shape[:3], len(places), 2), height_mm, depth_mm)
-
-
-def _bare_mesh(sensor: Sensor) -> Mesh:
-    x, y = (graded([*ends, 0.0], MESH_MM) for ends in outline(sensor))
-    z = np.linspace(0, sensor.skin_thickness_mm, LAYERS + 1)
-    return mounted(plate(x, y, z, np.zeros((0, 2)), np.zeros(2), (0, 0)), sensor)
 
 
 class _Reader:
@@ -125,32 +118,6 @@ class _Reader:
         """(2 P,) g: each place's reading along x and y, with the signs of `pipeline.skin.solved_line.gravity`."""
         axes = self._weights @ skin.system.places(state)[self._nodes]
         return -(axes[..., 2] / np.linalg.norm(axes, axis=-1)).T.ravel()
-
-
-def _line_tilts(
-    skin: Skin,
-    inflated: State,
-    pressure: float,
-    line: Line,
-    along_mm: np.ndarray,
-    depth_mm: float,
-    sensor: Sensor,
-    reader: _Reader,
-) -> np.ndarray:
-    """(n, 2 P) g along one line, forward.
-
-    Raises:
-        InputError: a position has no equilibrium.
-    """
-    centres = np.empty((len(along_mm), 3))
-    centres[:, line.axis], centres[:, 1 - line.axis] = along_mm, line.offset_mm
-    centres[:, 2] = sensor.skin_thickness_mm + sensor.indenter_diameter_mm / 2 - depth_mm
-    postures, _ = skin.slide(inflated, pressure, centres)
-    if any(posture is None for posture in postures):
-        raise InputError(
-            f"{sensor.name}: the bare skin has no equilibrium under the contact of line {line.name}; lower the height"
-        )
-    return np.array([reader.tilts(skin, posture) for posture in postures if posture is not None])
 
 
 def _mirrored(

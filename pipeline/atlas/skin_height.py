@@ -4,7 +4,7 @@ The solved design answers which height gives a static tilt. A real skin tilts it
 of the height, by a laser, fits it.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -41,7 +41,7 @@ def skin_heights(
     table = folder.manifest.loc[names]
     pressure = table["pressure_mpa"].fillna(folder.sensor.pressure_mpa)
     laser = laser_readings_mm(folder)[names]
-    boards = folder.sensor.accelerometers
+    boards, half_mm = folder.sensor.accelerometers, folder.sensor.chamber_mm[0] / 2
     zero, per_g = (np.array([getattr(a, key) for a in boards]) for key in ("zero_g_v", "sensitivity_v_per_g"))
     static_g = pd.Series(
         {name: (rest_v[name].reshape(-1, 3)[:, :2] - zero[:, None]) / per_g[:, None] for name in names},
@@ -60,9 +60,9 @@ def skin_heights(
                 "recordings": len(here),
                 "static_g": mean_g.tolist(),
                 "laser_mm": float(laser[here].mean()),
-                "formula_mm": _formula(folder, mean_g),
-                "atlas_mm": _by_atlas(mean_g, atlas),
-                "fitted_mm": _by_atlas(mean_g / factor, atlas),
+                "formula_mm": abs(_or_nan(height_by_formula, float(mean_g[0, 0]), boards[0].x_mm, half_mm)),
+                "atlas_mm": np.nan if atlas is None else _or_nan(height_by_atlas, mean_g, atlas),
+                "fitted_mm": _or_nan(height_by_atlas, mean_g / factor, atlas),
                 "used": value == used_mpa,
             }
         )
@@ -86,19 +86,10 @@ def _tilt_factor(
     return float((mean_g * solved).sum() / (solved * solved).sum()), float(pressure[names[0]])
 
 
-def _formula(folder: Folder, static_g: np.ndarray) -> float:
+def _or_nan(height_mm: Callable[..., float], reading_g: Any, *known: Any) -> float:
+    """The height of a reading, NaN where it has none."""
     try:
-        board = folder.sensor.accelerometers[0]
-        return abs(height_by_formula(float(static_g[0, 0]), board.x_mm, folder.sensor.chamber_mm[0] / 2))
-    except InputError:
-        return np.nan
-
-
-def _by_atlas(static_g: np.ndarray, atlas: Atlas | None) -> float:
-    try:
-        return (
-            np.nan if atlas is None or not np.isfinite(static_g).all() else height_by_atlas(static_g, atlas)
-        )
+        return height_mm(reading_g, *known) if np.isfinite(reading_g).all() else np.nan
     except InputError:
         return np.nan
 

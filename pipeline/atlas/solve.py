@@ -15,7 +15,15 @@ from softslide.pipeline.atlas.atlas import DEFAULT_SENSOR, Atlas, write_atlas
 from softslide.pipeline.atlas.line_store import LineStore, Task
 from softslide.pipeline.progress import progress_bar
 from softslide.pipeline.sensor import Sensor, check_design, design_hash, design_of, read_sensor
-from softslide.pipeline.skin.lines import Line, join_families, lines, mirror, reach_mm, representative
+from softslide.pipeline.skin.lines import (
+    PER_BOARD,
+    Line,
+    join_families,
+    lines,
+    mirror,
+    reach_mm,
+    representative,
+)
 from softslide.pipeline.skin.solved_line import gravity, skin_of, solve_line
 from softslide.pipeline.skin.solver import TOLERANCE_N, NoEquilibrium, Statistics
 from softslide.pipeline.skin.system import State
@@ -44,12 +52,9 @@ class Grid:
     def axis(self, reach: float) -> tuple[np.ndarray, np.ndarray]:
         """Lines' offsets and positions along them, symmetric, from clear of the skin to clear of it."""
         cells = math.ceil((reach + 0.5) / self.line_mm)
-        return (
-            self.line_mm * np.arange(-cells, cells + 1),
-            self.line_mm
-            / self.steps_per_line
-            * np.arange(-cells * self.steps_per_line, cells * self.steps_per_line + 1),
-        )
+        steps = cells * self.steps_per_line
+        along = self.line_mm / self.steps_per_line * np.arange(-steps, steps + 1)
+        return self.line_mm * np.arange(-cells, cells + 1), along
 
 
 COARSE = Grid(depth_mm=(0.3, 1.0), line_mm=5.0, steps_per_line=4)
@@ -174,22 +179,15 @@ def simulate(
 
 def _levels(sensor: Sensor, source: str) -> list[tuple[float, State]]:
     """Effective pressure and inflated posture of each level."""
-    skin = skin_of(sensor)
+    skin, pressures = skin_of(sensor), sensor.skin.effective_pressure_mpa
     levels: list[tuple[float, State]] = []
-    for height in () if sensor.skin.effective_pressure_mpa else sensor.skin.height_mm:
+    for value in pressures or sensor.skin.height_mm:
         try:
-            levels.append(skin.inflate_to(height))
+            levels.append((value, skin.inflate(value)) if pressures else skin.inflate_to(value))
         except NoEquilibrium as error:
+            name = "effective_pressure_mpa" if pressures else "height_mm"
             raise InputError(
-                f"{source}: [skin] height_mm {height:g} is beyond the skin's limit ({error}); lower it"
-            ) from None
-    for pressure in sensor.skin.effective_pressure_mpa:
-        try:
-            levels.append((pressure, skin.inflate(pressure)))
-        except NoEquilibrium as error:
-            raise InputError(
-                f"{source}: [skin] effective_pressure_mpa {pressure:g} is beyond the skin's "
-                f"limit ({error}); lower it"
+                f"{source}: [skin] {name} {value:g} is beyond the skin's limit ({error}); lower it"
             ) from None
     return levels
 
@@ -232,12 +230,14 @@ def _gather(
         solved = {
             line: _line_values(line, level, depth, done, sensor) for line in lines((line_x, line_y), sensor)
         }
-        parts[:, :, :, depth, level] = _on_grid(solved, grids)
-        for line, place in _not_solved(solved, x, y):
-            heading = HEADING_DEG[line.axis, line.sense]
-            failed.append([*map(float, place), heading, grid.depth_mm[depth], heights[level]])
-            near = [np.abs(g - p) <= grid.line_mm + 1e-9 for g, p in zip((x, y), place, strict=True)]
-            valid[(*np.ix_(*near), depth, level)] = False
+        parts[:, :, :, depth, level] = on_grid(solved, grids)
+        for line, values in solved.items():
+            for at in (x, y)[line.axis][np.isnan(values[:, 0])]:
+                place = (at, line.offset_mm) if line.axis == 0 else (line.offset_mm, at)
+                heading = HEADING_DEG[line.axis, line.sense]
+                failed.append([*map(float, place), heading, grid.depth_mm[depth], heights[level]])
+                near = [np.abs(g - p) <= grid.line_mm + 1e-9 for g, p in zip((x, y), place, strict=True)]
+                valid[(*np.ix_(*near), depth, level)] = False
     statics = np.array([gravity(state.rotations) for _, state in levels])
     pressures = np.array([p for p, _ in levels])
     meta = _meta(sensor, grid, done, failed)
@@ -253,17 +253,11 @@ def _line_values(line: Line, level: int, depth: int, done: Done, sensor: Sensor)
     return values
 
 
-def _not_solved(
-    solved: dict[Line, np.ndarray], x: np.ndarray, y: np.ndarray
-) -> Iterator[tuple[Line, tuple[float, float]]]:
-    """The lines' positions without an equilibrium, each as its line and its place (x, y) mm."""
-    for line, values in solved.items():
-        for at in (x, y)[line.axis][np.isnan(values[:, 0])]:
-            yield line, (at, line.offset_mm) if line.axis == 0 else (line.offset_mm, at)
+def on_grid(solved: dict[Line, np.ndarray], grids: tuple[np.ndarray, ...]) -> np.ndarray:
+    """The mean and the friction parts (3, x, y, channels) of two crossing families of lines, each (n, channels).
 
-
-def _on_grid(solved: dict[Line, np.ndarray], grids: tuple[np.ndarray, ...]) -> np.ndarray:
-    """The mean and the friction parts (3, x, y, channels) of two crossing families of lines."""
+    grids: places along x and along y, and the lines' y and x.
+    """
     x, y, line_y, line_x = grids
     channels = next(iter(solved.values())).shape[1]
     along_x = np.zeros((2, len(x), len(line_y), channels))
@@ -281,7 +275,11 @@ def _on_grid(solved: dict[Line, np.ndarray], grids: tuple[np.ndarray, ...]) -> n
 
 def _meta(sensor: Sensor, grid: Grid, done: Done, failed: list[list[float]]) -> dict[str, Any]:
     """What an atlas says of its origin: design, mesh, grid, cost, failures."""
-    skin = skin_of(sensor)
+    skin, boards = skin_of(sensor), len(sensor.accelerometers)
+    costs = [cost for _, cost in done.values()]
+    total = {name: sum(cost[name] for cost in costs) for name in asdict(Statistics())}
+    # Tilts at either end of each line, where the skin must be at rest again.
+    ends = [v[[0, -1], : PER_BOARD * boards].reshape(2, boards, PER_BOARD)[..., :3] for v, _ in done.values()]
     return {
         "design": design_of(sensor),
         "design_hash": design_hash(sensor),
@@ -289,18 +287,7 @@ def _meta(sensor: Sensor, grid: Grid, done: Done, failed: list[list[float]]) -> 
         "mesh": {**asdict(sensor.mesh), "nodes": len(skin.mesh.nodes), "unknowns": skin.system.size},
         "grid": asdict(grid),
         "tolerance_n": TOLERANCE_N,
-        "statistics": _sum_statistics([s for _, s in done.values()]),
-        "rest_error_g": _rest_error(done, len(sensor.accelerometers)),
+        "statistics": {**total, "lines": len(costs), "deepest_mm": max(cost["deepest_mm"] for cost in costs)},
+        "rest_error_g": float(np.nanmax(np.abs(ends))),
         "failed": failed,
     }
-
-
-def _sum_statistics(rows: list[dict[str, float]]) -> dict[str, float]:
-    total = {name: sum(row[name] for row in rows) for name in asdict(Statistics())}
-    return {**total, "lines": len(rows), "deepest_mm": max(row["deepest_mm"] for row in rows)}
-
-
-def _rest_error(done: Done, boards: int) -> float:
-    """The largest tilt in g left at either end of any line, where the skin must be at rest again."""
-    ends = [values[[0, -1], : 7 * boards].reshape(2, boards, 7)[..., :3] for values, _ in done.values()]
-    return float(np.nanmax(np.abs(ends)))

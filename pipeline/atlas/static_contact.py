@@ -102,10 +102,9 @@ def find_indentation(subtracted_g: np.ndarray, atlas: Atlas, pressure_level: flo
         found = atlas.response(place[:1], place[1:2], None, place[2:3], pressure_level)[0]
         return np.nan_to_num(found - wanted, nan=1.0).ravel()
 
-    depths = np.linspace(atlas.depth_mm[0], atlas.depth_mm[-1], 5 if len(atlas.depth_mm) > 1 else 1)
     ends = []
     margin = 1e-9
-    for depth in depths:
+    for depth in _depths(atlas):
         table = atlas.response(grid_x, grid_y, None, float(depth), pressure_level)
         errors = np.nan_to_num(((table - wanted) ** 2).sum(axis=(1, 2)), nan=np.inf)
         start = np.array([grid_x[errors.argmin()], grid_y[errors.argmin()], depth])
@@ -146,7 +145,7 @@ def indentation_doubt(
         axis.ravel()
         for axis in np.meshgrid(*(np.arange(-r, r + PLACE_MM / 2, PLACE_MM) for r in reach), indexing="ij")
     )
-    depths = np.linspace(atlas.depth_mm[0], atlas.depth_mm[-1], DEPTHS if len(atlas.depth_mm) > 1 else 1)
+    depths = _depths(atlas)
     variance = READING_G**2 + (MODEL_SHARE * np.abs(wanted).max()) ** 2
     off, force = np.empty((2, len(depths), len(x)))
     for n, depth in enumerate(depths):
@@ -161,6 +160,10 @@ def indentation_doubt(
         _interval(np.broadcast_to(depths[:, None], off.shape), weight),
         _interval(np.nan_to_num(force), weight),
     )
+
+
+def _depths(atlas: Atlas) -> np.ndarray:
+    return np.linspace(atlas.depth_mm[0], atlas.depth_mm[-1], DEPTHS if len(atlas.depth_mm) > 1 else 1)
 
 
 def _interval(values: np.ndarray, weight: np.ndarray) -> tuple[float, float]:

@@ -63,9 +63,8 @@ def _confounded(learned: pd.DataFrame) -> list[str]:
     if (ranges >= SAME_SPEED).sum() == 1:
         varied = learned["direction_deg"][heading == ranges.idxmax()].median()
         return [
-            f"speeds differ along one heading alone ({varied:.0f} deg): whether the lag is the same along "
-            "others is not "
-            "known; record another speed along a second heading"
+            f"speeds differ along one heading alone ({varied:.0f} deg): whether the lag is the same along others is "
+            "not known; record another speed along a second heading"
         ]
     return []
 
@@ -79,19 +78,16 @@ def _directions(learned: pd.DataFrame) -> list[str]:
         for low, gap in zip(directions, gaps, strict=True)
         if gap > WIDEST_GAP_DEG
     ]
-    if not wide:
-        return []
-    return [f"directions without a slide: {', '.join(wide)}; motion there is extrapolated"]
+    return [f"directions without a slide: {', '.join(wide)}; motion there is extrapolated"] if wide else []
 
 
 def _lines(learned: pd.DataFrame, sensor: Sensor) -> list[str]:
     """Parts of the chamber, along x or y, that no slide passes."""
-    lines = []
     placed = learned.dropna(subset=["start_x_mm", "start_y_mm", "travel_mm"])
     if placed.empty:
         return ["where on the skin the slides are is not said (start_x_mm, start_y_mm, travel_mm)"]
     angle = np.deg2rad(placed["direction_deg"])
-    steps = np.linspace(0, 1, 60)
+    steps, lines = np.linspace(0, 1, 60), []
     for axis, name, part in ((0, "x", np.cos(angle)), (1, "y", np.sin(angle))):
         start = placed[f"start_{name}_mm"].to_numpy()[:, None]
         passed = (start + (placed["travel_mm"] * part).to_numpy()[:, None] * steps).ravel()
@@ -110,9 +106,8 @@ def _speeds(learned: pd.DataFrame, known: pd.DataFrame) -> list[str]:
     speeds, lines = learned["speed_mm_s"], []
     if speeds.max() < LEAST_SPEED_RATIO * speeds.min():
         lines.append(
-            f"all calibration slides move at {speeds.min():.3g} to {speeds.max():.3g} mm/s: the skin's lag, "
-            "which grows with the "
-            f"speed, is not known; record one {LEAST_SPEED_RATIO:g} times as fast"
+            f"all calibration slides move at {speeds.min():.3g} to {speeds.max():.3g} mm/s: the skin's lag, which "
+            f"grows with the speed, is not known; record one {LEAST_SPEED_RATIO:g} times as fast"
         )
     others = known[~known["split"].str.startswith(CALIBRATION)]
     faster = others[others["speed_mm_s"] > FASTER * speeds.max()]

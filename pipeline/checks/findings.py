@@ -31,34 +31,33 @@ from softslide.pipeline.sensor import NOISE_G_RTHZ, Accelerometer, Sensor
 LEAST_SLIDES = 3  # that show what is usual
 
 
-@dataclass(frozen=True)
 class Limits:
     """What a figure may be. On the emulated bench recordings each has at least a factor of two to spare."""
 
-    longest_step: float = 1.1  # samples
-    rate: float = 0.0005  # of the sensor's rate
-    swing: float = 10.0  # standard deviations; 400 means of noise alone range over 6
-    rail_run: int = MOST_AT_RAIL  # equal samples at the highest or lowest reading
-    noise_high: float = 2.0  # times the data sheet
-    noise_low: float = 0.3  # times the data sheet
-    mains_g: float = 0.01  # amplitude
-    drift_g: float = 0.04  # rest after less rest before
-    usual_drift_g: float = 0.002  # the same of V_x and V_y, median over the slides
-    rest_s: float = 0.5  # before the slide
-    gravity_g: float = 0.3  # of the output at rest, from 1 g
-    inverted: float = -0.4  # mean agreement with the zones
-    follows: float = 0.4  # mean agreement below which an output does not follow its own axis
-    swapped: float = 0.6  # mean agreement with the other's axis
-    slide: float = -0.2  # agreement of one slide with its labels
-    line_mm: float = 2.0  # start less line
-    speed: float = 0.05  # the motion's duration against travel over speed, as a portion
-    ramp_s: float = 1.0  # or, if more, as a time
-    copied: float = 0.3  # portion of the samples that two recordings share
-    same_noise: float = 0.5  # correlation of two recordings' noise
-    same_output: float = 0.95  # correlation of two outputs' noise; high, as shaking moves all of them
-    echo: float = 0.3  # autocorrelation of the noise
-    tone: float = 100.0  # power of a line over the noise floor
-    equal_noise: float = 0.02  # spread of the noise between outputs, over what chance would leave
+    longest_step = 1.1  # samples
+    rate = 0.0005  # of the sensor's rate
+    swing = 10.0  # standard deviations; 400 means of noise alone range over 6
+    rail_run = MOST_AT_RAIL  # equal samples at the highest or lowest reading
+    noise_high = 2.0  # times the data sheet
+    noise_low = 0.3  # times the data sheet
+    mains_g = 0.01  # amplitude
+    drift_g = 0.04  # rest after less rest before
+    usual_drift_g = 0.002  # the same of V_x and V_y, median over the slides
+    rest_s = 0.5  # before the slide
+    gravity_g = 0.3  # of the output at rest, from 1 g
+    inverted = -0.4  # mean agreement with the zones
+    follows = 0.4  # mean agreement below which an output does not follow its own axis
+    swapped = 0.6  # mean agreement with the other's axis
+    slide = -0.2  # agreement of one slide with its labels
+    line_mm = 2.0  # start less line
+    speed = 0.05  # the motion's duration against travel over speed, as a portion
+    ramp_s = 1.0  # or, if more, as a time
+    copied = 0.3  # portion of the samples that two recordings share
+    same_noise = 0.5  # correlation of two recordings' noise
+    same_output = 0.95  # correlation of two outputs' noise; high, as shaking moves all of them
+    echo = 0.3  # autocorrelation of the noise
+    tone = 100.0  # power of a line over the noise floor
+    equal_noise = 0.02  # spread of the noise between outputs, over what chance would leave
 
 
 @dataclass(frozen=True)
@@ -79,16 +78,9 @@ class Finding:
         return f"{self.level}: {self.kind}: {place}: {self.text} ({self.figure:.4g}, limit {self.limit:.4g})"
 
 
-def examine(folder: Folder, limits: Limits | None = None) -> list[Finding]:
-    """Measures every slide once, then compares the slides with each other; errors first.
-
-    A slide that `Folder.load` refuses is a finding, and left out of the rest.
-    """
-    return compared(folder, *measured_slides(folder), limits)
-
-
 def measured_slides(folder: Folder) -> tuple[list[Measurements], list[Finding]]:
-    """The measurements of every slide that can be read, with the labels that follow from others; and what is refused.
+    """The measurements of every slide that can be read, with the labels that follow from others; and what is refused,
+    which the rest leaves out.
 
     Of a sensor with a base what depends on the robot's attitude is measured without its motion.
     """
@@ -108,48 +100,50 @@ def measured_slides(folder: Folder) -> tuple[list[Measurements], list[Finding]]:
     return measured, refused
 
 
-def compared(
-    folder: Folder,
-    measured: Sequence[Measurements],
-    refused: Sequence[Finding],
-    limits: Limits | None = None,
-) -> list[Finding]:
+def compared(folder: Folder, measured: Sequence[Measurements], refused: Sequence[Finding]) -> list[Finding]:
     """The findings on `measured_slides`; errors first. Labels are held against each other as they are given."""
-    limits = limits or Limits()
     if not measured:
         return list(refused)
     manifest = folder.manifest.loc[[one.name for one in measured]]
-    findings = list(_wiring(measured, folder.sensor, limits))
+    findings = list(_wiring(measured, folder.sensor))
     sound = not any(finding.level == "error" for finding in findings)
-    findings += _drifting(measured, folder.sensor, limits)
-    units = list(_units(measured, folder, limits))
-    if any(_is_wrong_speed(finding) for finding in units):
+    findings += _drifting(measured, folder.sensor)
+    units = list(_units(measured, folder))
+    wrong_boards = {unit.channel for unit in units if unit.kind == "unit"}
+    if wrong_speed := any((unit.level, unit.kind) == ("error", "speed") for unit in units):
         # Where the object is, and so which sign is due, follows from the speed.
         findings, sound = [], False
     for one, (_, labels) in zip(measured, manifest.iterrows(), strict=True):
-        findings += _signal(one, folder.sensor, limits)
-        findings += _labels(one, labels, folder.sensor, limits)
+        findings += _signal(one, folder.sensor)
+        findings += _labels(one, labels, folder.sensor)
         if sound:
             # A wrong wire makes every slide disagree with its labels; it is reported once, above.
-            findings += _label_against_signal(one, folder.sensor, limits)
+            findings += _label_against_signal(one, folder.sensor)
     if folder.sensor.origin != "assembled":
-        copies = list(_duplicates(measured, limits))
+        copies = list(_duplicates(measured))
         findings += copies
         copied = {finding.recording for finding in copies}
-        findings += _made_up([one for one in measured if one.name not in copied], folder.sensor, limits)
+        findings += _made_up([one for one in measured if one.name not in copied], folder.sensor)
     findings += _leakage(with_derived_labels(folder).manifest.loc[manifest.index])
-    explained = [finding for finding in findings if not _explained(finding, units)]
-    return sorted([*refused, *units, *explained], key=lambda finding: finding.level)
+
+    def is_explained(finding: Finding) -> bool:
+        """Whether a wrong unit is why: it is reported once."""
+        if finding.kind in ("gravity", "noise", "mains", "drift"):
+            return (finding.channel.rpartition("_v")[0] or finding.channel) in wrong_boards
+        return finding.kind == "labels" and wrong_speed
+
+    others = (finding for finding in findings if not is_explained(finding))
+    return sorted([*refused, *units, *others], key=lambda finding: finding.level)
 
 
-def _units(measured: Sequence[Measurements], folder: Folder, limits: Limits) -> Iterator[Finding]:
+def _units(measured: Sequence[Measurements], folder: Folder) -> Iterator[Finding]:
     """Outputs and speeds in a unit that is not theirs, of the folder as a whole."""
     for k, part in enumerate(folder.sensor.accelerometers):
         rest = np.array([one.rest_v[3 * k : 3 * k + 3] for one in measured])
         rest = rest[np.isfinite(rest).all(axis=1)]
         if len(rest) and (text := impossible_output(np.median(rest, axis=0), asdict(part))):
             off = abs(np.linalg.norm(np.median(rest, axis=0) - part.zero_g_v) / part.sensitivity_v_per_g - 1)
-            yield Finding("error", "unit", "", part.name, float(off), limits.gravity_g, text)
+            yield Finding("error", "unit", "", part.name, float(off), Limits.gravity_g, text)
     factor, text = impossible_speed(folder.manifest, folder.sensor)
     if text:
         # Where no label gives the way, it may be a short one.
@@ -157,37 +151,22 @@ def _units(measured: Sequence[Measurements], folder: Folder, limits: Limits) -> 
         yield Finding(level, "speed", "", "", factor, 1.0, text)
 
 
-def _is_wrong_speed(finding: Finding) -> bool:
-    return (finding.level, finding.kind) == ("error", "speed")
-
-
-def _explained(finding: Finding, units: Sequence[Finding]) -> bool:
-    """Whether a wrong unit is why: it is reported once."""
-    boards = {unit.channel for unit in units if unit.kind == "unit"}
-    if (
-        finding.kind in ("gravity", "noise", "mains", "drift")
-        and (finding.channel.rpartition("_v")[0] or finding.channel) in boards
-    ):
-        return True
-    return finding.kind == "labels" and any(map(_is_wrong_speed, units))
-
-
-def _signal(one: Measurements, sensor: Sensor, limits: Limits) -> Iterator[Finding]:
+def _signal(one: Measurements, sensor: Sensor) -> Iterator[Finding]:
     """One recording's own signal: clock, rest, gravity, and each output's."""
     off = abs(one.rate_hz / sensor.sample_rate_hz - 1)
     yield from _above(
         *(one, ""),
-        ("warning", "clock", one.longest_step, limits.longest_step, "the longest step, in samples"),
-        ("warning", "clock", off, limits.rate, "the rate is off sample_rate_hz by this portion"),
+        ("warning", "clock", one.longest_step, Limits.longest_step, "the longest step, in samples"),
+        ("warning", "clock", off, Limits.rate, "the rate is off sample_rate_hz by this portion"),
     )
-    if one.rest_s < limits.rest_s:
+    if one.rest_s < Limits.rest_s:
         text = "s of rest before the slide"
-        yield Finding("warning", "no rest", one.name, "", float(one.rest_s), limits.rest_s, text)
+        yield Finding("warning", "no rest", one.name, "", float(one.rest_s), Limits.rest_s, text)
     for k, part in enumerate(sensor.accelerometers):
         if part.measures_gravity:
             rest_g = (one.rest_v[3 * k : 3 * k + 3] - part.zero_g_v) / part.sensitivity_v_per_g
             off, text = abs(float(np.linalg.norm(rest_g)) - 1), "g off the 1 g that is due at rest"
-            yield from _above(one, part.name, ("warning", "gravity", off, limits.gravity_g, text))
+            yield from _above(one, part.name, ("warning", "gravity", off, Limits.gravity_g, text))
         for n in range(3 * k, 3 * k + 3):
             channel, span_v = sensor.channels[n], float(one.span_v[n])
             if span_v <= sensor.adc_step_v:
@@ -195,39 +174,37 @@ def _signal(one: Measurements, sensor: Sensor, limits: Limits) -> Iterator[Findi
                 yield Finding("error", "dead", one.name, channel, span_v, sensor.adc_step_v, text)
                 continue
             if part.measures_gravity:
-                yield from _acceleration(one, n, channel, part, limits)
+                yield from _acceleration(one, n, channel, part)
             if sensor.origin != "assembled":
-                yield from _output(one, n, channel, limits)
+                yield from _output(one, n, channel)
 
 
-def _acceleration(
-    one: Measurements, n: int, channel: str, part: Accelerometer, limits: Limits
-) -> Iterator[Finding]:
+def _acceleration(one: Measurements, n: int, channel: str, part: Accelerometer) -> Iterator[Finding]:
     """One output of an accelerometer, in g: noise, mains, drift. n: of its channel."""
     noise, mains, drift = (
         v[n] / part.sensitivity_v_per_g for v in (one.noise_v_rthz, one.mains_v, np.abs(one.drift_v))
     )
     sheet = NOISE_G_RTHZ.get(part.model, np.nan)
-    high, low = limits.noise_high * sheet, limits.noise_low * sheet
+    high, low = Limits.noise_high * sheet, Limits.noise_low * sheet
     yield from _above(
         *(one, channel),
         ("warning", "noise", noise, high, f"g/sqrt(Hz), more than the {part.model} has"),
-        ("warning", "mains", mains, limits.mains_g, f"g at {one.mains_hz:g} Hz"),
-        ("warning", "drift", drift, limits.drift_g, "g between rest before and after"),
+        ("warning", "mains", mains, Limits.mains_g, f"g at {one.mains_hz:g} Hz"),
+        ("warning", "drift", drift, Limits.drift_g, "g between rest before and after"),
     )
     if noise < low:
         text = f"g/sqrt(Hz), less than any {part.model} has"
         yield Finding("warning", "noise", one.name, channel, float(noise), float(low), text)
 
 
-def _output(one: Measurements, n: int, channel: str, limits: Limits) -> Iterator[Finding]:
+def _output(one: Measurements, n: int, channel: str) -> Iterator[Finding]:
     """One output's signal, whatever it measures: clipped, tones, repeats. n: of its channel."""
     tone = f"times the noise floor at {one.tone_hz[n]:g} Hz: a pure tone, a machine's or a program's"
     yield from _above(
         *(one, channel),
-        ("error", "clipped", one.rail_run[n], limits.rail_run, "equal samples at a rail"),
-        ("warning", "tone", one.tone_ratio[n], limits.tone, tone),
-        ("error", "made up", one.echo[n], limits.echo, "the noise repeats itself"),
+        ("error", "clipped", one.rail_run[n], Limits.rail_run, "equal samples at a rail"),
+        ("warning", "tone", one.tone_ratio[n], Limits.tone, tone),
+        ("error", "made up", one.echo[n], Limits.echo, "the noise repeats itself"),
     )
 
 
@@ -238,57 +215,47 @@ def _above(one: Measurements, channel: str, *rows: tuple[str, str, float, float,
             yield Finding(level, kind, one.name, channel, float(figure), float(limit), text)
 
 
-def _labels(one: Measurements, labels: pd.Series, sensor: Sensor, limits: Limits) -> Iterator[Finding]:
+def _labels(one: Measurements, labels: pd.Series, sensor: Sensor) -> Iterator[Finding]:
     """Labels that contradict each other, or a signal that shows nothing of the slide."""
     touched = [channel[-1] in sensor.touch_axes for channel in sensor.channels]
-    if labels["direction_deg"] >= 0.0 and (swing := float(one.swing[touched].max())) < limits.swing:
+    if labels["direction_deg"] >= 0.0 and (swing := float(one.swing[touched].max())) < Limits.swing:
         text = f"times the noise between its means of {MEAN_S:g} s: nothing shows of this slide"
-        yield Finding("warning", "no contact", one.name, "", swing, limits.swing, text)
+        yield Finding("warning", "no contact", one.name, "", swing, Limits.swing, text)
     duration = labels["motion_end_s"] - labels["motion_start_s"]
     due = labels["travel_mm"] / labels["speed_mm_s"]
     # A stage takes its time to speed up and to stop; that does not contradict its label.
-    ramps, line = (
-        max(limits.ramp_s, limits.speed * due),
-        "mm between the start and the line of direction and offset",
-    )
+    ramps = max(Limits.ramp_s, Limits.speed * due)
+    line = "mm between the start and the line of direction and offset"
     moments = "s between the moments of motion and travel over speed"
     yield from _above(
         *(one, ""),
-        ("error", "labels", abs(line_mismatch_mm(labels, sensor)), limits.line_mm, line),
+        ("error", "labels", abs(line_mismatch_mm(labels, sensor)), Limits.line_mm, line),
         ("error", "labels", abs(duration - due), ramps, moments),
     )
 
 
-def _label_against_signal(one: Measurements, sensor: Sensor, limits: Limits) -> Iterator[Finding]:
+def _label_against_signal(one: Measurements, sensor: Sensor) -> Iterator[Finding]:
     """Slides whose signs disagree with their labels: forward labelled as backward, an offset without its sign."""
     for k, part in enumerate(sensor.accelerometers):
-        for i, axis in enumerate("xy" if part.measures_gravity else ""):
-            if one.agreement[k, i, i] < limits.slide:
+        if not part.measures_gravity:
+            continue
+        agreement, channels = one.agreement[k], [f"{part.name}_v{axis}" for axis in "xy"]
+        own = agreement[:2].diagonal().tolist()
+        for i, channel in enumerate(channels):
+            if own[i] < Limits.slide:
                 text = "agreement with the zones due for direction and offset: another slide than labelled"
-                figure, channel = float(one.agreement[k, i, i]), f"{part.name}_v{axis}"
-                yield Finding("error", "label against signal", one.name, channel, figure, limits.slide, text)
-        if part.measures_gravity and (channels := _exchanged(one.agreement[k], limits)):
-            i, j = channels
-            text = f"agreement with its axis, which {part.name}_v{'xy'[j]} follows instead: x and y are swapped here"
-            channel, figure = f"{part.name}_v{'xy'[i]}", float(one.agreement[k, i, i])
-            yield Finding("error", "swapped", one.name, channel, figure, limits.follows, text)
+                yield Finding("error", "label against signal", one.name, channel, own[i], Limits.slide, text)
+        if (np.nan_to_num(own) > Limits.follows).any():
+            continue  # What follows both axes does so by chance, on a diagonal.
+        swapped = [i for i in (0, 1) if agreement[1 - i, i] > Limits.swapped and not np.isnan(own[i])]
+        for i in swapped[:1]:
+            text = (
+                f"agreement with its axis, which {channels[1 - i]} follows instead: x and y are swapped here"
+            )
+            yield Finding("error", "swapped", one.name, channels[i], own[i], Limits.follows, text)
 
 
-def _exchanged(agreement: np.ndarray, limits: Limits) -> tuple[int, int] | None:
-    """Of one slide, agreement (3, 2): an output that does not follow its axis, and the other one, which does.
-
-    None where either output follows its own axis: what follows both does so by chance, on a diagonal.
-    """
-    own = np.nan_to_num(agreement[:2].diagonal())
-    if (own > limits.follows).any():
-        return None
-    for i, j in ((0, 1), (1, 0)):
-        if agreement[j, i] > limits.swapped and not np.isnan(agreement[i, i]):
-            return i, j
-    return None
-
-
-def _wiring(measured: Sequence[Measurements], sensor: Sensor, limits: Limits) -> Iterator[Finding]:
+def _wiring(measured: Sequence[Measurements], sensor: Sensor) -> Iterator[Finding]:
     """Outputs inverted, swapped or not following, over all labelled slides; and z against gravity."""
     for k, part in enumerate(sensor.accelerometers):
         if not part.measures_gravity:
@@ -304,20 +271,20 @@ def _wiring(measured: Sequence[Measurements], sensor: Sensor, limits: Limits) ->
             continue
         mean = np.where(known, agreement, 0).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
         for i, axis in enumerate("xy"):
-            channel = f"{part.name}_v{axis}"
-            others = [j for j in range(3) if j != i and abs(mean[j, i]) > limits.swapped]
-            if abs(mean[i, i]) < limits.follows and others:
+            channel, own = f"{part.name}_v{axis}", float(mean[i, i])
+            others = [j for j in range(3) if j != i and abs(mean[j, i]) > Limits.swapped]
+            if abs(own) < Limits.follows and others:
                 text = f"mean agreement with its axis, which {part.name}_v{'xyz'[others[0]]} follows instead"
-                yield Finding("error", "swapped", "", channel, float(mean[i, i]), limits.follows, text)
-            elif mean[i, i] < limits.inverted:
+                yield Finding("error", "swapped", "", channel, own, Limits.follows, text)
+            elif own < Limits.inverted:
                 text = "mean agreement with the article's zones: its sign is inverted"
-                yield Finding("error", "inverted", "", channel, float(mean[i, i]), limits.inverted, text)
-            elif mean[i, i] < limits.follows:
+                yield Finding("error", "inverted", "", channel, own, Limits.inverted, text)
+            elif own < Limits.follows:
                 text = "mean agreement with the article's zones: it does not follow the slides"
-                yield Finding("error", "dead", "", channel, float(mean[i, i]), limits.follows, text)
+                yield Finding("error", "dead", "", channel, own, Limits.follows, text)
 
 
-def _drifting(measured: Sequence[Measurements], sensor: Sensor, limits: Limits) -> Iterator[Finding]:
+def _drifting(measured: Sequence[Measurements], sensor: Sensor) -> Iterator[Finding]:
     """Outputs along the skin's plane that drift in most slides: each is learned with a zero that moves."""
     drift_v = np.array([np.abs(one.drift_v) for one in measured])
     drift_v = drift_v[np.isfinite(drift_v).all(axis=1)]
@@ -326,28 +293,25 @@ def _drifting(measured: Sequence[Measurements], sensor: Sensor, limits: Limits) 
     for k, part in enumerate(sensor.accelerometers):
         for n in (0, 1) if part.measures_gravity else ():
             drift_g = float(np.median(drift_v[:, 3 * k + n])) / part.sensitivity_v_per_g
-            if drift_g > limits.usual_drift_g:
+            if drift_g > Limits.usual_drift_g:
                 text = f"g between rest before and after, median of {len(drift_v)} slides: a warm-up may help"
                 channel = sensor.channels[3 * k + n]
-                yield Finding("warning", "drift", "", channel, drift_g, limits.usual_drift_g, text)
+                yield Finding("warning", "drift", "", channel, drift_g, Limits.usual_drift_g, text)
 
 
-def _duplicates(measured: Sequence[Measurements], limits: Limits) -> Iterator[Finding]:
+def _duplicates(measured: Sequence[Measurements]) -> Iterator[Finding]:
     """Recordings that hold the samples of an earlier one to the last bit, wherever they begin."""
     owner: dict[int, int] = {}
     for n, one in enumerate(measured):
         owners = [owner.setdefault(int(mark), n) for mark in one.landmarks]
-        shared = Counter(m for m in owners if m != n)
-        if not shared:
-            continue
-        m, count = shared.most_common(1)[0]
-        share = count / min(len(one.landmarks), len(measured[m].landmarks))
-        if share > limits.copied:
-            text = f"of its samples, or of the other's, are those of {measured[m].name} to the last bit"
-            yield Finding("error", "duplicate", one.name, "", share, limits.copied, text)
+        for m, count in Counter(m for m in owners if m != n).most_common(1):
+            share = count / min(len(one.landmarks), len(measured[m].landmarks))
+            if share > Limits.copied:
+                text = f"of its samples, or of the other's, are those of {measured[m].name} to the last bit"
+                yield Finding("error", "duplicate", one.name, "", share, Limits.copied, text)
 
 
-def _made_up(measured: Sequence[Measurements], sensor: Sensor, limits: Limits) -> Iterator[Finding]:
+def _made_up(measured: Sequence[Measurements], sensor: Sensor) -> Iterator[Finding]:
     """Noise that two recordings or two outputs share, and outputs whose noise is equal beyond chance."""
     whole = [one for one in measured if len(one.fingerprint) == max(len(v.fingerprint) for v in measured)]
     outputs = len(sensor.channels)
@@ -356,22 +320,22 @@ def _made_up(measured: Sequence[Measurements], sensor: Sensor, limits: Limits) -
         own = b - b % outputs
         shared = np.abs(noise[:b] @ noise[b])
         one, channel = whole[b // outputs], sensor.channels[b % outputs]
-        if own < b and (figure := float(shared[own:].max())) > limits.same_output:
+        if own < b and (figure := float(shared[own:].max())) > Limits.same_output:
             text = "correlation of its noise with another output's: a generator's, repeated"
-            yield Finding("warning", "made up", one.name, channel, figure, limits.same_output, text)
-        if own and (figure := float(shared[:own].max())) > limits.same_noise:
+            yield Finding("warning", "made up", one.name, channel, figure, Limits.same_output, text)
+        if own and (figure := float(shared[:own].max())) > Limits.same_noise:
             other = whole[int(shared[:own].argmax()) // outputs].name
             text = f"correlation of its noise with that of {other}: a generator's, repeated"
-            yield Finding("error", "made up", one.name, channel, figure, limits.same_noise, text)
+            yield Finding("error", "made up", one.name, channel, figure, Limits.same_noise, text)
     variance = np.array([one.noise_v_rthz**2 for one in measured if np.isfinite(one.noise_v_rthz).all()])
     if len(variance) < 5:
         return
     chance = variance.std(axis=0, ddof=1).mean() / np.sqrt(len(variance))
     spread = variance.mean(axis=0).std(ddof=1)
     relative = float(spread / variance.mean())
-    if relative < limits.equal_noise and spread < 2 * chance:
+    if relative < Limits.equal_noise and spread < 2 * chance:
         text = "spread of the noise's variance between outputs, no more than chance leaves; real ones differ"
-        yield Finding("warning", "made up", "", "", relative, limits.equal_noise, text)
+        yield Finding("warning", "made up", "", "", relative, Limits.equal_noise, text)
 
 
 def _leakage(manifest: pd.DataFrame) -> Iterator[Finding]:

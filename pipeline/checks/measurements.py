@@ -7,7 +7,7 @@ import pandas as pd
 from scipy.signal import welch
 
 from softslide.pipeline.checks.rail_run import rail_run
-from softslide.pipeline.checks.zone_signs import sign_agreement
+from softslide.pipeline.checks.zone_signs import sign_agreement, successive_means
 from softslide.pipeline.recordings.folder import Recording
 from softslide.pipeline.sensor import Sensor
 
@@ -39,7 +39,6 @@ class Measurements:
     """
 
     name: str
-    samples: int
     rate_hz: float
     longest_step: float
     span_v: np.ndarray
@@ -82,7 +81,6 @@ def measure(
     noise = np.diff(volts[: FINGERPRINT + 2], n=2, axis=0)
     return Measurements(
         name=recording.name,
-        samples=len(time_s),
         rate_hz=(len(time_s) - 1) / (time_s[-1] - time_s[0]),
         longest_step=float(np.diff(time_s).max() * rate),
         span_v=np.ptp(volts, axis=0),
@@ -105,11 +103,9 @@ def measure(
 
 def _swing(volts: np.ndarray, count: int, floor: np.ndarray) -> np.ndarray:
     """Highest less lowest mean of `count` samples, over its standard deviation in white noise of this density."""
-    whole = len(volts) // count * count if count else 0
-    if not whole:
+    if not 0 < count <= len(volts):
         return np.full(volts.shape[1], np.nan)
-    means = volts[:whole].reshape(-1, count, volts.shape[1]).mean(axis=1)
-    return np.ptp(means, axis=0) / np.sqrt(np.maximum(floor, 1e-300) / (2 * MEAN_S))
+    return np.ptp(successive_means(volts, count), axis=0) / np.sqrt(np.maximum(floor, 1e-300) / (2 * MEAN_S))
 
 
 def _landmarks(volts: np.ndarray) -> np.ndarray:
@@ -174,7 +170,7 @@ def _tones(frequency: np.ndarray, power: np.ndarray, floor: np.ndarray) -> tuple
     """The strongest line that is not a harmonic of the mains, (channels,) Hz, and its power over the floor."""
     other = np.ones(len(frequency), bool)
     for mains in MAINS_HZ:
-        other &= np.abs((frequency + mains / 2) % mains - mains / 2) > 3
+        other &= _off_harmonics(frequency, mains) > 3
     if not other.any():
         return np.full(power.shape[1], np.nan), np.zeros(power.shape[1])
     ratio = power[other] / np.maximum(floor, 1e-300)
@@ -195,6 +191,11 @@ def _echo(volts: np.ndarray, rate_hz: float) -> np.ndarray:
     spectrum = np.fft.rfft(noise - noise.mean(axis=0), length, axis=0)
     frequency = np.fft.rfftfreq(length, 1 / rate_hz)
     for mains in MAINS_HZ:
-        spectrum[np.abs((frequency + mains / 2) % mains - mains / 2) < 1] = 0
+        spectrum[_off_harmonics(frequency, mains) < 1] = 0
     correlation = np.fft.irfft(np.abs(spectrum) ** 2, axis=0)[:count]
     return correlation[lag : count // 2].max(axis=0) / np.maximum(correlation[0], 1e-300)
+
+
+def _off_harmonics(frequency: np.ndarray, mains: float) -> np.ndarray:
+    """How far (f,) Hz are from the nearest harmonic of the mains, 0 among them."""
+    return np.abs((frequency + mains / 2) % mains - mains / 2)

@@ -57,7 +57,9 @@ def sign_agreement(recording: Recording, labels: pd.Series, sensor: Sensor) -> n
     agreement = np.full((len(sensor.accelerometers), 3, 2), np.nan)
     if labels[list(NEEDED)].isna().any():
         return agreement
-    time_s, volts = _hundredths(recording, sensor.sample_rate_hz)
+    # Means over hundredths of a second: the noise goes, the slide stays.
+    count = max(int(sensor.sample_rate_hz / 100), 1)
+    time_s, volts = (successive_means(values, count) for values in (recording.time_s, recording.volts))
     rest = time_s < labels["motion_start_s"]
     if rest.sum() < 2:
         return agreement
@@ -78,11 +80,7 @@ def sign_agreement(recording: Recording, labels: pd.Series, sensor: Sensor) -> n
     return agreement
 
 
-def _hundredths(recording: Recording, rate_hz: float) -> tuple[np.ndarray, np.ndarray]:
-    """Means over hundredths of a second: the noise goes, the slide stays."""
-    block = max(int(rate_hz / 100), 1)
-    count = len(recording.time_s) // block
-    time_s = recording.time_s[: count * block].reshape(count, block).mean(axis=1)
-    return time_s, recording.volts[: count * block].reshape(count, block, recording.volts.shape[1]).mean(
-        axis=1
-    )
+def successive_means(values: np.ndarray, count: int) -> np.ndarray:
+    """(m, ...) means of `count` values each of (n, ...), one after the other; what is left over is not used."""
+    whole = len(values) // count
+    return values[: whole * count].reshape(whole, count, *values.shape[1:]).mean(axis=1)

@@ -219,16 +219,12 @@ def _pattern(files: Sequence[Path], is_split: bool, labels: Labels) -> list[str]
     """Of the file's name; of its path where folders are called as splits are, or hold files of the same name."""
     twice = len({path.name for path in files}) < len(files)
     start = f"(?P<split>{SPLIT})/.*?" if is_split else ""
-    groups = f"(?P<recording>{'[^/]+/' if twice else ''}{_groups(labels)})"
-    return [rf"pattern = '{start}{groups}\.[^.]*$'"]
-
-
-def _groups(labels: Labels) -> str:
     parts = [
         f"{re.escape(word)}{between}(?P<{_group(label)}>{number}){'' if word else EDGE}"
         for label, (word, between, number) in labels.items()
     ]
-    return r"[^/]*?" + "".join(f"{part}[^/]*?" for part in parts)
+    groups = r"[^/]*?" + "".join(f"{part}[^/]*?" for part in parts)
+    return [rf"pattern = '{start}(?P<recording>{'[^/]+/' if twice else ''}{groups})\.[^.]*$'"]
 
 
 def _group(label: str) -> str:
@@ -240,17 +236,14 @@ def _found(files: Sequence[Path]) -> Labels:
     found: Labels = {}
     for match in re.finditer(rf"([A-Za-zÄÖÜäöü]+)[=_-]?[-+]?{NUMBER}|{EDGE}{AXIS}{EDGE}", files[0].stem):
         word = match[1] or ""
-        label = next((name for name, words in WORDS.items() if word.lower() in words), "direction_deg")
+        label = next((name for name, words in WORDS.items() if word.lower() in words), "")
         # A minus before what has no sign is a dash.
         between, number = ("[=_]?", rf"[-+]?{NUMBER}") if label in SIGNED else ("[=_-]?", NUMBER)
-        parts = (word, between, number) if word else ("", EDGE, AXIS)
-        known = not word or any(word.lower() in words for words in WORDS.values())
-        everywhere = all(
-            re.search(re.escape(word) + between + number if word else EDGE + AXIS + EDGE, p.stem)
-            for p in files
-        )
-        if known and everywhere:
-            found.setdefault(label, parts)
+        if not word:
+            label, between, number = "direction_deg", EDGE, AXIS
+        pattern = re.escape(word) + between + number + ("" if word else EDGE)
+        if label and all(re.search(pattern, path.stem) for path in files):
+            found.setdefault(label, (word, between, number))
     return found
 
 

@@ -134,9 +134,9 @@ class Map:
         for channel in self.sensor.columns:
             if channel not in self.channels:
                 raise ValueError(f"[channels.{channel}] is missing; say where the sensor's output is")
-        _known("channels", self.channels, self.sensor.columns)
-        _known("boards", self.boards, tuple(a.name for a in self.sensor.parts))
-        _known("labels", self.labels, ("recording", "split", *LABELS))
+        check_known("channels", self.channels, self.sensor.columns)
+        check_known("boards", self.boards, tuple(a.name for a in self.sensor.parts))
+        check_known("labels", self.labels, ("recording", "split", *LABELS))
         for name, label in self.labels.items():
             if label.name and label.name not in groups:
                 raise ValueError(
@@ -192,15 +192,6 @@ def compiled(pattern: str) -> Any:
         raise ValueError(f"pattern is not a regular expression of RE2 ({text})") from None
 
 
-def is_grid(path: Path) -> bool:
-    """Whether the map is of a grid of presses, which `pipeline.importers.grid` reads.
-
-    Raises:
-        InputError: the file is missing or no TOML.
-    """
-    return read_toml(path, "name a map, or start from a template").get("kind") == "grid"
-
-
 def template(kind: str) -> str:
     """A commented map to start from."""
     folder = Path(__file__).parent / "templates"
@@ -214,6 +205,7 @@ def sensor_template() -> str:
     return (Path(__file__).parent / "templates" / "sensor.toml").read_text(encoding="utf-8")
 
 
-def _known(name: str, given: dict[str, Any], known: tuple[str, ...]) -> None:
+def check_known(name: str, given: dict[str, Any], known: tuple[str, ...]) -> None:
+    """Raises ValueError where a table of the map has a key that is not known."""
     if unknown := [key for key in given if key not in known]:
         raise ValueError(f"unknown key '{name}.{unknown[0]}'; known are {', '.join(known)}")

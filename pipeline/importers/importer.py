@@ -7,8 +7,9 @@ from pathlib import Path
 from softslide.features.errors import InputError
 from softslide.pipeline.importers.grid.assemble import import_grid
 from softslide.pipeline.importers.grid.grid_map import read_grid_map
-from softslide.pipeline.importers.import_map import is_grid, read_map
+from softslide.pipeline.importers.import_map import read_map
 from softslide.pipeline.importers.run import Imported, import_files
+from softslide.pipeline.toml_tables import read_toml
 
 
 def import_recordings(
@@ -21,7 +22,7 @@ def import_recordings(
     """
     files = [Path(each) for each in ([sources] if isinstance(sources, str | Path) else sources)]
     map, out = Path(map), Path(out)
-    if not is_grid(map):
+    if read_toml(map, "name a map, or start from a template").get("kind") != "grid":
         return import_files(files, read_map(map), out)
     if len(files) > 1:
         raise InputError(f"{files[1]}: a grid of presses is one file; import each to a folder")

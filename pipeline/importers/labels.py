@@ -9,7 +9,6 @@ import pandas as pd
 
 from softslide.features.errors import InputError
 from softslide.pipeline.importers.import_map import Label, Map
-from softslide.pipeline.recordings.manifest import LABELS
 from softslide.pipeline.recordings.text_table import read_text_table
 
 Row = dict[str, str | float]
@@ -74,30 +73,19 @@ def label_row(
         if target == "split":
             row[target] = str(text)
         elif not (text == "" or (isinstance(text, float) and np.isnan(text))):
-            row[target] = _number(text, target, label, mapping, source)
+            decimal = mapping.sheet.decimal if label.sheet and mapping.sheet else "."
+            try:
+                row[target] = float(str(text).replace(decimal, ".")) * label.scale
+            except ValueError:
+                raise InputError(
+                    f"{source}: {target} is '{text}', no number; correct it or give it a value in the map"
+                ) from None
     return row
-
-
-def _number(text: Any, target: str, label: Label, mapping: Map, source: Path) -> float:
-    decimal = mapping.sheet.decimal if label.sheet and mapping.sheet else "."
-    try:
-        number = float(str(text).replace(decimal, ".")) * label.scale
-    except ValueError:
-        raise InputError(
-            f"{source}: {target} is '{text}', no number; correct it or give it a value in the map"
-        ) from None
-    return number
 
 
 def label_columns(mapping: Map) -> list[str]:
     """The data columns that hold labels."""
-    return sorted(
-        {
-            label.column
-            for name, label in mapping.labels.items()
-            if label.column and name in (*LABELS, "split")
-        }
-    )
+    return sorted({label.column for label in mapping.labels.values() if label.column})
 
 
 def one_value(path: Path, column: str, values: np.ndarray, so_far: Any) -> Any:

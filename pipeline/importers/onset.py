@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from softslide.pipeline.checks.zone_signs import successive_means
 from softslide.pipeline.recordings.folder import Recording
 
 BLOCK_S = 0.02
@@ -22,7 +23,7 @@ def onset_s(recording: Recording) -> float:
     count = len(recording.time_s) // block
     if count * BLOCK_S < 1:
         return float("nan")
-    means = recording.volts[: count * block].reshape(count, block, -1).mean(axis=1)
+    means = successive_means(recording.volts, block)
     rest = means[: max(round(0.5 / BLOCK_S), 4)]
     away = np.sqrt(((means - rest.mean(axis=0)) ** 2).mean(axis=1))
     scatter = float(np.sqrt(rest.var(axis=0, ddof=1).mean()))

@@ -62,49 +62,45 @@ def import_files(sources: Sequence[Path], mapping: Map, out: Path) -> Imported:
     if out.exists() and not out.is_dir():
         raise InputError(f"{out}: a file of this name is in the way; name a folder")
     jobs = find_sources(sources, mapping)
-    sheet, to_volts = read_sheet(mapping), converter(mapping)
     partial = out.parent / f".{out.name}.partial"
+    import_one = bound(
+        _import_one, mapping=mapping, sheet=read_sheet(mapping), to_volts=converter(mapping), partial=partial
+    )
     with alone(partial, out):
-        resumed, notes = _imported(jobs, mapping, sheet, to_volts, partial, out)
+        # Nothing is left in it but by a process that is killed or a disk that is full.
+        try:
+            journal = Journal(partial, mapping)
+            resumed = _import_new(jobs, journal, import_one, mapping)
+            notes = _finish(jobs, mapping, journal, partial, out)
+        except InputError:
+            shutil.rmtree(partial, ignore_errors=True)
+            raise
+        shutil.rmtree(partial)
     return Imported(out, len(jobs), resumed, tuple(notes))
 
 
-def _imported(
-    jobs: Sequence[Source],
-    mapping: Map,
-    sheet: dict[str, dict[Any, str]],
-    to_volts: Callable[[np.ndarray], np.ndarray],
-    partial: Path,
-    out: Path,
-) -> tuple[int, list[str]]:
-    """Writes `out`; how many recordings an earlier call had done, and messages. Nothing is left in `partial` but by a
-    process that is killed or a disk that is full."""
+def _import_new(
+    jobs: Sequence[Source], journal: Journal, import_one: Callable[..., dict[str, Any]], mapping: Map
+) -> int:
+    """Imports what an earlier call had not; how many recordings it had."""
     resumed = done = 0
     total = sum(size_bytes(path) for job in jobs for path in job.files.values())
-    try:
-        journal = Journal(partial, mapping)
-        with progress_bar("import", "B", total=total) as bar:
+    with progress_bar("import", "B", total=total) as bar:
 
-            def progress(portion: float, job: Source) -> None:
-                bar.update(int(done + portion * sum(map(size_bytes, job.files.values()))) - bar.n)
+        def progress(portion: float, job: Source) -> None:
+            bar.update(int(done + portion * sum(map(size_bytes, job.files.values()))) - bar.n)
 
-            for job in jobs:
-                if journal.has(job):
-                    resumed += 1
-                else:
-                    try:
-                        entry = _import_one(job, mapping, sheet, to_volts, partial, bound(progress, job=job))
-                    except InputError as error:
-                        raise InputError(f"{error}{cure(next(iter(job.files.values())), mapping)}") from None
-                    journal.add(job, entry)
-                progress(1.0, job)
-                done = bar.n
-        notes = _finish(jobs, mapping, journal, partial, out)
-    except InputError:
-        shutil.rmtree(partial, ignore_errors=True)
-        raise
-    shutil.rmtree(partial)
-    return resumed, notes
+        for job in jobs:
+            if journal.has(job):
+                resumed += 1
+            else:
+                try:
+                    journal.add(job, import_one(job, progress=bound(progress, job=job)))
+                except InputError as error:
+                    raise InputError(f"{error}{cure(next(iter(job.files.values())), mapping)}") from None
+            progress(1.0, job)
+            done = bar.n
+    return resumed
 
 
 def find_sources(sources: Sequence[Path], mapping: Map) -> list[Source]:
@@ -120,7 +116,9 @@ def find_sources(sources: Sequence[Path], mapping: Map) -> list[Source]:
         if not source.exists():
             raise InputError(f"{source}: no such file or folder; name one that exists")
         for path in _files(source, mapping.kind):
-            match = pattern.search(_matched(path, source, mapping))
+            # A pattern with a / is looked for in the path below the source.
+            below = "/" in mapping.pattern and path != source
+            match = pattern.search(path.relative_to(source).as_posix() if below else path.name)
             if match is None:
                 if path == source:
                     raise InputError(
@@ -147,13 +145,6 @@ def find_sources(sources: Sequence[Path], mapping: Map) -> list[Source]:
         )
         raise InputError(f"{', '.join(map(str, sources))}: no file ({kinds}) fits the map; {remedy}")
     return [found[name] for name in sorted(found)]
-
-
-def _matched(path: Path, source: Path, mapping: Map) -> str:
-    """What the map's pattern is looked for in: the file's name, or where that has a / its path below the source."""
-    if "/" in mapping.pattern and path != source:
-        return path.relative_to(source).as_posix()
-    return path.name
 
 
 def _files(source: Path, kind: str) -> list[Path]:

@@ -12,7 +12,7 @@ from softslide.features.errors import InputError
 from softslide.features.regular_file import check_regular
 from softslide.pipeline.importers.import_map import Map
 from softslide.pipeline.importers.labels import label_columns, one_value
-from softslide.pipeline.importers.readers.chunk import Chunk, guarded
+from softslide.pipeline.importers.readers.chunk import guarded
 from softslide.pipeline.importers.readers.registry import READERS
 from softslide.pipeline.importers.resampling import (
     ClockReport,
@@ -80,7 +80,8 @@ def _open(
     lanes: dict[tuple[str, str], list[str]] = {}
     for channel in mapping.sensor.columns:
         signal = mapping.channels[channel]
-        lanes.setdefault((signal.part, _topic(mapping, signal.column)), []).append(channel)
+        topic = signal.column.partition(".")[0] if mapping.kind == "ros" else ""
+        lanes.setdefault((signal.part, topic), []).append(channel)
     streams = []
     for n, ((part, topic), channels) in enumerate(lanes.items()):
         if part not in source.files:
@@ -92,14 +93,10 @@ def _open(
         columns = [mapping.channels[channel].column for channel in channels]
         path = source.files[part]
         # Streams are read side by side, so that the first one's progress is everyone's.
-        samples = _samples(path, topic, columns, labels, mapping, reading, progress if n == 0 else _quiet)
+        samples = _samples(path, topic, columns, labels, mapping, reading, None if n else progress)
         streams.append(checked(samples, path, mapping.time, reading.clock))
     flat = [channel for channels in lanes.values() for channel in channels]
     return [flat.index(channel) for channel in mapping.sensor.columns], streams, reading
-
-
-def _topic(mapping: Map, column: str) -> str:
-    return column.partition(".")[0] if mapping.kind == "ros" else ""
 
 
 def _samples(
@@ -109,18 +106,24 @@ def _samples(
     labels: list[str],
     mapping: Map,
     reading: Reading,
-    progress: Callable[[float], None],
+    progress: Callable[[float], None] | None,
 ) -> Iterator[Samples]:
+    if not path.is_dir():
+        check_regular(path, MOST_BYTES, "name the lab's files, or their folder")
     clock = mapping.time
     unit = "ns" if mapping.kind == "ros" else clock.unit
     time = [f"{topic}.{clock.column}" if topic else clock.column] if clock.column else []
     row = 0
     wanted = list(dict.fromkeys([*time, *columns, *labels]))
-    for chunk in guarded(path, mapping.kind, _read(path, wanted, mapping)):
-        progress(chunk.done)
+    layouts: dict[str, Any] = {"csv": mapping.csv, "xlsx": mapping.xlsx}
+    layout = (layouts[mapping.kind],) if mapping.kind in layouts else ()
+    for chunk in guarded(path, mapping.kind, READERS[mapping.kind].read()(path, wanted, *layout)):
+        if progress:
+            progress(chunk.done)
         for label in labels:
             reading.cells[label] = one_value(path, label, chunk.columns[label], reading.cells.get(label))
-        values = np.column_stack([_numbers(chunk.columns[column]) for column in columns])
+        numbers = (pd.to_numeric(pd.Series(chunk.columns[column]), errors="coerce") for column in columns)
+        values = np.column_stack([each.to_numpy(dtype=float, na_value=np.nan) for each in numbers])
         if not time:
             yield np.arange(row, row + len(chunk)) / clock.rate_hz, values
         elif len(chunk):
@@ -138,20 +141,3 @@ def _samples(
                 ) from None
             yield time_s, values
         row += len(chunk)
-
-
-def _quiet(done: float) -> None:
-    """No progress."""
-
-
-def _numbers(values: np.ndarray) -> np.ndarray:
-    return pd.to_numeric(pd.Series(values), errors="coerce").to_numpy(dtype=float, na_value=np.nan)
-
-
-def _read(path: Path, columns: list[str], mapping: Map) -> Iterator[Chunk]:
-    """Opens a file with the reader of the map's kind."""
-    if not path.is_dir():
-        check_regular(path, MOST_BYTES, "name the lab's files, or their folder")
-    layouts: dict[str, Any] = {"csv": mapping.csv, "xlsx": mapping.xlsx}
-    layout = (layouts[mapping.kind],) if mapping.kind in layouts else ()
-    return READERS[mapping.kind].read()(path, columns, *layout)

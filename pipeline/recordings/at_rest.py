@@ -99,13 +99,8 @@ def _above_noise(rests: list[np.ndarray], rate_hz: float, conditioning: Conditio
     times = float(TRIGGER_SD * level_sd / conditioning.trigger_v)
     if times <= 1.0:
         return conditioning
-    return replace(
-        conditioning,
-        trigger_v=times * conditioning.trigger_v,
-        release_v=times * conditioning.release_v,
-        calm_v=times * conditioning.calm_v,
-        still_peak_v=times * conditioning.still_peak_v,
-    )
+    names = ("trigger_v", "release_v", "calm_v", "still_peak_v")
+    return replace(conditioning, **{name: times * getattr(conditioning, name) for name in names})
 
 
 def _block_noise(rests: list[np.ndarray], rate_hz: float, conditioning: Conditioning) -> float:

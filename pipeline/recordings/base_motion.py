@@ -38,7 +38,8 @@ def base_motion_of(folder: Folder) -> BaseMotion | None:
     Raises:
         InputError: the sensor has a base and no recording of the split `base`, or the base hardly moves in them.
     """
-    if folder.sensor.base is None:
+    sensor = folder.sensor
+    if sensor.base is None:
         return None
     moving = _moving(folder)
     if not moving:
@@ -46,30 +47,6 @@ def base_motion_of(folder: Folder) -> BaseMotion | None:
             f"{folder.root / 'manifest.csv'}: sensor.toml has a [base], and no recording is of the split "
             f"'{BASE_SPLIT}'; record a minute in which the robot moves and nothing touches the skin, or take [base] out"
         )
-    return _fitted(folder, moving)
-
-
-def moved_and_left(folder: Folder) -> tuple[np.ndarray, float, float]:
-    """Of the split `base`: rms of the base's motion along its principal axes (3,) g, rising, of a magnetometer in the
-    unit of its outputs; and the largest rms of an output (V) before the motion is taken out, and after.
-    """
-    motion, sensor = folder.base_motion, folder.sensor
-    assert motion is not None
-    assert sensor.base is not None
-    volts, base = _about_their_means([_blocks(folder, name) for name in _moving(folder)])
-    left, _ = motion.without(volts + motion.static_v, base + motion.base_v)
-    before_v, after_v = (float(np.sqrt(np.mean(v**2, axis=0)).max()) for v in (volts, left - motion.static_v))
-    scale = sensor.base.sensitivity_v_per_g if sensor.base.measures_gravity else 1.0
-    return _principal_rms(base) / scale, before_v, after_v
-
-
-def _moving(folder: Folder) -> list[str]:
-    return [str(name) for name in folder.manifest.index[folder.manifest["split"] == BASE_SPLIT]]
-
-
-def _fitted(folder: Folder, moving: list[str]) -> BaseMotion:
-    sensor = folder.sensor
-    assert sensor.base is not None
     blocks = [_blocks(folder, name) for name in moving]
     volts, base = _about_their_means(blocks)
     least = LEAST_MOTION_G * sensor.base.sensitivity_v_per_g
@@ -92,6 +69,24 @@ def _fitted(folder: Folder, moving: list[str]) -> BaseMotion:
         static_v=tuple(static_v.tolist()),
         gravity_v=_gravity_v(sensor, static_v),
     )
+
+
+def moved_and_left(folder: Folder) -> tuple[np.ndarray, float, float]:
+    """Of the split `base`: rms of the base's motion along its principal axes (3,) g, rising, of a magnetometer in the
+    unit of its outputs; and the largest rms of an output (V) before the motion is taken out, and after.
+    """
+    motion, sensor = folder.base_motion, folder.sensor
+    assert motion is not None
+    assert sensor.base is not None
+    volts, base = _about_their_means([_blocks(folder, name) for name in _moving(folder)])
+    left, _ = motion.without(volts + motion.static_v, base + motion.base_v)
+    before_v, after_v = (float(np.sqrt(np.mean(v**2, axis=0)).max()) for v in (volts, left - motion.static_v))
+    scale = sensor.base.sensitivity_v_per_g if sensor.base.measures_gravity else 1.0
+    return _principal_rms(base) / scale, before_v, after_v
+
+
+def _moving(folder: Folder) -> list[str]:
+    return [str(name) for name in folder.manifest.index[folder.manifest["split"] == BASE_SPLIT]]
 
 
 def _gravity_v(sensor: Sensor, static_v: np.ndarray) -> tuple[float, ...]:

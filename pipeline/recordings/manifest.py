@@ -100,45 +100,30 @@ def _schema(sensor: Sensor) -> pa.DataFrameSchema:
     def number(name: str, holds, remedy: str) -> pa.Column:
         return column(name, lambda v: v.isna() | (np.isfinite(v) & holds(v)), f"{remedy} or leave it empty")
 
-    def positive(name: str) -> pa.Column:
-        return number(name, lambda v: v > 0, "must be positive; correct it")
-
-    def not_negative(name: str) -> pa.Column:
-        return number(name, lambda v: v >= 0, "must not be negative; correct it")
-
-    def finite(name: str) -> pa.Column:
-        return number(name, np.isfinite, "must be finite; correct it")
-
+    positive = (lambda v: v > 0), "must be positive; correct it"
+    not_negative = (lambda v: v >= 0), "must not be negative; correct it"
+    finite = np.isfinite, "must be finite; correct it"
+    numbers = {
+        "direction_deg": (
+            lambda v: (v >= 0) & (v < 360),
+            "must lie in [0, 360) degrees; write the angle modulo 360",
+        ),
+        "speed_mm_s": positive,
+        "offset_mm": (
+            lambda v: v.abs() <= farthest,
+            f"no line so far off ({farthest:.1f} mm at most) crosses the chamber; correct it",
+        ),
+        **{"start_x_mm": finite, "start_y_mm": finite, "travel_mm": positive},
+        **{"depth_mm": not_negative, "pressure_mpa": not_negative},
+        **{"motion_start_s": finite, "motion_end_s": finite},
+    }
+    names = f"names must be given and differ, and hold {REMEDY}"
+    file = f"no file has such a name, of 1 to {MOST_LETTERS} letters; name it or take the row out"
     return pa.DataFrameSchema(
         {
-            "recording": column(
-                "recording",
-                lambda v: v.map(is_plain) & ~v.duplicated(),
-                f"names must be given and differ, and hold {REMEDY}",
-            ),
-            "file": column(
-                "file",
-                lambda v: (v != "") & (v.str.len() <= MOST_LETTERS),
-                f"no file has such a name, of 1 to {MOST_LETTERS} letters; name it or take the row out",
-            ),
-            "direction_deg": number(
-                "direction_deg",
-                lambda v: (v >= 0) & (v < 360),
-                "must lie in [0, 360) degrees; write the angle modulo 360",
-            ),
-            "speed_mm_s": positive("speed_mm_s"),
-            "offset_mm": number(
-                "offset_mm",
-                lambda v: v.abs() <= farthest,
-                f"no line so far off ({farthest:.1f} mm at most) crosses the chamber; correct it",
-            ),
-            "start_x_mm": finite("start_x_mm"),
-            "start_y_mm": finite("start_y_mm"),
-            "travel_mm": positive("travel_mm"),
-            "depth_mm": not_negative("depth_mm"),
-            "pressure_mpa": not_negative("pressure_mpa"),
-            "motion_start_s": finite("motion_start_s"),
-            "motion_end_s": finite("motion_end_s"),
+            "recording": column("recording", lambda v: v.map(is_plain) & ~v.duplicated(), names),
+            "file": column("file", lambda v: (v != "") & (v.str.len() <= MOST_LETTERS), file),
+            **{name: number(name, *rule) for name, rule in numbers.items()},
         },
         checks=pa.Check(
             lambda t: ~(t["motion_end_s"] <= t["motion_start_s"]),

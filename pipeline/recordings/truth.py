@@ -15,8 +15,6 @@ from softslide.pipeline.recordings.text_table import numbers, read_text_table
 COLUMNS = ("time_s", "x_mm", "y_mm", "vx_mm_s", "vy_mm_s", "contact", "depth_mm")
 # Cells that may be empty: a lab may not know how deep.
 _OPTIONAL = ("depth_mm",)
-# Decimals of each column: 0.1 um, 0.1 um/s.
-_FORMAT = {"time_s": "%.4f", "contact": "%d"}
 # Times are often written to no more than a millisecond.
 _CLOCK_S = 0.0011
 # A velocity must be the place's slope to within this, mm/s, or this share of the highest speed: corners, and ramps
@@ -32,8 +30,8 @@ def truth_path(slide: Path) -> Path:
 
 
 def write_truth(path: Path, truth: pd.DataFrame) -> None:
-    """Writes the columns of `COLUMNS`."""
-    shown = {c: [_FORMAT.get(c, "%.4f") % v for v in truth[c]] for c in COLUMNS}
+    """Writes the columns of `COLUMNS`, to 0.1 um and 0.1 um/s."""
+    shown = {c: [("%d" if c == "contact" else "%.4f") % v for v in truth[c]] for c in COLUMNS}
     pd.DataFrame(shown).to_csv(path, index=False, lineterminator="\n")
 
 

@@ -4,7 +4,7 @@ The labels choose the moments at which a recording's stream is read and become t
 those moments enter a window: its volts and its length come from the stream alone.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -75,8 +75,7 @@ def labelled_windows(
         raise InputError(
             f"{folder.root}: no slide tilts a board by {conditioning.trigger_v:g} V; check the wiring and the gain"
         )
-    columns: dict[str, list] = {name: [row[name] for row in rows] for name in rows[0]}
-    arrays = {name: np.array(values) for name, values in columns.items()}
+    arrays = {name: np.array([row[name] for row in rows]) for name in rows[0]}
     arrays["volts"] = arrays["volts"].astype(np.float32, copy=False)
     return LabelledWindows(**arrays)
 
@@ -96,13 +95,15 @@ def _windows_of(
     seen = np.round((read_s - recording.time_s[0]) * rate)
     read_at = blocks_in(seen, conditioning.block_samples(rate))
     windows = track(blocks, conditioning, np.minimum(read_at, len(blocks)))
-    first = _along_at_start(labels, folder.sensor.reference_mm)
+    # s = cos(a) (x - x_ref) + sin(a) (y - y_ref) at the start of the motion.
+    angle, (x_ref, y_ref) = np.deg2rad(labels["direction_deg"]), folder.sensor.reference_mm
+    first = np.cos(angle) * (labels["start_x_mm"] - x_ref) + np.sin(angle) * (labels["start_y_mm"] - y_ref)
     return [
         {
             "volts": window.volts,
             "elapsed_s": window.elapsed_s,
             **{target: labels[target] for target in _TARGETS},
-            "along_mm": first + fraction * labels["travel_mm"],
+            "along_mm": float(first) + fraction * labels["travel_mm"],
             "stroke_fraction": float(fraction),
             "recording": name,
             "split": str(folder.manifest.at[name, "split"]),
@@ -110,10 +111,3 @@ def _windows_of(
         for fraction, window in zip(stroke, windows, strict=True)
         if window is not None
     ]
-
-
-def _along_at_start(labels: Mapping[str, float], reference_mm: tuple[float, float]) -> float:
-    """s = cos(a) (x - x_ref) + sin(a) (y - y_ref) at the start of the motion, mm."""
-    angle = np.deg2rad(labels["direction_deg"])
-    x, y = labels["start_x_mm"] - reference_mm[0], labels["start_y_mm"] - reference_mm[1]
-    return float(np.cos(angle) * x + np.sin(angle) * y)

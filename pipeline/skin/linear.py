@@ -29,15 +29,12 @@ class LinearSolver(Protocol):
         ...
 
 
-def linear_solver(name: str = "auto") -> LinearSolver:
-    """'pardiso', 'superlu', or the first of them that is installed ('auto')."""
-    if name in ("auto", "pardiso"):
-        try:
-            return Pardiso()
-        except ImportError:
-            if name == "pardiso":
-                raise
-    return SuperLU()
+def linear_solver() -> LinearSolver:
+    """PARDISO, or where it is not installed SuperLU."""
+    try:
+        return Pardiso()
+    except ImportError:
+        return SuperLU()
 
 
 class Pardiso:

@@ -32,14 +32,21 @@ class Line:
     def name(self) -> str:
         return f"{'xy'[self.axis]}{'-0+'[self.sense + 1]}{self.offset_mm:+08.3f}"
 
+    def centres(self, along_mm: np.ndarray, depth_mm: float, sensor: Sensor) -> np.ndarray:
+        """(n, 3) mm of the indenter's centre, `depth_mm` below the flat skin's upper face."""
+        centres = np.empty((len(along_mm), 3))
+        centres[:, self.axis], centres[:, 1 - self.axis] = along_mm, self.offset_mm
+        centres[:, 2] = sensor.skin_thickness_mm + sensor.indenter_diameter_mm / 2 - depth_mm
+        return centres
+
 
 def reach_mm(sensor: Sensor) -> tuple[float, float]:
     """Half sizes (x, y) beyond which an indenter's centre cannot touch the inflated skin."""
     beyond = sensor.skin.overlap_mm + sensor.indenter_diameter_mm / 2
-    return (
-        sensor.chamber_mm[0] / 2 + beyond + abs(sensor.indenter_edge_mm[0]) / 2,
-        sensor.chamber_mm[1] / 2 + beyond + abs(sensor.indenter_edge_mm[1]) / 2,
+    x, y = (
+        side / 2 + beyond + abs(sensor.indenter_edge_mm[k]) / 2 for k, side in enumerate(sensor.chamber_mm)
     )
+    return x, y
 
 
 def mirrored_boards(sensor: Sensor, axis: int) -> tuple[int, ...] | None:

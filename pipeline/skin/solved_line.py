@@ -48,10 +48,7 @@ def solve_line(
     """
     skin = skin_of(sensor)
     skin.statistics = Statistics()
-    centres = np.empty((len(along_mm), 3))
-    centres[:, line.axis] = along_mm[:: line.sense]
-    centres[:, 1 - line.axis] = line.offset_mm
-    centres[:, 2] = sensor.skin_thickness_mm + sensor.indenter_diameter_mm / 2 - depth_mm
+    centres = line.centres(along_mm[:: line.sense], depth_mm, sensor)
     postures, forces = skin.slide(inflated, pressure_mpa, centres)
     boards = len(sensor.accelerometers)
     values = np.full((len(centres), PER_BOARD * boards + 3), np.nan)

@@ -62,13 +62,11 @@ class Skin:
 
     mesh: Mesh
     material: Material
-    solver: str = "auto"
-    tolerance_n: float = TOLERANCE_N
     statistics: Statistics = field(default_factory=Statistics)
 
     def __post_init__(self) -> None:
         self.system = System(self.mesh, self.material)
-        self.linear: LinearSolver = linear_solver(self.solver)
+        self.linear: LinearSolver = linear_solver()
         self._mixing = AndersonMixing(self.system.size)
         self.forget()
 
@@ -80,7 +78,7 @@ class Skin:
         )
 
     def equilibrium(
-        self, start: State, load: Load, tolerance_n: float | None = None
+        self, start: State, load: Load, tolerance_n: float = TOLERANCE_N
     ) -> tuple[State, np.ndarray]:
         """The posture in balance near `start`, and the force on the indenter (3,) N
         with the depth that it sinks into the skin, mm, as fourth.
@@ -88,7 +86,6 @@ class Skin:
         Raises:
             NoEquilibrium: the search did not end within `MOST_FACTORS` factorisations.
         """
-        tolerance = self.tolerance_n if tolerance_n is None else tolerance_n
         state = start.copy()
         residual, force = self.system.residual(state, load)
         if residual is None:
@@ -98,7 +95,7 @@ class Skin:
         fresh = not self._has_factor
         self._mixing.restart()
         norms: list[float] = []
-        while norm > tolerance:
+        while norm > tolerance_n:
             if fresh:
                 if factors == MOST_FACTORS:
                     raise NoEquilibrium(f"{norm:.2g} N out of balance after {factors} factorisations")
@@ -121,16 +118,15 @@ class Skin:
                 fresh = True
                 continue
             state, residual, force, norm = accepted
-            fresh = _is_slow([*norms, norm], tolerance)
+            fresh = _is_slow([*norms, norm], tolerance_n)
         return self.system.accept(state), force
 
-    def creep(self, start: State, load: Load, tolerance_n: float | None = None) -> tuple[State, np.ndarray]:
+    def creep(self, start: State, load: Load, tolerance_n: float = TOLERANCE_N) -> tuple[State, np.ndarray]:
         """As `equilibrium`, down the energy from a posture that has lost its balance; the end is stable.
 
         Raises:
             NoEquilibrium: not within `CREEP_STEPS`.
         """
-        tolerance = self.tolerance_n if tolerance_n is None else tolerance_n
         self.statistics.creeps += 1
         self._has_factor = False
         state, eta = start.copy(), CREEP_START_N_MM
@@ -152,7 +148,7 @@ class Skin:
                 if not self.linear.negative:
                     break
                 eta = max(4 * eta, CREEP_START_N_MM)
-            if np.linalg.norm(residual) <= tolerance and eta == 0.0:
+            if np.linalg.norm(residual) <= tolerance_n and eta == 0.0:
                 return self.system.accept(state), force
             step = -self.linear.solve(residual)
             step *= min(1.0, CAP_MM / max(float(np.abs(step).max()), 1e-30))
@@ -279,7 +275,7 @@ class Skin:
         return state, force
 
     def _settle(
-        self, state: State, load: Load, tolerance_n: float | None = None, guess: State | None = None
+        self, state: State, load: Load, tolerance_n: float = TOLERANCE_N, guess: State | None = None
     ) -> tuple[State, np.ndarray]:
         """The balance near `guess`, or the one that the skin snaps to from `state`; never one that is pierced."""
         try:

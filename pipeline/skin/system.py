@@ -26,14 +26,12 @@ class Material:
     friction: float
     radius_mm: float
     edge_mm: tuple[float, float] = (0.0, 0.0)
-    penalty_mpa_mm2: float = loads.STIFFNESS
-    clinging: float = loads.SLIP
 
     @property
     def touch_law(self) -> np.ndarray:
         """(6,) as `loads.touch` takes it."""
         half = (self.edge_mm[0] / 2, self.edge_mm[1] / 2)
-        return np.array([self.radius_mm, self.friction, self.penalty_mpa_mm2, self.clinging, *half])
+        return np.array([self.radius_mm, self.friction, loads.STIFFNESS, loads.SLIP, *half])
 
 
 @dataclass

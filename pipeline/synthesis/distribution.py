@@ -82,6 +82,10 @@ class Distribution:
             raise ValueError(f"stopping and turning are {self.stopping + self.turning} together; at most 1")
         check_ranges(self, stop_share=(0.1, 1.0))
 
+    def nominal_height_mm(self, atlas: Atlas) -> float:
+        """The skin's height at the sensor's nominal pressure."""
+        return float(np.median(atlas.height_mm)) if self.height_mm is None else self.height_mm
+
 
 def draw_slide(
     number: int, atlas: Atlas, sensor: Sensor, distribution: Distribution, random: np.random.Generator
@@ -115,7 +119,7 @@ def draw_slide(
     stroke = Stroke(travel, speed, ramp, travel if turns else 0.0, dwell if turns else 0.0)
     depth, slope = _draw_depth(atlas, d, whole, travel, random)
     share = random.uniform(*d.pressure_share) if len(atlas.height_mm) > 1 else 1.0
-    height = (np.median(atlas.height_mm) if d.height_mm is None else d.height_mm) * np.cbrt(share)
+    height = d.nominal_height_mm(atlas) * np.cbrt(share)
     if not atlas.height_mm[0] - 1e-6 <= height <= atlas.height_mm[-1] + 1e-6:
         raise InputError(
             f"a skin height of {height:.3g} mm is outside the atlas's {atlas.height_mm[0]:.3g}.."

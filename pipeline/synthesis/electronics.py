@@ -5,7 +5,7 @@ recorder is taken to pass no noise from above half its rate, so that the density
 sheet's.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.signal import lfilter
@@ -90,19 +90,17 @@ def draw_electronics(sensor: Sensor, spread: ElectronicsSpread, random: np.rando
     low, high = np.log(spread.mains_g)
     amplitude = np.exp(random.uniform(low, high, (boards, 3))) * volts_per_g[:, None]
     phase = random.uniform(0, 2 * np.pi, (2, boards * 3))
-    harmonic = np.array([1, spread.harmonic])[:, None] * amplitude.reshape(-1)
-    mains = [harmonic[0] * np.cos(phase[0]), harmonic[0] * np.sin(phase[0])]
-    mains += [harmonic[1] * np.cos(phase[1]), harmonic[1] * np.sin(phase[1])]
-    return Electronics(
-        ideal.rate_hz,
-        ideal.volts_per_g @ (gain * crossed) @ turned,
-        ideal.zero_v + spread.zero_g_v * random.standard_normal((boards, 3)),
-        np.full((boards, 3), spread.noise * NOISE_G_RTHZ["MMA7361L"]),
-        BANDWIDTH_HZ,
+    waves = np.array([1, spread.harmonic])[:, None] * amplitude.reshape(-1)
+    mains = [wave * part(turn) for wave, turn in zip(waves, phase, strict=True) for part in (np.cos, np.sin)]
+    return replace(
+        ideal,
+        volts_per_g=ideal.volts_per_g @ (gain * crossed) @ turned,
+        zero_v=ideal.zero_v + spread.zero_g_v * random.standard_normal((boards, 3)),
+        noise_g_rthz=np.full((boards, 3), spread.noise * NOISE_G_RTHZ["MMA7361L"]),
+        bandwidth_hz=BANDWIDTH_HZ,
         # The grid holds its frequency to some hundredths of a hertz.
-        float(random.choice(spread.mains_hz)) + 0.02 * random.standard_normal(),
-        np.stack(mains, axis=1),
-        ideal.adc_step_v,
+        mains_hz=float(random.choice(spread.mains_hz)) + 0.02 * random.standard_normal(),
+        mains_v=np.stack(mains, axis=1),
     )
 
 

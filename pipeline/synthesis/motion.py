@@ -32,23 +32,12 @@ class Stroke:
             return self.forth_s
         return self.forth_s + self.dwell_s + self.back_mm / self.speed_mm_s + self.ramp_s
 
-    def forth(self, since_s: np.ndarray) -> np.ndarray:
-        """Distance travelled in the first stroke, mm, at (n,) s since the motion began."""
-        return self._first(since_s)[0]
-
-    def back(self, since_s: np.ndarray) -> np.ndarray:
-        """Distance travelled back, mm; the indenter is at `forth` less `back`."""
-        return self._second(since_s)[0]
-
-    def speed(self, since_s: np.ndarray) -> np.ndarray:
-        """How fast the indenter moves either way, mm/s."""
-        return np.maximum(self._first(since_s)[1], self._second(since_s)[1])
-
-    def _first(self, since_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return stage_motion(since_s, self.travel_mm, self.speed_mm_s, self.forth_s)
-
-    def _second(self, since_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def at(self, since_s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """At (n,) s since the motion began: mm travelled in the first stroke and back in the second, whose difference
+        is where the indenter is; and how fast it moves either way, mm/s."""
+        forth, speed = stage_motion(since_s, self.travel_mm, self.speed_mm_s, self.forth_s)
         if not self.back_mm:
-            return np.zeros(np.shape(since_s)), np.zeros(np.shape(since_s))
+            return forth, np.zeros(np.shape(since_s)), speed
         begin_s = self.forth_s + self.dwell_s
-        return stage_motion(since_s - begin_s, self.back_mm, self.speed_mm_s, self.duration_s - begin_s)
+        again = stage_motion(since_s - begin_s, self.back_mm, self.speed_mm_s, self.duration_s - begin_s)
+        return forth, again[0], np.maximum(speed, again[1])

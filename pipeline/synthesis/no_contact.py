@@ -45,7 +45,9 @@ def swaying(static_g: np.ndarray, time_s: np.ndarray, random: np.random.Generato
     """The device is accelerated to and fro along a level line: alike in all accelerometers, and not in V_z."""
     towards = random.uniform(0, 2 * np.pi)
     along = np.array([np.cos(towards), np.sin(towards), 0.0])
-    return np.tile(_largest(random) * along[:, None] * _wave(time_s, random), (len(static_g), 1, 1))
+    return np.tile(
+        log_uniform(random, LARGEST_G) * along[:, None] * _wave(time_s, random), (len(static_g), 1, 1)
+    )
 
 
 def pressure(static_g: np.ndarray, time_s: np.ndarray, random: np.random.Generator) -> np.ndarray:
@@ -177,10 +179,6 @@ def _added(
     return np.concatenate([rests, signal(static_g, np.arange(count) / rate_hz, random)], axis=2)
 
 
-def _largest(random: np.random.Generator) -> float:
-    return log_uniform(random, LARGEST_G)
-
-
 def _smooth_step(u: np.ndarray) -> np.ndarray:
     u = np.clip(u, 0.0, 1.0)
     return u**2 * (3.0 - 2.0 * u)
@@ -206,4 +204,4 @@ def _channels(static_g: np.ndarray, random: np.random.Generator, shape: np.ndarr
     signal = random.normal(size=(*static_g.shape, 1)) * shape
     if random.random() < 0.5:
         signal = signal * np.array([1.0, 1.0, 0.0])[:, None]
-    return _largest(random) * signal / max(float(np.abs(signal[:, :2]).max()), 1e-12)
+    return log_uniform(random, LARGEST_G) * signal / max(float(np.abs(signal[:, :2]).max()), 1e-12)

@@ -31,7 +31,7 @@ def article_slides(atlas: Atlas, sensor: Sensor, distribution: Distribution, see
         InputError: a line of the protocol misses the sensor's chamber.
     """
     d, random = distribution, np.random.default_rng([seed, _STREAM])
-    height = float(np.median(atlas.height_mm)) if d.height_mm is None else d.height_mm
+    height = d.nominal_height_mm(atlas)
     lines = [(heading, _sense(heading) * y) for y in X_LINES_MM for heading in (0.0, 180.0)]
     side = -1.0 if sensor.reference_mm[0] >= 0 else 1.0
     lines += [(heading, -_sense(heading) * side * x) for x in Y_LINES_MM for heading in (90.0, 270.0)]

@@ -45,15 +45,12 @@ class SimulatedSkin:
         self._specimen = specimen or draw_specimen(self.sensor, spread, seed)
         self._random = np.random.default_rng([seed, 0])
         self._repeatability = 0.0 if specimen else spread.repeatability
-        height = spread.height_mm
-        self.height_mm = float(np.median(self._atlas.height_mm)) if height is None else height
+        self.height_mm = spread.nominal_height_mm(self._atlas)
         boards = self._atlas.boards
         self._static = self._atlas.static(self._atlas.pressure_at(self.height_mm))
         self._count, self._gain, self._touched = 0, 1.0, False
         self._place, self._friction = np.full(2, np.nan), np.zeros(2)
-        self._equilibrium, self._crept = np.zeros((2, boards, 3))
-        self._gravity = np.zeros((boards, 3))
-        self._drift = np.zeros((boards, 3))
+        self._equilibrium, self._crept, self._gravity, self._drift = np.zeros((4, boards, 3))
 
     def push(self, places_mm: np.ndarray) -> np.ndarray:
         """The samples (n, channels) V, in `Sensor.channels` order, while the indenter is at places (n, 3) mm.

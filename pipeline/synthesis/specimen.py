@@ -6,7 +6,7 @@ import numpy as np
 
 from softslide.pipeline.sensor import Sensor
 from softslide.pipeline.synthesis.distribution import Distribution, log_uniform
-from softslide.pipeline.synthesis.electronics import Electronics, draw_electronics, ideal_electronics
+from softslide.pipeline.synthesis.electronics import Electronics, draw_electronics
 
 # Of a seed's streams of random numbers, the specimen's.
 _STREAM = 0
@@ -32,16 +32,10 @@ class Specimen:
     drift_g: float = 0.0
 
 
-def ideal_specimen(sensor: Sensor) -> Specimen:
-    """No noise, no lag, nothing but the atlas and the ADC's step."""
-    return Specimen(ideal_electronics(sensor))
-
-
 def draw_specimen(sensor: Sensor, distribution: Distribution, seed: int) -> Specimen:
     """The seed's specimen."""
     random = np.random.default_rng([seed, _STREAM])
     d = distribution
-
     return Specimen(
         draw_electronics(sensor, d.electronics, random),
         delayed=float(random.uniform(*d.delayed)),

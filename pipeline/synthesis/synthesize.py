@@ -111,7 +111,8 @@ def record(
     tilt, yaw, rubbing = _skin(plan, specimen, atlas, slow_s, random, respond)
     gravity = in_tilted_sensor(tilt, yaw, upright(plan.posture_deg))
     boards = len(gravity)
-    gravity += _drift(slow_s, specimen.drift_g, boards, random)
+    # Each output's own straight drift.
+    gravity += specimen.drift_g * random.standard_normal((boards, 3, 1)) * slow_s / 60
     slow = np.concatenate([gravity.reshape(boards * 3, -1), rubbing[None]])
     fast = upsampled(slow, factor)[:, :count]
     sensed = fast[:-1].reshape(boards, 3, count)
@@ -158,15 +159,13 @@ def _line_response(
     slide: Slide, specimen: Specimen, atlas: Atlas, time_s: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """What the atlas says of a slide at (n,) s, without any lag: (n, channels); and the speed (n,) mm/s."""
-    stroke = slide.stroke
-    since = time_s - slide.motion_start_s
-    forth, back = stroke.forth(since), stroke.back(since)
+    forth, back, speed = slide.stroke.at(time_s - slide.motion_start_s)
     parts = _along_the_way(slide, atlas, atlas.pressure_at(slide.height_mm))(forth - back)
     # Friction is fully there once the indenter slides and turns within some way (P. R. Dahl, 1968).
     turned = np.where(back > 0, 2 * np.exp(-back / max(specimen.friction_mm, 1e-9)) - 1, 1.0)
     angle = np.deg2rad(slide.direction_deg)
     drag = np.cos(angle) * parts[:, 1] + np.sin(angle) * parts[:, 2]
-    return parts[:, 0] + turned[:, None] * drag, stroke.speed(since)
+    return parts[:, 0] + turned[:, None] * drag, speed
 
 
 def _along_the_way(slide: Slide, atlas: Atlas, level: float) -> BSpline:
@@ -184,11 +183,6 @@ def _static_exponent(atlas: Atlas, level: float) -> float:
     low, high = np.clip([0.98 * level, 1.02 * level], *ends)
     tilts = [np.linalg.norm(atlas.static(float(p))[:, :2]) for p in (low, high)]
     return float(np.log(tilts[1] / tilts[0]) / np.log(high / low)) if low < high and tilts[0] > 1e-6 else 0.0
-
-
-def _drift(time_s: np.ndarray, drift_g: float, boards: int, random: np.random.Generator) -> np.ndarray:
-    """Each output's own straight drift, (boards, 3, n) g."""
-    return drift_g * random.standard_normal((boards, 3, 1)) * time_s / 60
 
 
 def _ringing(count: int, specimen: Specimen, random: np.random.Generator) -> np.ndarray:
@@ -254,10 +248,9 @@ def synthesize(
         InputError: no recordings, a negative seed, an atlas that is not one or of another design, an `out` not to be
             written.
     """
-    if slides < 0:
-        raise InputError(f"{slides}: it must not be negative", "slides")
-    if paths < 0:
-        raise InputError(f"{paths}: it must not be negative", "paths")
+    for name, count in (("slides", slides), ("paths", paths)):
+        if count < 0:
+            raise InputError(f"{count}: it must not be negative", name)
     if protocol not in (None, "article"):
         raise InputError(f"{protocol}: name article", "protocol")
     if not slides + paths and protocol is None:
@@ -277,17 +270,17 @@ def synthesize(
         )
     # Whoever reads a report on these recordings is to see what they are.
     design = replace(design, name=f"{design.name}, synthetic", origin="synthetic")
-    distribution = _distribution(config)
+    if isinstance(config, str | Path):
+        config = from_table(Distribution, read_toml(Path(config)), str(config))
+    distribution = config or Distribution()
     specimen = draw_specimen(design, distribution, seed)
-    plans: list[tuple[Slide | ContactPath, np.random.Generator]] = []
-    for number, slide in enumerate(article_slides(solution, design, distribution, seed) if protocol else ()):
-        plans.append((slide, noise_of(number, seed, _PROTOCOL_NOISE)))
-    for number in range(slides):
-        plans.append((plan(number, seed, solution, design, distribution), noise_of(number, seed)))
-    for number in range(paths):
-        plans.append(
-            (path_plan(number, seed, solution, design, distribution), noise_of(number, seed, _PATH_NOISE))
-        )
+    drawn = (seed, solution, design, distribution)
+    article = article_slides(solution, design, distribution, seed) if protocol else ()
+    plans: list[tuple[Slide | ContactPath, np.random.Generator]] = [
+        *((slide, noise_of(n, seed, _PROTOCOL_NOISE)) for n, slide in enumerate(article)),
+        *((plan(n, *drawn), noise_of(n, seed)) for n in range(slides)),
+        *((path_plan(n, *drawn), noise_of(n, seed, _PATH_NOISE)) for n in range(paths)),
+    ]
     manifest = pd.DataFrame([each.labels() for each, _ in plans])
     respond = path_response
     if solved:
@@ -310,9 +303,3 @@ def synthesize(
     notes = {"synthesis.json": json.dumps(origin, indent=1) + "\n"}
     watched = progress_bar("synthesizing", "slide", recordings, len(plans))
     return write_folder(out, design, manifest, watched, notes)
-
-
-def _distribution(config: str | Path | Distribution | None) -> Distribution:
-    if config is None or isinstance(config, Distribution):
-        return config or Distribution()
-    return from_table(Distribution, read_toml(Path(config)), str(config))

@@ -1,9 +1,7 @@
 """Who may read the page: a browser that asked for this machine by name, or one that has the token."""
 
 import hmac
-from http.cookies import CookieError, SimpleCookie
 from typing import Any
-from urllib.parse import parse_qs
 
 LOOPBACK = ("127.0.0.1", "localhost", "[::1]")
 COOKIE = "softslide_token"
@@ -34,14 +32,16 @@ class Guard:
         self._application, self._token, self._alone = application, token, alone
 
     async def __call__(self, scope: Any, receive: Any, send: Any) -> None:
-        headers: dict[bytes, bytes] = dict(scope["headers"])
-        host, origin = headers.get(b"host", b"").decode("latin-1"), headers.get(b"origin")
+        from starlette.requests import HTTPConnection
+
+        request = HTTPConnection(scope)
+        host, origin = request.headers.get("host", ""), request.headers.get("origin")
         # A page of another origin must not read the stream through its visitor's browser.
-        foreign = origin is not None and origin.decode("latin-1").partition("://")[2] != host
-        asked = _same(parse_qs(scope["query_string"].decode("latin-1")).get("token", [""])[0], self._token)
+        foreign = origin is not None and origin.partition("://")[2] != host
+        asked = _same(request.query_params.get("token", ""), self._token)
         # Cookies are of a host, whatever its port: another stream's page must not overwrite this one's.
         cookie = f"{COOKIE}_{scope['server'][1]}"
-        named = asked or _same(_cookie(headers.get(b"cookie", b"").decode("latin-1"), cookie), self._token)
+        named = asked or _same(request.cookies.get(cookie, ""), self._token)
         here = self._alone and _name(host) in LOOPBACK
         if foreign or not (named or (here and scope["path"] not in COMMANDS)):
             await _refuse(scope["type"], send)
@@ -72,11 +72,3 @@ def _name(host: str) -> str:
 
 def _same(given: str, wanted: str) -> bool:
     return hmac.compare_digest(given.encode("utf-8", "replace"), wanted.encode())
-
-
-def _cookie(text: str, name: str) -> str:
-    try:
-        found = SimpleCookie(text).get(name)
-    except CookieError:
-        return ""
-    return "" if found is None else found.value

@@ -14,13 +14,13 @@ import signal
 import socket
 import sys
 import threading
-from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
 from ipaddress import ip_address
 from multiprocessing.connection import Connection
 from pathlib import Path
+from queue import Empty, SimpleQueue
 from typing import Any
 
 import numpy as np
@@ -91,8 +91,7 @@ class Page:
         if not started:
             self._process.kill()
             raise InputError(f"{place}: the page's process did not start; serve without it", "page")
-        self._waiting: deque[tuple[Estimate, np.ndarray] | None] = deque(maxlen=MOST_WAITING)
-        self._some = threading.Event()
+        self._waiting: SimpleQueue[tuple[Estimate, np.ndarray] | None] = SimpleQueue()
         self._zero = False
         self._told_gone = False
         self._sender = threading.Thread(target=self._send, name="page", daemon=True)
@@ -102,8 +101,10 @@ class Page:
 
     def show(self, estimate: Estimate, subtracted_v: np.ndarray) -> None:
         """Passes on the estimate to be shown, with the subtracted output (C,) V of the same moment. Never waits."""
-        self._waiting.append((estimate, subtracted_v))
-        self._some.set()
+        if self._waiting.qsize() >= MOST_WAITING:
+            with suppress(Empty):
+                self._waiting.get_nowait()
+        self._waiting.put((estimate, subtracted_v))
 
     def zero_wanted(self) -> bool:
         """Whether a viewer has asked for a new static output since the last call."""
@@ -112,8 +113,7 @@ class Page:
 
     def close(self) -> None:
         """Lets the page show the last estimate and say goodbye, and frees the address."""
-        self._waiting.append(None)
-        self._some.set()
+        self._waiting.put(None)
         self._sender.join(END_S)
         self._process.join(END_S)
         if self._process.is_alive():
@@ -130,17 +130,12 @@ class Page:
 
     def _send(self) -> None:
         """Sends what waits until the end, or until the page is gone."""
-        while self._some.wait():
-            self._some.clear()
-            while self._waiting:
-                shown = self._waiting.popleft()
-                try:
-                    self._pipe.send_bytes(b"" if shown is None else frame(*shown))
-                except OSError:
-                    self._tell_gone()
-                    return
-                if shown is None:
-                    return
+        try:
+            while (shown := self._waiting.get()) is not None:
+                self._pipe.send_bytes(frame(*shown))
+            self._pipe.send_bytes(b"")
+        except OSError:
+            self._tell_gone()
 
     def _listen(self) -> None:
         """Notes requests until the page is gone."""

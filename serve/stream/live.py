@@ -129,11 +129,8 @@ def _hand_on(made: Made, age: SampleAge | None, sinks: Sequence[Sink], page: Pag
 def _without_signal(localizer: Localizer, age: SampleAge, sinks: Sequence[Sink], page: Page | None) -> None:
     """Hands on that no samples come: the last estimate, not valid, with the age of the newest sample."""
     last = localizer.read()
-    silent = last._replace(valid=False, reason=Reason.NO_SIGNAL, age_s=age.of(last.time_s, time.monotonic()))
-    for sink in sinks:
-        sink.write(silent)
-    if page is not None:
-        page.show(silent, localizer.subtracted)
+    silent = last._replace(valid=False, reason=Reason.NO_SIGNAL)
+    _hand_on([(silent, localizer.subtracted)], age, sinks, page)
 
 
 def _pieces(chunk: Chunk, size: int) -> Iterator[Chunk]:

@@ -4,8 +4,8 @@ import json
 import socket
 import sys
 import threading
-from collections import deque
 from contextlib import suppress
+from queue import Empty, SimpleQueue
 from typing import Protocol
 
 from softslide.features.errors import InputError
@@ -64,8 +64,7 @@ class QueuedLines(Lines):
     """Standard output from a thread of its own: a reader that does not read holds up neither stream nor sinks."""
 
     def __init__(self) -> None:
-        self._waiting: deque[Estimate | None] = deque()
-        self._some = threading.Event()
+        self._waiting: SimpleQueue[Estimate | None] = SimpleQueue()
         self._dropped = self._left = False
         self._writer = threading.Thread(target=self._write_all, name="standard output", daemon=True)
         self._writer.start()
@@ -73,34 +72,28 @@ class QueuedLines(Lines):
     def write(self, estimate: Estimate) -> None:
         if self._left:
             raise BrokenPipeError
-        if len(self._waiting) >= MOST_WAITING:
-            self._waiting.popleft()
+        if self._waiting.qsize() >= MOST_WAITING:
+            with suppress(Empty):
+                self._waiting.get_nowait()
             if not self._dropped:
                 print(
                     "softslide serve: standard output is not read; its oldest lines are dropped",
                     file=sys.stderr,
                 )
             self._dropped = True
-        self._waiting.append(estimate)
-        self._some.set()
+        self._waiting.put(estimate)
 
     def close(self) -> None:
         """Waits for a reader that reads."""
-        self._waiting.append(None)
-        self._some.set()
+        self._waiting.put(None)
         self._writer.join(END_S)
 
     def _write_all(self) -> None:
-        while self._some.wait():
-            self._some.clear()
-            while self._waiting:
-                if (estimate := self._waiting.popleft()) is None:
-                    return
-                try:
-                    super().write(estimate)
-                except OSError:
-                    self._left = True
-                    return
+        try:
+            while (estimate := self._waiting.get()) is not None:
+                super().write(estimate)
+        except OSError:
+            self._left = True
 
 
 class Datagrams:

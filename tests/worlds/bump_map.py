@@ -24,7 +24,7 @@ def bump_map(places: tuple[tuple[float, float], ...] = (REFERENCE_MM,), **change
     tilt, drag = np.stack(tilts, axis=2), np.stack(drags, axis=2)
     across = drag.reshape(*x.shape, -1, 2)[..., ::-1].reshape(drag.shape)
     surfaces = [
-        spline_coefficients(values, grid, 30.0).astype(np.float16).astype(float)
+        spline_coefficients(values, 30.0).astype(np.float16).astype(float)
         for values in (tilt, drag, across, 0.2 * tilt)
     ]
     values = {

@@ -8,11 +8,11 @@ STATIC_V_PER_MM = (0.01, 0.0)  # of V_x and V_y
 
 
 def slides_of(
-    response, lines, speeds, gains, noise_v=0.0, seed=0, lag_s=0.0, depths_mm=None, heights_mm=None
+    response, lines, speeds, gains, noise_v=0.0, lag_s=0.0, depths_mm=None, heights_mm=None, half_mm=36.0
 ) -> list[CalibrationSlide]:
     """Labelled slides along (direction_deg, offset_mm) lines through the map's chamber, at its depth or at depths, and
-    at heights of the skin that tilt a board by STATIC_V_PER_MM at rest."""
-    rng = np.random.default_rng(seed)
+    at heights of the skin that tilt a board by STATIC_V_PER_MM at rest. half_mm: of each line."""
+    rng = np.random.default_rng(0)
     slides = []
     depths = np.full(len(lines), response.depth_mm) if depths_mm is None else np.asarray(depths_mm)
     heights = np.full(len(lines), np.nan) if heights_mm is None else np.asarray(heights_mm)
@@ -20,8 +20,8 @@ def slides_of(
     for number, ((direction, offset), speed, gain, depth, height) in enumerate(each):
         a = np.deg2rad(direction)
         foot = np.array(response.reference_mm) + offset * np.array([-np.sin(a), np.cos(a)])
-        start = foot - 36.0 * np.array([np.cos(a), np.sin(a)])
-        travelled = np.arange(0.25, 72.0, 0.5)
+        start = foot - half_mm * np.array([np.cos(a), np.sin(a)])
+        travelled = np.arange(0.25, 2 * half_mm, 0.5)
         blocks = max(1, round(0.5 / speed / 0.02))
         s = travelled - speed * lag_s
         own = response.at(depth, height)
@@ -38,7 +38,7 @@ def slides_of(
                 volts=volts,
                 blocks=blocks,
                 step_s=0.5 / speed,
-                rest_noise_v=np.full(2, 1.4e-3),
+                rest_noise_v=np.full(response.channels, 1.4e-3),
                 static_v=np.array([1.7, 1.65]) + np.nan_to_num(height) * np.array(STATIC_V_PER_MM),
                 height_mm=height,
             )

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from softslide.features.contact.response_surface import ResponseSurface
 from softslide.models.response_map.map import PARTS, ResponseMap
 
 CHAMBER_MM = (30.0, 30.0)
@@ -35,3 +36,9 @@ def dome_map(elements: int = 1, **changes) -> ResponseMap:
         "spacing_mm": SPACING_MM,
     }
     return ResponseMap(**{**values, **changes})
+
+
+def surface_of(response: ResponseMap) -> ResponseSurface:
+    """As the device reads it."""
+    stack = np.concatenate([response.coefficients, response.depth_slope[None]])
+    return ResponseSurface(stack, response.half_mm, response.spacing_mm)

@@ -1,8 +1,8 @@
 """Commands in processes of their own that start at once, to be killed midway or to find no space.
 
-Run as a script it loads what commands need, says its own identifier, and forks a process for each line that it reads, a
-JSON object with `words` and `folder`. It answers with the process's identifier and, when that has ended, with its exit
-status.
+Run as a script it says its own identifier, and forks a process for each line that it reads, a JSON object with `words`
+and `folder`, once it has loaded what the command needs. It answers with the process's identifier and, when that has
+ended, with its exit status. The commands in its arguments are loaded at once.
 """
 
 import atexit
@@ -21,10 +21,15 @@ from pathlib import Path
 
 # Seconds after which a command, or what a killed one started, counts as hanging.
 PATIENCE_S = 300
-LOADED = (
-    *("softslide.experiments.evaluate", "softslide.experiments.train", "softslide.pipeline.atlas.solve"),
-    *("softslide.pipeline.importers.run", "softslide.pipeline.synthesis.synthesize"),
-)
+# What each command needs, imported before the first one is forked.
+LOADED = {
+    "evaluate": "softslide.experiments.evaluate",
+    "export": "softslide.models.export.formats",
+    "import": "softslide.pipeline.importers.run",
+    "simulate": "softslide.pipeline.atlas.solve",
+    "synthesize": "softslide.pipeline.synthesis.synthesize",
+    "train": "softslide.experiments.train",
+}
 
 
 class Commands:
@@ -76,13 +81,14 @@ class Commands:
 
 
 @contextmanager
-def commands(under: Sequence[str] = ()) -> Iterator[Commands]:
-    """under: a command, with its arguments, that what starts them is started by."""
+def commands(under: Sequence[str] = (), loaded: Sequence[str] = ()) -> Iterator[Commands]:
+    """under: a command, with its arguments, that what starts them is started by. loaded: those that start at once from
+    the first time on."""
     root = Path(__file__).parents[2]
     environment = {**os.environ, "PYTHONPATH": str(root)}
     pipe = subprocess.PIPE
     server = subprocess.Popen(
-        [*under, sys.executable, __file__], stdin=pipe, stdout=pipe, bufsize=0, env=environment
+        [*under, sys.executable, __file__, *loaded], stdin=pipe, stdout=pipe, bufsize=0, env=environment
     )
     try:
         yield Commands(server)
@@ -94,11 +100,12 @@ def commands(under: Sequence[str] = ()) -> Iterator[Commands]:
 def _serve() -> None:
     import softslide
 
-    for name in LOADED:
-        import_module(name)
+    for command in sys.argv[1:]:
+        import_module(LOADED[command])
     print(os.getpid(), flush=True)
     for line in sys.stdin:
         request = json.loads(line)
+        import_module(LOADED.get(request["words"][0], "softslide"))
         pid = os.fork()
         if pid == 0:
             folder = Path(request["folder"])

@@ -30,7 +30,6 @@ def write_small_bundle(
     offset_mm: float = 5.0,
     offset_mm_per_v: float = 0.0,
     along_mm: float = 0.0,
-    outputs: tuple[str, ...] = OUTPUTS,
     conditioning: Conditioning = Conditioning(),  # noqa: B008
     contact: ContactCalibration | None = None,
 ) -> Path:
@@ -43,9 +42,9 @@ def write_small_bundle(
         "offset_mm": offset_mm,
         "along_mm": along_mm,
     }
-    weights = np.zeros((size, len(outputs)), np.float32)
-    weights[:WINDOW_BINS, outputs.index("offset_mm")] = offset_mm_per_v / WINDOW_BINS
-    bias = np.array([answer[name] for name in outputs], np.float32)
+    weights = np.zeros((size, len(OUTPUTS)), np.float32)
+    weights[:WINDOW_BINS, OUTPUTS.index("offset_mm")] = offset_mm_per_v / WINDOW_BINS
+    bias = np.array([answer[name] for name in OUTPUTS], np.float32)
     graph = helper.make_graph(
         [
             helper.make_node("Flatten", ["volts"], ["flat"]),
@@ -59,7 +58,7 @@ def write_small_bundle(
             helper.make_tensor_value_info("elapsed_s", TensorProto.FLOAT, ["B"]),
             helper.make_tensor_value_info("weight", TensorProto.FLOAT, ["B", len(sensor.accelerometers)]),
         ],
-        [helper.make_tensor_value_info("estimate", TensorProto.FLOAT, ["B", len(outputs)])],
+        [helper.make_tensor_value_info("estimate", TensorProto.FLOAT, ["B", len(OUTPUTS)])],
         [numpy_helper.from_array(weights, "weights"), numpy_helper.from_array(bias, "bias")],
     )
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 18)], ir_version=10)
@@ -70,30 +69,43 @@ def write_small_bundle(
         "elapsed_s": np.ones(1, np.float32),
         "weight": np.ones((1, len(sensor.accelerometers)), np.float32),
     }
-    row = ort.InferenceSession(content, providers=["CPUExecutionProvider"]).run(None, example)[0][0]
-    folder.mkdir(parents=True)
-    (folder / "model.onnx").write_bytes(content)
-    card = Card(
+    return write_bundle_of(
+        folder,
+        content,
+        example,
+        sensor,
         model="small",
-        input="window",
-        outputs=outputs,
-        sensor=asdict(sensor),
-        channels=sensor.channels,
-        sample_rate_hz=sensor.sample_rate_hz,
-        reference_mm=sensor.reference_mm,
+        outputs=OUTPUTS,
         conditioning=conditioning,
         contact=contact,
-        intervals={
+    )
+
+
+def write_bundle_of(
+    folder: Path, graph: bytes, example: dict[str, np.ndarray], sensor: Sensor, **card: Any
+) -> Path:
+    """A graph on windows, and its card with what it makes of an example."""
+    (row,) = ort.InferenceSession(graph, providers=["CPUExecutionProvider"]).run(None, example)[0]
+    folder.mkdir(parents=True)
+    (folder / "model.onnx").write_bytes(graph)
+    given = {
+        "input": "window",
+        "sensor": asdict(sensor),
+        "channels": sensor.channels,
+        "sample_rate_hz": sensor.sample_rate_hz,
+        "reference_mm": sensor.reference_mm,
+        "conditioning": Conditioning(),
+        "intervals": {
             "direction_deg": Interval(1.0, 2.0),
             "log_speed": Interval(1.0, 0.1),
             "offset_mm": Interval(1.0, 1.0),
         },
-        validity=Validity(),
-        provenance={},
-        golden={"inputs": {k: v.tolist() for k, v in example.items()}, "estimate": row.tolist()},
-        graph_sha256=hashlib.sha256(content).hexdigest(),
-    )
-    write_card(card, folder / "model.json")
+        "validity": Validity(),
+        "provenance": {},
+        "golden": {"inputs": {k: v.tolist() for k, v in example.items()}, "estimate": row.tolist()},
+        "graph_sha256": hashlib.sha256(graph).hexdigest(),
+    }
+    write_card(Card(**{**given, **card}), folder / "model.json")
     return folder
 
 

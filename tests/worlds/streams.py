@@ -1,8 +1,13 @@
 """Generated streams of one or several accelerometers: rest with noise, slides, touches. Seeded."""
 
+from collections.abc import Sequence
+from pathlib import Path
+
 import numpy as np
 
+from softslide.features.estimate import Estimate
 from softslide.pipeline.sensor import Accelerometer, Sensor
+from softslide.serve.localizer import Localizer
 
 RATE_HZ = 1000.0
 ZERO_V = 1.65
@@ -32,3 +37,21 @@ def stream(*parts: np.ndarray, accelerometers: int = 1, seed: int = 0) -> np.nda
     noise = np.random.default_rng(seed).normal(0.0, 0.005, signal.shape)
     gravity = np.tile([0.0, 0.0, GRAVITY_V], accelerometers)
     return np.round((ZERO_V + gravity + signal + noise) / 5e-4) * 5e-4
+
+
+CHANNELS = ("a0_vx", "a0_vy", "a0_vz")
+
+
+def write_csv(
+    path: Path, volts: np.ndarray, channels: Sequence[str] = CHANNELS, rate_hz: float = RATE_HZ
+) -> Path:
+    """Samples (n, C) as a recording, to the last bit."""
+    table, header = np.column_stack([np.arange(len(volts)) / rate_hz, volts]), ",".join(["time_s", *channels])
+    np.savetxt(path, table, "%.17g", ",", header=header, comments="")
+    return path
+
+
+def pushed(localizer: Localizer, volts: np.ndarray, time_s: np.ndarray | None = None) -> list[Estimate]:
+    """The estimates of a fresh stream."""
+    localizer.reset()
+    return localizer.push(volts, time_s)

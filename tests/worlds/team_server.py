@@ -51,37 +51,15 @@ def postgres() -> Iterator[str]:
 
     port, data = free_port(), root / "data"
     try:
-        run(
-            programs / "initdb",
-            "-D",
-            data,
-            "-U",
-            "team",
-            "-A",
-            "trust",
-            "-E",
-            "UTF8",
-            "--locale=C",
-            "--no-sync",
-        )
+        words = ["-U", "team", "-A", "trust", "-E", "UTF8", "--locale=C", "--no-sync"]
+        run(programs / "initdb", "-D", data, *words)
         options = f"-p {port} -k {root} -c listen_addresses=127.0.0.1 -c fsync=off"
-        run(
-            programs / "pg_ctl",
-            "start",
-            "-w",
-            "-t",
-            PATIENCE_S,
-            "-D",
-            data,
-            "-l",
-            root / "log",
-            "-o",
-            options,
-        )
+        server = (programs / "pg_ctl", "-D", data)
+        run(*server, "start", "-w", "-t", PATIENCE_S, "-l", root / "log", "-o", options)
         try:
             yield f"postgresql+psycopg://team@127.0.0.1:{port}/postgres"
         finally:
-            run(programs / "pg_ctl", "stop", "-m", "immediate", "-D", data)
+            run(*server, "stop", "-m", "immediate")
     finally:
         shutil.rmtree(root, ignore_errors=True)
 

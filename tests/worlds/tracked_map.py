@@ -5,7 +5,16 @@ from dataclasses import replace
 import numpy as np
 from bump_map import bump_map
 
-from softslide.features.contact.track import Track
+from softslide.features.contact.hypotheses import (
+    FRICTION_X,
+    FRICTION_Y,
+    HEADING,
+    RESIDUAL,
+    SPEED,
+    Hypotheses,
+    started,
+)
+from softslide.features.contact.track import ContactEvidence, Track
 from softslide.features.contact.tracker import ContactTracker
 from softslide.features.contact.tracking_config import TrackingConfig
 from softslide.models.response_map.card import contact_calibration
@@ -16,6 +25,20 @@ FRICTION_MM = 0.35
 TWO_BOARDS = ((-8.0, 0.0), (8.0, 0.0))
 # V/mm, as of a skin that rises: boards on either side of its middle lean outwards.
 INFLATION = (-0.024, 0.0, 0.024, 0.0)
+
+CLEAR = Track(
+    mean=np.array([5.0, 5.0, 3.0, 0.0]),
+    covariance=1e-4 * np.eye(4),
+    certain=1.0,
+    misfit=1.0,
+    partial=0.0,
+    gain=1.0,
+    depth_mm=0.0,
+    depth_sd_mm=0.1,
+    hypotheses=1,
+    way_mm=20.0,
+    evidence=ContactEvidence(10.0, 4),
+)
 
 
 def noisy_map(**changes) -> ResponseMap:
@@ -80,3 +103,15 @@ def line(speed_mm_s: float, y_mm: float = 6.0, half_mm: float = 29.0) -> np.ndar
 def in_row(x_mm: np.ndarray, y_mm: float = 6.0) -> np.ndarray:
     """(m, 2) mm: places along x."""
     return np.stack([x_mm, np.full_like(x_mm, y_mm)], axis=1)
+
+
+def bank_of(response: ResponseMap, count: int = 6) -> Hypotheses:
+    generator = np.random.default_rng(0)
+    size = RESIDUAL + response.channels
+    state = np.zeros((count, size))
+    state[:, :2] = generator.uniform(-18, 18, (count, 2))
+    state[:, HEADING], state[:, SPEED] = generator.uniform(-3, 3, count), generator.uniform(1, 5, count)
+    state[:, 4], state[:, 5], state[:, 6] = 0.3, 0.02, generator.uniform(0.9, 1.1, count)
+    state[:, FRICTION_X], state[:, FRICTION_Y] = np.cos(state[:, HEADING]), np.sin(state[:, HEADING])
+    sd = np.full((count, size), 1e-6)
+    return started(state, sd, np.zeros(count), partial=False)

@@ -19,6 +19,7 @@ from softslide.pipeline.importers.grid.lattice import GridPath, curve, lines
 from softslide.pipeline.importers.grid.presses import Presses, read_presses
 from softslide.pipeline.progress import progress_bar
 from softslide.pipeline.recordings.folder import Folder, Recording, write_folder
+from softslide.pipeline.recordings.truth import COLUMNS
 
 
 @dataclass(frozen=True)
@@ -177,5 +178,4 @@ def _truth(
     deep[moving] = depth
     velocity = slide.speed_mm_s * ahead * contact[:, None]
     columns = (time_s, *place.T, *velocity.T, contact, deep)
-    names = ("time_s", "x_mm", "y_mm", "vx_mm_s", "vy_mm_s", "contact", "depth_mm")
-    return pd.DataFrame(dict(zip(names, columns, strict=True)))
+    return pd.DataFrame(dict(zip(COLUMNS, columns, strict=True)))

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from softslide.pipeline.importers.import_map import check_known
 from softslide.pipeline.ranges import check_one_of
 from softslide.pipeline.sensor import Sensor, read_sensor
 from softslide.pipeline.toml_tables import from_table, read_toml
@@ -72,10 +73,7 @@ class GridMap:
         for channel in self.sensor.channels:
             if channel not in self.channels:
                 raise ValueError(f"[channels.{channel}] is missing; say which columns hold it")
-        if unknown := [name for name in self.channels if name not in self.sensor.channels]:
-            raise ValueError(
-                f"unknown key 'channels.{unknown[0]}'; known are {', '.join(self.sensor.channels)}"
-            )
+        check_known("channels", self.channels, self.sensor.channels)
         if not self.splits:
             raise ValueError("no [[split]] is given; say which slides to make")
         if not 0 < self.speed_mm_s[0] <= self.speed_mm_s[1]:

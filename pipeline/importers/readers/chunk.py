@@ -1,8 +1,9 @@
 """What every reader yields: successive samples of the columns asked for, as the file holds them."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -53,7 +54,21 @@ def require(path: Path, columns: Sequence[str], present: Iterable[str], what: st
             raise InputError(f"{path}: no {what} '{column}' (it has {has}); correct its name in the map")
 
 
-def blocks(length: int) -> Iterator[tuple[int, int]]:
-    """Ranges [start, stop) of at most CHUNK samples that cover 0..length."""
+def in_chunks(path: Path, lanes: Mapping[str, Any]) -> Iterator[Chunk]:
+    """Chunks of columns that have a length and are sliced as arrays are; a column of one value stands for every sample.
+
+    Raises:
+        InputError: their lengths differ.
+    """
+    longer = {column: len(lane) for column, lane in lanes.items() if len(lane) != 1}
+    if len(set(longer.values())) > 1:
+        text = ", ".join(f"{column} {length}" for column, length in longer.items())
+        raise InputError(f"{path}: columns differ in length ({text}); map columns of one recording")
+    length = next(iter(longer.values()), 1)
     for start in range(0, length, CHUNK):
-        yield start, min(start + CHUNK, length)
+        stop = min(start + CHUNK, length)
+        parts = {
+            column: lane[start:stop] if len(lane) > 1 else np.repeat(lane[:], stop - start)
+            for column, lane in lanes.items()
+        }
+        yield Chunk(parts, stop / length)

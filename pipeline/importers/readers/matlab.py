@@ -10,8 +10,8 @@ import numpy as np
 import scipy.io
 
 from softslide.features.errors import InputError
-from softslide.pipeline.importers.readers.chunk import Chunk, blocks, require
-from softslide.pipeline.importers.readers.hdf5 import common_length, read_hdf5
+from softslide.pipeline.importers.readers.chunk import Chunk, in_chunks, require
+from softslide.pipeline.importers.readers.hdf5 import read_hdf5
 
 # A variable of the older kind holds 2 GB at most; a file made to fill the memory unpacks to more.
 MOST_UNPACKED_BYTES = 2 << 30
@@ -34,14 +34,7 @@ def read_matlab(path: Path, columns: Sequence[str]) -> Iterator[Chunk]:
     variables = {column.partition(":")[0].partition(".")[0] for column in columns}
     require(path, sorted(variables), [name for name, _, _ in scipy.io.whosmat(path)], "variable")
     content = scipy.io.loadmat(path, variable_names=variables, struct_as_record=False, squeeze_me=True)
-    lanes = {column: _column(path, content, column) for column in columns}
-    length = common_length(path, {column: len(lane) for column, lane in lanes.items()})
-    for start, stop in blocks(length):
-        parts = {
-            c: lane[start:stop] if len(lane) > 1 else np.repeat(lane, stop - start)
-            for c, lane in lanes.items()
-        }
-        yield Chunk(parts, stop / length)
+    yield from in_chunks(path, {column: _column(path, content, column) for column in columns})
 
 
 def _check_size(path: Path, head: bytes) -> None:

@@ -3,7 +3,6 @@
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-import pyarrow as pa
 import pyarrow.parquet as pq
 
 from softslide.pipeline.importers.readers.chunk import CHUNK, Chunk, require
@@ -16,8 +15,5 @@ def read_parquet(path: Path, columns: Sequence[str]) -> Iterator[Chunk]:
         rows, total = 0, max(file.metadata.num_rows, 1)
         for batch in file.iter_batches(CHUNK, columns=list(columns)):
             rows += len(batch)
-            yield Chunk({name: _numpy(batch.column(name)) for name in columns}, rows / total)
-
-
-def _numpy(column: pa.Array):
-    return column.to_numpy(zero_copy_only=False)
+            parts = {name: batch.column(name).to_numpy(zero_copy_only=False) for name in columns}
+            yield Chunk(parts, rows / total)

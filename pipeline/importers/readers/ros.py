@@ -17,17 +17,12 @@ MESSAGES = 20_000
 RECEIVED = "received"
 
 
-def topic_of(column: str) -> str:
-    """A ROS name holds no dot, so the topic ends at the first one."""
-    return column.partition(".")[0]
-
-
 def read_ros(path: Path, columns: Sequence[str]) -> Iterator[Chunk]:
     """Fields of one topic's messages in the bag's order; stamps come as whole nanoseconds (int64).
 
     path: a `.bag`, an `.mcap`, a `.db3`, or the folder of a ROS 2 bag.
     """
-    topic = topic_of(columns[0])
+    topic = columns[0].partition(".")[0]  # a ROS name holds no dot
     readers = {column: _field(path, column) for column in columns}
     # Bags recorded before message definitions were stored need the common ones.
     with AnyReader([path], default_typestore=get_typestore(Stores.LATEST)) as bag:

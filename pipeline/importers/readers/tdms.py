@@ -7,8 +7,7 @@ import numpy as np
 from nptdms import TdmsFile
 
 from softslide.features.errors import InputError
-from softslide.pipeline.importers.readers.chunk import Chunk, blocks, require
-from softslide.pipeline.importers.readers.hdf5 import common_length
+from softslide.pipeline.importers.readers.chunk import Chunk, in_chunks, require
 
 # As a time column: the waveform's own start and step, which DAQmx stores with each channel.
 WAVEFORM = "wf_increment"
@@ -25,21 +24,15 @@ def read_tdms(path: Path, columns: Sequence[str]) -> Iterator[Chunk]:
         data = [column for column in columns if column != WAVEFORM]
         require(path, data, present, "channel")
         channels = {column: present[column] for column in data}
-        length = common_length(path, {column: len(channel) for column, channel in channels.items()})
         clock = next(iter(channels.values())).properties
         if WAVEFORM in columns and WAVEFORM not in clock:
             raise InputError(
                 f"{path}: '{data[0]}' has no {WAVEFORM}; name a time channel or rate_hz under [time]"
             )
-        for start, stop in blocks(length):
-            chunk = {column: _values(channel, start, stop) for column, channel in channels.items()}
+        start = 0
+        for chunk in in_chunks(path, channels):
             if WAVEFORM in columns:
-                offset = clock.get("wf_start_offset", 0.0)
-                chunk[WAVEFORM] = offset + np.arange(start, stop) * clock[WAVEFORM]
-            yield Chunk(chunk, stop / length)
-
-
-def _values(channel, start: int, stop: int) -> np.ndarray:
-    if len(channel) == 1:
-        return np.repeat(channel[:], stop - start)
-    return channel[start:stop]
+                since = np.arange(start, start + len(chunk)) * clock[WAVEFORM]
+                chunk.columns[WAVEFORM] = clock.get("wf_start_offset", 0.0) + since
+            start += len(chunk)
+            yield chunk

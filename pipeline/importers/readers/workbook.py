@@ -5,7 +5,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
-from typing import Any
 
 import openpyxl
 import pandas as pd
@@ -60,7 +59,8 @@ def read_workbook(path: Path, columns: Sequence[str], layout: ExcelLayout) -> It
         done = 0
         while block := list(islice(samples, CHUNK)):
             done += len(block)
-            lanes = {name: _column(block, place) for name, place in zip(columns, places, strict=True)}
+            cells = ([row[place] if place < len(row) else None for row in block] for place in places)
+            lanes = {name: pd.Series(lane).to_numpy() for name, lane in zip(columns, cells, strict=True)}
             yield Chunk(lanes, min(done / length, 1.0))
     finally:
         book.close()
@@ -86,7 +86,3 @@ def _without_empty_end(rows: Iterator[tuple]) -> Iterator[tuple]:
             yield from empty
             empty.clear()
             yield row
-
-
-def _column(rows: list[tuple], place: int) -> Any:
-    return pd.Series([row[place] if place < len(row) else None for row in rows]).to_numpy()

@@ -28,10 +28,14 @@ class Course:
         """(n + 1,) mm done at each knot."""
         return self.step_mm * np.arange(len(self.heading_rad) + 1)
 
+    @property
+    def _along(self) -> np.ndarray:
+        return np.column_stack([np.cos(self.heading_rad), np.sin(self.heading_rad)])
+
     def places(self) -> np.ndarray:
         """(n + 1, 2) mm of the indenter's centre at each knot."""
-        steps = self.step_mm * np.column_stack([np.cos(self.heading_rad), np.sin(self.heading_rad)])
-        return np.array(self.start_mm) + np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
+        way = np.cumsum(self.step_mm * self._along, axis=0)
+        return np.array(self.start_mm) + np.concatenate([np.zeros((1, 2)), way])
 
     def friction(self, friction_mm: float) -> np.ndarray:
         """(n + 1, 2) the friction's direction, of length 1 where it is fully there and 0 before any way.
@@ -42,6 +46,5 @@ class Course:
         if not len(self.heading_rad):
             return np.zeros((1, 2))
         forget = np.exp(-self.step_mm / max(friction_mm, 1e-9))
-        along = np.column_stack([np.cos(self.heading_rad), np.sin(self.heading_rad)])
-        followed = lfilter([1 - forget], [1, -forget], along, axis=0)
+        followed = lfilter([1 - forget], [1, -forget], self._along, axis=0)
         return np.concatenate([np.zeros((1, 2)), followed])

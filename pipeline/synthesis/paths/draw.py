@@ -1,6 +1,7 @@
 """Paths of each kind, drawn at random."""
 
 from collections.abc import Callable
+from contextlib import suppress
 
 import numpy as np
 
@@ -11,7 +12,7 @@ from softslide.pipeline.synthesis.distribution import Distribution
 from softslide.pipeline.synthesis.paths.contact_path import ContactPath, Timing
 from softslide.pipeline.synthesis.paths.course import STEP_MM, Course
 from softslide.pipeline.synthesis.paths.distribution import PathDistribution
-from softslide.pipeline.synthesis.paths.drawn_course import CURVES, Draw, rim_to_rim, way_out
+from softslide.pipeline.synthesis.paths.drawn_course import CURVES, Draw, NoCourse, rim_to_rim, way_out
 from softslide.pipeline.synthesis.slide_plan import near_failure
 
 # The kinds of successive paths, again and again: equal shares of any nine.
@@ -37,17 +38,15 @@ def draw_path(
     """
     paths, kind = paths or PathDistribution(), kind or KINDS[number % len(KINDS)]
     share = random.uniform(*distribution.pressure_share) if len(atlas.height_mm) > 1 else 1.0
-    middle = np.median(atlas.height_mm) if distribution.height_mm is None else distribution.height_mm
-    height = float(middle * np.cbrt(share))
+    height = float(distribution.nominal_height_mm(atlas) * np.cbrt(share))
     uneven = random.uniform() < distribution.uneven
     off = distribution.off_mm * random.uniform(-1, 1) if uneven else 0.0
     depth = float(np.clip(distribution.depth_mm + off, atlas.depth_mm[0], atlas.depth_mm[-1]))
     for _ in range(_DRAWS):
-        drawn = _OF_KIND[kind](Draw(paths, sensor, atlas, height, depth, random))
-        if drawn is not None and not near_failure(
-            atlas, *drawn["course"].places()[:: round(0.5 / STEP_MM)].T
-        ):
-            break
+        with suppress(NoCourse):
+            drawn = _OF_KIND[kind](Draw(paths, sensor, atlas, height, depth, random))
+            if not near_failure(atlas, *drawn["course"].places()[:: round(0.5 / STEP_MM)].T):
+                break
     else:
         raise InputError(f"no path of kind {kind} fits over solved positions; name another atlas")
     posture = distribution.posture_deg * random.standard_normal(2)
@@ -66,31 +65,19 @@ def draw_path(
     )
 
 
-def _line(draw: Draw) -> dict | None:
-    if (course := rim_to_rim(draw)) is None:
-        return None
-    drawn = {"shape": "line", "course": course, "depth_mm": draw.depth_mm} | _labels(draw, course)
-    drawn |= _at_one_speed(draw, course)
-    return drawn | {"speed_mm_s": float(drawn["timing"].speed_mm_s.max())}
+def _line(draw: Draw) -> dict:
+    return _labelled(draw, rim_to_rim(draw)) | {"depth_mm": draw.depth_mm}
 
 
-def _curve(draw: Draw) -> dict | None:
-    name = str(draw.random.choice(CURVES))
-    if (course := rim_to_rim(draw, name)) is None:
-        return None
-    return {"shape": name, "course": course, "depth_mm": draw.depth_mm} | _at_one_speed(draw, course)
+def _curve(draw: Draw) -> dict:
+    drawn = _bent(draw)
+    return drawn | _at_one_speed(draw, drawn["course"])
 
 
-def _speed(draw: Draw) -> dict | None:
-    drawn = _line_or_curve(draw)
-    if drawn is None:
-        return None
-    course, slow, quick = (
-        drawn["course"],
-        draw.log_uniform(draw.paths.slow_mm_s),
-        draw.log_uniform(draw.paths.quick_mm_s),
-    )
-    share = np.linspace(0, 1, len(course.way_mm))
+def _speed(draw: Draw) -> dict:
+    drawn = _straight_or_bent(draw)
+    slow, quick = draw.log_uniform(draw.paths.slow_mm_s), draw.log_uniform(draw.paths.quick_mm_s)
+    share = np.linspace(0, 1, len(drawn["course"].way_mm))
     if draw.random.uniform() < 0.5:
         # At constant acceleration the speed's square is a straight line of the way.
         speed = np.sqrt(slow**2 + (quick**2 - slow**2) * (1 - np.abs(2 * share - 1)))
@@ -101,24 +88,20 @@ def _speed(draw: Draw) -> dict | None:
         wave = np.cos(2 * np.pi * (waves[:, None] * share + turns[:, None])).sum(axis=0)
         part = (wave - wave.min()) / max(float(np.ptp(wave)), 1e-9)
         speed, law = slow * (quick / slow) ** part, "random"
-    return drawn | {"law": law, "timing": Timing(_ramped(draw, course, speed))}
+    return drawn | {"law": law, "timing": Timing(_ramped(draw, drawn["course"], speed))}
 
 
-def _stop(draw: Draw) -> dict | None:
-    drawn = _line_or_curve(draw)
-    if drawn is None:
-        return None
+def _stop(draw: Draw) -> dict:
+    drawn = _straight_or_bent(draw)
     course = drawn["course"]
     at = int(draw.random.uniform(0.3, 0.7) * len(course.heading_rad))
     speed = _ramped(draw, course, draw.log_uniform(draw.paths.speed_mm_s), at)
     return drawn | {"law": "stop", "timing": Timing(speed, ((at, draw.paths.stop_s),))}
 
 
-def _reverse(draw: Draw) -> dict | None:
+def _reverse(draw: Draw) -> dict:
     """In over the rim, and back on the same line to where it came from."""
     course = rim_to_rim(draw)
-    if course is None:
-        return None
     at = int(draw.random.uniform(0.4, 0.75) * len(course.heading_rad))
     heading = np.repeat([course.heading_rad[0], course.heading_rad[0] + np.pi], at)
     course = Course(course.start_mm, STEP_MM, heading, np.full(2 * at + 1, draw.depth_mm))
@@ -128,41 +111,32 @@ def _reverse(draw: Draw) -> dict | None:
     return {"shape": "line", "law": "constant", "course": course, "timing": timing, "depth_mm": draw.depth_mm}
 
 
-def _touchdown(draw: Draw) -> dict | None:
+def _touchdown(draw: Draw) -> dict:
     """Down on the skin, and out over the rim."""
     heading = draw.random.uniform(0, 2 * np.pi)
     start = draw.inner()
-    to_rim = way_out(start, heading, draw.reach())
-    if to_rim < draw.paths.on_skin_mm:
-        return None
-    return _on_or_off(draw, start, heading, to_rim, down=True)
+    return _on_or_off(draw, start, heading, way_out(start, heading, draw.reach()), down=True)
 
 
-def _lift(draw: Draw) -> dict | None:
+def _lift(draw: Draw) -> dict:
     """In over the rim, and up on the skin."""
     end, heading = draw.inner(), draw.random.uniform(0, 2 * np.pi)
     from_rim = way_out(end, heading + np.pi, draw.reach())
-    if from_rim < draw.paths.on_skin_mm:
-        return None
     start = end - from_rim * np.array([np.cos(heading), np.sin(heading)])
     return _on_or_off(draw, start, heading, from_rim, down=False)
 
 
-def _depth(draw: Draw) -> dict | None:
+def _depth(draw: Draw) -> dict:
     course = rim_to_rim(draw)
-    if course is None:
-        return None
     change = draw.random.choice([-1, 1]) * draw.random.uniform(*draw.paths.change_mm)
     middle = 0.5 * len(course.heading_rad)
     depth = draw.depth_mm + change * (np.arange(len(course.way_mm)) / middle - 1)
     # Neither pulled off the flat skin's face nor beyond what the atlas holds.
     depth = np.clip(depth, 0.0, draw.atlas.depth_mm[-1])
-    course = Course(course.start_mm, STEP_MM, course.heading_rad, depth)
-    drawn = {"shape": "line", "course": course} | _labels(draw, course) | _at_one_speed(draw, course)
-    return drawn | {"speed_mm_s": float(drawn["timing"].speed_mm_s.max())}
+    return _labelled(draw, Course(course.start_mm, STEP_MM, course.heading_rad, depth))
 
 
-def _press(draw: Draw) -> dict | None:
+def _press(draw: Draw) -> dict:
     x, y = draw.inner()
     course = Course((float(x), float(y)), STEP_MM, np.zeros(0), np.array([draw.depth_mm]))
     fall = (draw.depth_mm - draw.clear_mm) / draw.log_uniform(draw.paths.fall_mm_s)
@@ -171,7 +145,7 @@ def _press(draw: Draw) -> dict | None:
     return {"shape": "press", "law": "press", "course": course, "timing": timing}
 
 
-_OF_KIND: dict[str, Callable[[Draw], dict | None]] = {
+_OF_KIND: dict[str, Callable[[Draw], dict]] = {
     "line": _line,
     "curve": _curve,
     "speed": _speed,
@@ -184,22 +158,31 @@ _OF_KIND: dict[str, Callable[[Draw], dict | None]] = {
 }
 
 
-def _line_or_curve(draw: Draw) -> dict | None:
+def _bent(draw: Draw) -> dict:
+    name = str(draw.random.choice(CURVES))
+    return {"shape": name, "course": rim_to_rim(draw, name), "depth_mm": draw.depth_mm}
+
+
+def _straight_or_bent(draw: Draw) -> dict:
     """A course without its timing, straight as often as bent."""
-    if draw.random.uniform() < 0.5:
-        name, course = "line", rim_to_rim(draw)
-    else:
-        name = str(draw.random.choice(CURVES))
-        course = rim_to_rim(draw, name)
-    if course is None:
-        return None
-    drawn = {"shape": name, "course": course, "depth_mm": draw.depth_mm}
-    return drawn | (_labels(draw, course) if name == "line" else {})
+    if draw.random.uniform() >= 0.5:
+        return _bent(draw)
+    course = rim_to_rim(draw)
+    return {"shape": "line", "course": course, "depth_mm": draw.depth_mm} | _labels(draw, course)
+
+
+def _labelled(draw: Draw, course: Course) -> dict:
+    """A straight course at one speed."""
+    timed = _at_one_speed(draw, course)
+    speed = {"speed_mm_s": float(timed["timing"].speed_mm_s.max())}
+    return {"shape": "line", "course": course} | _labels(draw, course) | timed | speed
 
 
 def _on_or_off(draw: Draw, start: np.ndarray, heading: float, travel: float, down: bool) -> dict:
     """A straight course that begins (down) or ends on the skin, vertically or along a slant."""
     random, paths = draw.random, draw.paths
+    if travel < paths.on_skin_mm:
+        raise NoCourse
     count = int(travel / STEP_MM)
     depth = np.full(count + 1, draw.depth_mm)
     course = Course((float(start[0]), float(start[1])), STEP_MM, np.full(count, heading), depth)

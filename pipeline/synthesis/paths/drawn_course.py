@@ -20,6 +20,10 @@ Turns = Callable[[np.ndarray], np.ndarray]
 _LONGEST_MM = 140.0
 
 
+class NoCourse(Exception):
+    """What was drawn is not a course over the skin."""
+
+
 @dataclass(frozen=True)
 class Draw:
     """What a path is drawn from."""
@@ -49,10 +53,13 @@ class Draw:
         return self.random.uniform(-half, half)
 
 
-def rim_to_rim(draw: Draw, curve: str | None = None) -> Course | None:
-    """A course from clear of the skin to clear of it again; None if what was drawn is not one.
+def rim_to_rim(draw: Draw, curve: str | None = None) -> Course:
+    """A course from clear of the skin to clear of it again.
 
     curve: one of `CURVES`; None is straight, half of them along the axes.
+
+    Raises:
+        NoCourse: what was drawn is not one.
     """
     random, sensor = draw.random, draw.sensor
     along_axis = curve is None and random.uniform() < 0.5
@@ -60,7 +67,7 @@ def rim_to_rim(draw: Draw, curve: str | None = None) -> Course | None:
     aside = draw.paths.inner_share * min(sensor.chamber_mm) / 2
     line = crossing(direction, random.uniform(-aside, aside), sensor)
     if line is None:
-        return None
+        raise NoCourse
     start, _, _ = line
     way = STEP_MM * (np.arange(round(_LONGEST_MM / STEP_MM)) + 0.5)
     turns, whole_turn = (None, 0.0) if curve is None else _turns(draw, curve)
@@ -70,12 +77,12 @@ def rim_to_rim(draw: Draw, curve: str | None = None) -> Course | None:
     # The start itself lies on the boundary, give or take its rounding.
     out = (distance > draw.reach() + 1e-6).any(axis=1)
     if not out.any():
-        return None
+        raise NoCourse
     end = int(out.argmax()) - 1
     over = (distance[:end] < np.array(sensor.chamber_mm) / 2).all(axis=1)
     turned = float(np.ptp(heading[:end][over])) if over.any() else 0.0
     if STEP_MM * over.sum() < draw.paths.chord_mm or turned < whole_turn - 1e-3:
-        return None
+        raise NoCourse
     return Course(start, STEP_MM, heading[:end], course.depth_mm[: end + 1])
 
 

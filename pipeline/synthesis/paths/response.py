@@ -5,6 +5,7 @@ import pandas as pd
 
 from softslide.features.errors import InputError
 from softslide.pipeline.atlas.atlas import Atlas
+from softslide.pipeline.recordings.truth import COLUMNS
 from softslide.pipeline.synthesis.paths.contact_path import ContactPath
 from softslide.pipeline.synthesis.paths.partial_contact import partial_friction_parts, touch_depth_mm
 
@@ -31,16 +32,7 @@ def path_truth(path: ContactPath, atlas: Atlas) -> pd.DataFrame:
     """What was so, as `pipeline.recordings.truth` says. Contact begins at the depth of the first touch."""
     time_s = np.arange(int(path.duration_s * TRUTH_HZ) + 1) / TRUTH_HZ
     moments = path.at(time_s)
-    (x, y), (vx, vy), depth = moments.place_mm.T, moments.velocity_mm_s.T, moments.depth_mm
-    contact = depth > touch_depth_mm(x, y, path.height_mm, atlas)
-    return pd.DataFrame(
-        {
-            "time_s": time_s,
-            "x_mm": x,
-            "y_mm": y,
-            "vx_mm_s": vx,
-            "vy_mm_s": vy,
-            "contact": contact.astype(int),
-            "depth_mm": depth,
-        }
-    )
+    x, y = moments.place_mm.T
+    contact = moments.depth_mm > touch_depth_mm(x, y, path.height_mm, atlas)
+    columns = (time_s, x, y, *moments.velocity_mm_s.T, contact.astype(int), moments.depth_mm)
+    return pd.DataFrame(dict(zip(COLUMNS, columns, strict=True)))
