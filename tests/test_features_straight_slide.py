@@ -12,7 +12,7 @@ from softslide.features.angles import wrapped_deg
 from softslide.features.card import HALF_WIDTH_SD
 from softslide.features.contact.track import ContactEvidence
 from softslide.features.estimate import Contact, Estimate, Reason, mixed_width
-from softslide.features.straight_slide import apart, likely, with_track
+from softslide.features.straight_slide import apart, likely, stopped_on, with_track
 from softslide.features.stream.tracker import SlideState
 from softslide.features.track_estimate import TOUCH_LIMITS, TrackLimits, judged
 
@@ -179,3 +179,16 @@ def test_without_a_rim_a_bent_or_short_track_is_not_believed(
     track["mean"] = np.array([1.0, 2.0, 20.0, 5.0])
     assert estimated(TOUCH_LIMITS, **track).valid is valid
     assert estimated(**track).valid
+
+
+@pytest.mark.parametrize(
+    ("speed", "half", "at_rest"),
+    [(0.1, 0.3, True), (0.1, 5.0, True), (1.5, 3.0, True), (2.9, 3.5, False), (1.5, 0.5, False)],
+)
+def test_a_slide_rests_once_its_track_is_a_quarter_as_fast(speed: float, half: float, at_rest: bool) -> None:
+    """A track that has lost the speed, 2.9 +- 3.5 mm/s of a slide of 8, does not show that it has stopped."""
+    line, track = estimate(30.0, 8.0, 1.0, 0.05), estimate(30.0, speed, 1.0, half)
+    stopped = stopped_on(line, track, TrackLimits(), ended=False)
+    assert (stopped.valid, stopped.contact is Contact.STOPPED) == (True, at_rest)
+    assert (stopped.speed_mm_s, stopped.vx_mm_s) == ((0.0, 0.0) if at_rest else (8.0, track.vx_mm_s))
+    assert stopped_on(line, track, TrackLimits(), ended=True).speed_mm_s == 8.0
