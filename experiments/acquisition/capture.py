@@ -16,6 +16,7 @@ from softslide.features.angles import tilt_channels
 from softslide.features.clock import RATE_TOLERANCE, check_clock
 from softslide.features.errors import InputError
 from softslide.pipeline.checks.rail_run import MOST_AT_RAIL, rail_run
+from softslide.pipeline.checks.zone_signs import successive_means
 from softslide.pipeline.recordings.folder import Recording
 from softslide.pipeline.sensor import Sensor
 from softslide.serve.stream.framing import Chunk
@@ -199,8 +200,7 @@ def deviation_v(volts: np.ndarray, rate_hz: float, rest_s: float) -> tuple[np.nd
     And the rest's own standard deviation between blocks (2 A,) V.
     """
     size = max(1, round(BLOCK_S * rate_hz))
-    count = len(volts) // size
-    blocks = volts[: count * size, tilt_channels(volts.shape[1])].reshape(count, size, -1).mean(axis=1)
+    blocks = successive_means(volts[:, tilt_channels(volts.shape[1])], size)
     rest = blocks[: max(1, int(rest_s / BLOCK_S))]
     return blocks - rest.mean(axis=0), rest.std(axis=0)
 
