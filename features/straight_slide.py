@@ -123,7 +123,8 @@ def may_rest(track: Estimate, line: Estimate, limits: TrackLimits) -> bool:
 
 def rests(track: Estimate, line: Estimate, limits: TrackLimits) -> bool:
     """Whether it has: a track that is still a quarter as fast as the slide has only lost the speed."""
-    return may_rest(track, line, limits) and track.speed_mm_s < limits.rest_share * line.speed_mm_s
+    slow_mm_s = max(limits.stopped_mm_s, limits.rest_share * line.speed_mm_s)
+    return may_rest(track, line, limits) and track.speed_mm_s < slow_mm_s
 
 
 def stopped_on(line: Estimate, track: Estimate, limits: TrackLimits, ended: bool) -> Estimate:

@@ -192,3 +192,10 @@ def test_a_slide_rests_once_its_track_is_a_quarter_as_fast(speed: float, half: f
     assert (stopped.valid, stopped.contact is Contact.STOPPED) == (True, at_rest)
     assert (stopped.speed_mm_s, stopped.vx_mm_s) == ((0.0, 0.0) if at_rest else (8.0, track.vx_mm_s))
     assert stopped_on(line, track, TrackLimits(), ended=True).speed_mm_s == 8.0
+
+
+@pytest.mark.parametrize(("speed", "at_rest"), [(0.14, True), (0.16, False)])
+def test_a_slow_slide_rests_below_what_a_stopped_contact_shows(speed: float, at_rest: bool) -> None:
+    line, track = estimate(30.0, 0.4, 1.0, 0.05), estimate(30.0, speed, 1.0, 0.5)
+    stopped = stopped_on(line, track, TrackLimits(), ended=False)
+    assert (stopped.contact is Contact.STOPPED) is at_rest
