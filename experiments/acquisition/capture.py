@@ -16,8 +16,8 @@ from softslide.features.angles import tilt_channels
 from softslide.features.clock import RATE_TOLERANCE, check_clock
 from softslide.features.errors import InputError
 from softslide.pipeline.checks.rail_run import MOST_AT_RAIL, rail_run
-from softslide.pipeline.checks.zone_signs import successive_means
 from softslide.pipeline.recordings.folder import Recording
+from softslide.pipeline.recordings.successive_means import successive_means
 from softslide.pipeline.sensor import Sensor
 from softslide.serve.stream.framing import Chunk
 from softslide.serve.stream.sources import Source

@@ -18,6 +18,7 @@ from softslide.models.classical.interpolation import DIRECTIONS_DEG
 from softslide.pipeline.recordings.at_rest import conditioning_for
 from softslide.pipeline.recordings.folder import Folder
 from softslide.pipeline.recordings.learned import SAME_DEPTH_MM, learned_depths_mm
+from softslide.pipeline.recordings.signed_offset import signed_offset
 from softslide.pipeline.recordings.windows import labelled_windows
 
 # Share of the motion up to which a slide surely moves: after its end the window stands still.
@@ -94,7 +95,7 @@ def seen_from_board(folder: Folder) -> Folder:
     board = folder.sensor.accelerometers[0]
     angle = np.deg2rad(folder.manifest["direction_deg"].astype(float))
     dx, dy = (r - b for r, b in zip(folder.sensor.reference_mm, (board.x_mm, board.y_mm), strict=True))
-    offset = folder.manifest["offset_mm"] - np.sin(angle) * dx + np.cos(angle) * dy
+    offset = folder.manifest["offset_mm"] + signed_offset(angle, dx, dy)
     sensor = replace(folder.sensor, reference_mm=(board.x_mm, board.y_mm))
     return replace(folder, sensor=sensor, manifest=folder.manifest.assign(offset_mm=offset))
 

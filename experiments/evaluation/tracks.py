@@ -18,6 +18,7 @@ from softslide.experiments.evaluation.scoring import INTERVALS, interval_ends
 from softslide.features.angles import wrapped_deg
 from softslide.features.estimate import Estimate
 from softslide.pipeline.recordings.folder import Folder
+from softslide.pipeline.recordings.signed_offset import signed_offset
 from softslide.pipeline.recordings.truth import read_truth, truth_path
 from softslide.serve.localizer import Localizer
 from softslide.serve.records import record
@@ -212,10 +213,9 @@ def _true_at(time_s: np.ndarray, truth: pd.DataFrame, reference_mm: tuple[float,
     names = ("x_mm", "y_mm", "vx_mm_s", "vy_mm_s", "depth_mm")
     true = pd.DataFrame({name: np.interp(time_s, clock, truth[name].to_numpy(float)) for name in names})
     angle = np.arctan2(true["vy_mm_s"], true["vx_mm_s"])
-    x, y = true["x_mm"] - reference_mm[0], true["y_mm"] - reference_mm[1]
     true["direction_deg"] = np.rad2deg(angle) % 360
     true["speed_mm_s"] = np.hypot(true["vx_mm_s"], true["vy_mm_s"])
-    true["offset_mm"] = -np.sin(angle) * x + np.cos(angle) * y
+    true["offset_mm"] = signed_offset(angle, true["x_mm"] - reference_mm[0], true["y_mm"] - reference_mm[1])
     return true
 
 

@@ -48,9 +48,7 @@ class Evidence:
         self._beyond_device = beyond_device(np.array(inflation_v_per_mm)) if inflation_v_per_mm else None
         self._use = np.ones(len(noise_v), dtype=bool)
         self._smooth = SmoothSignal(noise_v, step_s)
-        self._log_odds = self._peak_v = 0.0
-        # How many steps the contact has, and the sum of their misfits.
-        self._steps, self._misfits = prior_steps or 0.0, prior_steps or 0.0
+        self.begin(self._use, np.zeros_like(noise_v), np.zeros_like(noise_v))
 
     def begin(self, use: np.ndarray, level_v: np.ndarray, slope_v_s: np.ndarray) -> None:
         """A contact begins, read from the channels `use` (C,) bool, at a level (C,) and a slope (C,)."""
@@ -60,6 +58,7 @@ class Evidence:
     def begin_anew(self, use: np.ndarray, level_v: np.ndarray, slope_v_s: np.ndarray) -> None:
         """The contact goes on, but its track begins anew."""
         self._log_odds = 0.0
+        # How many steps the contact has, and the sum of their misfits.
         self._steps = self._misfits = self._prior_steps or 0.0
         self._watch(use, level_v, slope_v_s)
 

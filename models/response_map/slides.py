@@ -15,6 +15,7 @@ from softslide.models.response_map.map import ResponseMap
 from softslide.pipeline.recordings.folder import Folder
 from softslide.pipeline.recordings.heights import HEIGHT
 from softslide.pipeline.recordings.pooled import WEIGHT
+from softslide.pipeline.recordings.signed_offset import signed_offset
 from softslide.pipeline.recordings.stroke import stage_motion
 
 STRETCH_MM = 0.5  # a fifth of the splines' spacing: along a stretch the response is straight
@@ -68,7 +69,7 @@ class CalibrationSlide:
     @property
     def line_offset_mm(self) -> float:
         """Signed distance of the line from the chamber's centre; differs between lines of one direction."""
-        return self.start_mm[1] * np.cos(self.direction_rad) - self.start_mm[0] * np.sin(self.direction_rad)
+        return float(signed_offset(self.direction_rad, *self.start_mm))
 
     def place(self, shift_mm: float, lag_s: float) -> tuple[np.ndarray, np.ndarray]:
         """Contact positions x, y (m,) mm that the output shows, given the slide's shift and the skin's lag."""

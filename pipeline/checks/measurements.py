@@ -7,8 +7,9 @@ import pandas as pd
 from scipy.signal import welch
 
 from softslide.pipeline.checks.rail_run import rail_run
-from softslide.pipeline.checks.zone_signs import sign_agreement, successive_means
+from softslide.pipeline.checks.zone_signs import sign_agreement
 from softslide.pipeline.recordings.folder import Recording
+from softslide.pipeline.recordings.successive_means import successive_means
 from softslide.pipeline.sensor import Sensor
 
 MAINS_HZ = (50.0, 60.0)

@@ -8,6 +8,8 @@ import numpy as np
 import pandas as pd
 
 from softslide.pipeline.recordings.folder import Recording
+from softslide.pipeline.recordings.signed_offset import signed_offset
+from softslide.pipeline.recordings.successive_means import successive_means
 from softslide.pipeline.sensor import Sensor
 
 # Nearer than this along an axis the sign is not sure; farther than that the board hardly tilts.
@@ -21,7 +23,7 @@ def line_mismatch_mm(labels: pd.Series, sensor: Sensor) -> float:
     """How far the labelled start lies off the line of direction and offset; NaN if one is absent."""
     angle = np.deg2rad(labels["direction_deg"])
     x, y = np.array([labels["start_x_mm"], labels["start_y_mm"]], dtype=float) - sensor.reference_mm
-    return float(-np.sin(angle) * x + np.cos(angle) * y - labels["offset_mm"])
+    return float(signed_offset(angle, x, y) - labels["offset_mm"])
 
 
 def start_mm(labels: pd.Series, sensor: Sensor) -> np.ndarray:
@@ -78,9 +80,3 @@ def sign_agreement(recording: Recording, labels: pd.Series, sensor: Sensor) -> n
                 scale = np.linalg.norm(output) * np.sqrt(len(due))
                 agreement[k, i, j] = output @ due / scale if scale > 0 else 0.0
     return agreement
-
-
-def successive_means(values: np.ndarray, count: int) -> np.ndarray:
-    """(m, ...) means of `count` values each of (n, ...), one after the other; what is left over is not used."""
-    whole = len(values) // count
-    return values[: whole * count].reshape(whole, count, *values.shape[1:]).mean(axis=1)

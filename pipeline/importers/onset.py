@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from softslide.pipeline.checks.zone_signs import successive_means
 from softslide.pipeline.recordings.folder import Recording
+from softslide.pipeline.recordings.successive_means import successive_means
 
 BLOCK_S = 0.02
 # How far the object is inside the inflated chamber at the onset: the median over the sample's calibration

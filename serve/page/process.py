@@ -20,7 +20,7 @@ from functools import partial
 from ipaddress import ip_address
 from multiprocessing.connection import Connection
 from pathlib import Path
-from queue import Empty, SimpleQueue
+from queue import SimpleQueue
 from typing import Any
 
 import numpy as np
@@ -31,6 +31,7 @@ from softslide.features.estimate import Estimate
 from softslide.features.safe_path import safe_path
 from softslide.serve.page.answers import answer
 from softslide.serve.page.server import FAREWELL_S, Server, about, frame
+from softslide.serve.stream.newest import put_newest
 
 PLACE = "write PORT or HOST:PORT, port 0 for any that is free"
 NEEDED = ("fastapi", "uvicorn", "websockets")
@@ -101,10 +102,7 @@ class Page:
 
     def show(self, estimate: Estimate, subtracted_v: np.ndarray) -> None:
         """Passes on the estimate to be shown, with the subtracted output (C,) V of the same moment. Never waits."""
-        if self._waiting.qsize() >= MOST_WAITING:
-            with suppress(Empty):
-                self._waiting.get_nowait()
-        self._waiting.put((estimate, subtracted_v))
+        put_newest(self._waiting, (estimate, subtracted_v), MOST_WAITING)
 
     def zero_wanted(self) -> bool:
         """Whether a viewer has asked for a new static output since the last call."""

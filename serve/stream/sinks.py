@@ -5,12 +5,13 @@ import socket
 import sys
 import threading
 from contextlib import suppress
-from queue import Empty, SimpleQueue
+from queue import SimpleQueue
 from typing import Protocol
 
 from softslide.features.errors import InputError
 from softslide.features.estimate import Estimate
 from softslide.serve.records import record
+from softslide.serve.stream.newest import put_newest
 from softslide.serve.stream.sources import address
 
 KINDS = "'-' writes JSON lines on standard output; udp://HOST:PORT one JSON object a datagram; ros2://TOPIC"
@@ -72,16 +73,11 @@ class QueuedLines(Lines):
     def write(self, estimate: Estimate) -> None:
         if self._left:
             raise BrokenPipeError
-        if self._waiting.qsize() >= MOST_WAITING:
-            with suppress(Empty):
-                self._waiting.get_nowait()
-            if not self._dropped:
-                print(
-                    "softslide serve: standard output is not read; its oldest lines are dropped",
-                    file=sys.stderr,
-                )
+        if put_newest(self._waiting, estimate, MOST_WAITING) and not self._dropped:
             self._dropped = True
-        self._waiting.put(estimate)
+            print(
+                "softslide serve: standard output is not read; its oldest lines are dropped", file=sys.stderr
+            )
 
     def close(self) -> None:
         """Waits for a reader that reads."""

@@ -19,6 +19,7 @@ from softslide.pipeline.importers.grid.lattice import GridPath, curve, lines
 from softslide.pipeline.importers.grid.presses import Presses, read_presses
 from softslide.pipeline.progress import progress_bar
 from softslide.pipeline.recordings.folder import Folder, Recording, write_folder
+from softslide.pipeline.recordings.signed_offset import signed_offset
 from softslide.pipeline.recordings.truth import COLUMNS
 
 
@@ -158,7 +159,7 @@ def _line_labels(slide: _Slide, mapping: GridMap, travel_mm: float) -> dict[str,
     return {
         "direction_deg": round(float(np.degrees(angle)) % 360.0, 6),
         "speed_mm_s": slide.speed_mm_s,
-        "offset_mm": float(np.cos(angle) * (y - reference[1]) - np.sin(angle) * (x - reference[0])) + 0.0,
+        "offset_mm": float(signed_offset(angle, x - reference[0], y - reference[1])) + 0.0,
         "start_x_mm": float(x),
         "start_y_mm": float(y),
         "travel_mm": travel_mm,

@@ -7,6 +7,7 @@ import numpy as np
 
 from softslide.features.errors import InputError
 from softslide.pipeline.atlas.atlas import Atlas
+from softslide.pipeline.recordings.signed_offset import signed_offset
 from softslide.pipeline.sensor import Sensor
 from softslide.pipeline.synthesis.distribution import Distribution
 from softslide.pipeline.synthesis.paths.contact_path import ContactPath, Timing
@@ -226,5 +227,5 @@ def _labels(draw: Draw, course: Course) -> dict:
     angle, (x, y), (x_ref, y_ref) = course.heading_rad[0], course.start_mm, draw.sensor.reference_mm
     return {
         "direction_deg": float(np.rad2deg(angle)),
-        "offset_mm": float(-np.sin(angle) * (x - x_ref) + np.cos(angle) * (y - y_ref)),
+        "offset_mm": float(signed_offset(angle, x - x_ref, y - y_ref)),
     }
