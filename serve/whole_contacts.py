@@ -6,14 +6,14 @@ import numpy as np
 
 from softslide.features.angles import touch_channels
 from softslide.features.card import Card
-from softslide.features.contact.first_places import Measured
 from softslide.features.contact.track import ContactEvidence, Track
-from softslide.features.contact.whole_path import PathConfig, WholePath, whole_path
 from softslide.features.errors import InputError
 from softslide.features.estimate import Estimate, Reason
 from softslide.features.stream.conditioning import ONSETS, LagUndone
 from softslide.features.stream.tracker import SlideState
 from softslide.features.track_estimate import TOUCH_LIMITS, judged
+from softslide.features.whole_contact.first_places import Measured
+from softslide.features.whole_contact.whole_path import PathConfig, WholePath, whole_path
 from softslide.serve.contact_tracker import response_surface
 from softslide.serve.localizer import Localizer
 

@@ -10,10 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.interpolate import BSpline
 
-from softslide.features.contact.curve import Curve, curve_along, spline_basis
-from softslide.features.contact.first_places import GRID_MM, Measured, first_places, whitening
 from softslide.features.contact.hypotheses import LocalErrors
-from softslide.features.contact.whole_path import LEAST_BLOCKS, PathConfig, WholePath, whole_path
+from softslide.features.whole_contact.curve import Curve, curve_along, spline_basis
+from softslide.features.whole_contact.first_places import GRID_MM, Measured, first_places, whitening
+from softslide.features.whole_contact.whole_path import LEAST_BLOCKS, PathConfig, WholePath, whole_path
 
 BLOCK_S = 0.02
 RESPONSE = dome_map(2, floor_v=4e-3)

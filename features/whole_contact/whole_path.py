@@ -13,10 +13,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softslide.features.contact.curve import Curve, curve_along
-from softslide.features.contact.first_places import Measured, first_places, whitening
 from softslide.features.contact.hypotheses import LocalErrors
 from softslide.features.contact.response_surface import ResponseSurface
+from softslide.features.whole_contact.curve import Curve, curve_along
+from softslide.features.whole_contact.first_places import Measured, first_places, whitening
 
 LEAST_BLOCKS = 8
 STEPS = 40  # of Gauss-Newton, at most

@@ -1,0 +1,1 @@
+"""The path of a whole contact, once it has been recorded to its end."""
