@@ -29,9 +29,9 @@ from softslide.features.card import Card
 from softslide.features.errors import InputError
 from softslide.features.estimate import Estimate
 from softslide.features.safe_path import safe_path
+from softslide.serve.newest import put_newest
 from softslide.serve.page.answers import answer
 from softslide.serve.page.server import FAREWELL_S, Server, about, frame
-from softslide.serve.stream.newest import put_newest
 
 PLACE = "write PORT or HOST:PORT, port 0 for any that is free"
 NEEDED = ("fastapi", "uvicorn", "websockets")

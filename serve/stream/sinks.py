@@ -10,8 +10,8 @@ from typing import Protocol
 
 from softslide.features.errors import InputError
 from softslide.features.estimate import Estimate
+from softslide.serve.newest import put_newest
 from softslide.serve.records import record
-from softslide.serve.stream.newest import put_newest
 from softslide.serve.stream.sources import address
 
 KINDS = "'-' writes JSON lines on standard output; udp://HOST:PORT one JSON object a datagram; ros2://TOPIC"
