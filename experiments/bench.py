@@ -26,6 +26,7 @@ from typing import Any
 import pandas as pd
 
 from softslide.experiments.code_hash import ROOT, code_hash
+from softslide.experiments.flattened import flattened
 from softslide.experiments.pages.page import number
 from softslide.features.errors import InputError
 from softslide.pipeline.toml_tables import read_toml
@@ -151,7 +152,7 @@ def take(source: dict[str, Any], figures: Mapping[str, Any], code: str) -> None:
     """
     source.pop("stale", None)
     source |= {"hash": code, "date": datetime.datetime.now(datetime.UTC).date().isoformat()}
-    for key, value in _flat(figures):
+    for key, value in _numbers(figures).items():
         if value is None:
             # What could not be measured this time is not what it was.
             source["figures"].pop(key, None)
@@ -173,7 +174,7 @@ def figures_in(folder: Path, name: str, commands: Sequence[str], tables: Mapping
     if "softslide evaluate" in commands[-1]:
         metrics = json.loads((left(commands[-1]) / "metrics.json").read_text(encoding="utf-8"))
         metrics["bounds"] = {bound["name"]: bound for bound in metrics["bounds"]}
-        found, wanted = dict(_flat(metrics)), keys_of(name, tables)
+        found, wanted = _numbers(metrics), keys_of(name, tables)
         if missing := [key for key in wanted if found.get(key) is None]:
             raise InputError(f"{name}: its evaluation holds no {missing[0]}")
         return {key: found[key] for key in wanted}
@@ -184,7 +185,7 @@ def figures_in(folder: Path, name: str, commands: Sequence[str], tables: Mapping
         seeds = every.iloc[0] if len(every) == 1 else every.agg(["min", "max"])
         return {str(key): figures for key, figures in seeds.to_dict().items()}
     reports = [left(command, "--json") for command in commands if "--json" in command]
-    return dict(pair for path in reports for pair in _flat(json.loads(path.read_text())))
+    return {key: value for path in reports for key, value in _numbers(json.loads(path.read_text())).items()}
 
 
 def _variants(path: Path) -> dict[str, float]:
@@ -194,13 +195,11 @@ def _variants(path: Path) -> dict[str, float]:
     return {f"{METHODS[str(name)]}/{key}": value for name, row in rows.items() for key, value in row.items()}
 
 
-def _flat(values: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """The numbers of nested tables, with the way to each."""
-    for key, value in values.items():
-        if isinstance(value, dict):
-            yield from _flat(value, f"{prefix}{key}/")
-        elif value is None or (isinstance(value, int | float) and not isinstance(value, bool)):
-            yield f"{prefix}{key}", value
+def _numbers(values: Mapping[str, Any]) -> dict[str, Any]:
+    """The numbers of nested tables, with the way to each; None: not known."""
+    kinds = int | float | None
+    flat = flattened(values, "/").items()
+    return {key: value for key, value in flat if isinstance(value, kinds) and not isinstance(value, bool)}
 
 
 def run(command: str, folder: Path) -> None:

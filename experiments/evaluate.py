@@ -31,8 +31,9 @@ from softslide.experiments.evaluation.scoring import (
     summary,
 )
 from softslide.experiments.evaluation.tracks import Track, line, summaries, tracks, with_truth
+from softslide.experiments.flattened import flattened
 from softslide.experiments.provenance import bundle_hash, data_hashes, data_tags
-from softslide.experiments.tracking import Run, flattened, tracked
+from softslide.experiments.tracking import Run, tracked
 from softslide.features.errors import InputError
 from softslide.pipeline.progress import progress_bar
 from softslide.pipeline.recordings.derived_labels import with_derived_labels

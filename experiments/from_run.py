@@ -9,8 +9,9 @@ from typing import Any
 
 from softslide.experiments.configuration import read_configuration
 from softslide.experiments.data_use import some
+from softslide.experiments.flattened import flattened
 from softslide.experiments.provenance import code_revision, data_hashes, machine, packages
-from softslide.experiments.tracking import flattened, logged_run
+from softslide.experiments.tracking import logged_run
 from softslide.experiments.train import BUNDLE_FILES, to_learn_from, train
 from softslide.features.errors import InputError
 from softslide.models.registry import model_named

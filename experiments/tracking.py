@@ -33,6 +33,7 @@ from mlflow.utils.mlflow_tags import MLFLOW_DATASET_CONTEXT, MLFLOW_PARENT_RUN_I
 from sqlalchemy.exc import SQLAlchemyError
 
 from softslide.experiments import provenance
+from softslide.experiments.flattened import flattened
 from softslide.features.errors import InputError
 from softslide.pipeline.recordings.folder import Folder
 from softslide.pipeline.staging import locked
@@ -268,17 +269,6 @@ def fetched(address: str, into: Path, named: str | None = None) -> Path:
         raise InputError(f"{address}: not a bundle that 'train' registered; name another")
     # Reports name a bundle by its folder.
     return card.parent.rename(into / re.sub(r"\W+", "-", address.removeprefix("models:/")))
-
-
-def flattened(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Nested keys joined by a dot."""
-    flat: dict[str, Any] = {}
-    for key, value in table.items():
-        if isinstance(value, Mapping):
-            flat |= flattened(value, f"{prefix}{key}.")
-        else:
-            flat[prefix + key] = value
-    return flat
 
 
 def first_line(error: BaseException) -> str:

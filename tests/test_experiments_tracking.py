@@ -10,8 +10,9 @@ import mlflow
 import pytest
 from small_bundle import write_small_bundle
 
+from softslide.experiments.flattened import flattened
 from softslide.experiments.provenance import code_revision, data_hashes
-from softslide.experiments.tracking import client_of, fetched, find_run, flattened, tracked
+from softslide.experiments.tracking import client_of, fetched, find_run, tracked
 from softslide.features.errors import InputError
 from softslide.pipeline.recordings.folder import SAMPLE, Folder, read_folder, write_folder
 

@@ -12,9 +12,9 @@ from softslide.experiments.evaluation.bounds import Verdict
 from softslide.experiments.evaluation.scoring import QUANTITIES
 from softslide.experiments.evaluation.traces import trace
 from softslide.experiments.evaluation.tracks import Track
+from softslide.experiments.flattened import flattened
 from softslide.experiments.pages.figures import Panel
 from softslide.experiments.pages.page import number, render
-from softslide.experiments.tracking import flattened
 from softslide.features.stream.conditioning import Conditioning
 from softslide.pipeline.recordings.folder import Folder
 from softslide.pipeline.recordings.learned import CALIBRATION
