@@ -32,26 +32,39 @@ struct {
   void write(const uint8_t *data, size_t size) { std::fwrite(data, 1, size, stdout); }
 } Serial;
 #include "stream.ino"
-int main() { setup(); for (long n = 0; n < 2000000 && sample < 3000; n++) loop(); }
+int main() {
+  setup();
+  for (long n = 0; n < 2000000 && sample < 3000; n++) loop();
+  std::fprintf(stderr, "%lu", (unsigned long)(now_us - begun_us));
+}
 """
 
 
-def run_firmware(folder: Path, late_us: int, form: str = "csv") -> bytes:
-    """Its output over three seconds of a board whose converter takes `late_us`."""
+def run_firmware(folder: Path, late_us: int, form: str = "csv", clock: str = "1.0") -> tuple[bytes, int]:
+    """Its output over three seconds of a board whose converter takes `late_us`, and how long that was by its clock, us.
+
+    clock: true seconds in a second of it.
+    """
     (folder / "board.cpp").write_text(BOARD)
     sketch = (HARDWARE / "stream.ino").read_text()
-    assert "FRAMES = false;" in sketch
-    framed = sketch.replace("FRAMES = false;", "FRAMES = true;")
-    (folder / "stream.ino").write_text(framed if form == "cobs" else sketch)
+    for name, value in (
+        ("FRAMES = false", f"FRAMES = {str(form == 'cobs').lower()}"),
+        ("CLOCK = 1.0", f"CLOCK = {clock}"),
+    ):
+        assert name in sketch
+        sketch = sketch.replace(name, value)
+    (folder / "stream.ino").write_text(sketch)
     compiler = ["g++", "-std=c++17", "-Wall", "-Wextra", "-Werror", f"-DLATE_US={late_us}"]
     subprocess.run([*compiler, "-o", str(folder / "board"), str(folder / "board.cpp")], check=True)
-    return subprocess.run([str(folder / "board")], capture_output=True, check=True, timeout=60).stdout
+    ran = subprocess.run([str(folder / "board")], capture_output=True, check=True, timeout=60)
+    return ran.stdout, int(ran.stderr)
 
 
 @pytest.mark.skipif(shutil.which("g++") is None, reason="no compiler for the host")
 @pytest.mark.parametrize("form", ["csv", "cobs"])
 def test_the_firmware_sends_samples_at_its_rate(tmp_path: Path, form: str) -> None:
-    chunks = list(framing_of(form, 3).read(run_firmware(tmp_path, 10, form)))
+    sent, _ = run_firmware(tmp_path, 10, form)
+    chunks = list(framing_of(form, 3).read(sent))
     volts = np.concatenate([volts for volts, _ in chunks])
     time_s = np.concatenate([time_s for _, time_s in chunks if time_s is not None])
     assert len(volts) == len(time_s) == 3000
@@ -62,10 +75,21 @@ def test_the_firmware_sends_samples_at_its_rate(tmp_path: Path, form: str) -> No
 @pytest.mark.skipif(shutil.which("g++") is None, reason="no compiler for the host")
 def test_samples_that_the_firmware_could_not_take_leave_gaps_in_its_times(tmp_path: Path) -> None:
     # 24 readings of 100 us take 2.4 ms of each 1 ms.
-    chunks = list(framing_of("csv", 3).read(run_firmware(tmp_path, late_us=100)))
+    sent, _ = run_firmware(tmp_path, late_us=100)
+    chunks = list(framing_of("csv", 3).read(sent))
     time_s = np.concatenate([time_s for _, time_s in chunks if time_s is not None])
     assert np.diff(time_s).max() >= 2e-3
     assert time_s[-1] == pytest.approx(3.0, abs=0.01)
+
+
+@pytest.mark.skipif(shutil.which("g++") is None, reason="no compiler for the host")
+@pytest.mark.parametrize("clock", [0.99, 1.0, 1.01])
+def test_a_clock_that_is_off_is_corrected(tmp_path: Path, clock: float) -> None:
+    """A board whose second lasts 1.01 s counts 2.97 of them in the three seconds of its 3000 samples."""
+    sent, elapsed_us = run_firmware(tmp_path, 10, clock=f"{clock}")
+    (time_s,) = (t[-1:] for _, t in list(framing_of("csv", 3).read(sent))[-1:] if t is not None)
+    assert time_s[0] == pytest.approx(2.999)
+    assert elapsed_us * 1e-6 == pytest.approx(3.0 / clock, abs=0.002)
 
 
 def test_the_ni_script_sends_samples(monkeypatch: pytest.MonkeyPatch) -> None:

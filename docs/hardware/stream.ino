@@ -6,17 +6,18 @@ const int PINS[] = {A0, A1, A2};  // x, y, z of a0; three more for each further 
 const int CHANNELS = sizeof(PINS) / sizeof(PINS[0]);
 const unsigned long RATE_HZ = 1000;    // sample_rate_hz in sensor.toml
 const unsigned long STEP_US = 1000000 / RATE_HZ;
+const double CLOCK = 1.0;              // true seconds in a second of the board's clock
 const unsigned long FULL_UV = 3300000;  // the converter's reference, which also feeds the accelerometer, in uV
 const bool FRAMES = false;             // in place of lines
 const int READS = 8;                   // averaged, for a finer step than the converter's
 
 unsigned long sample;
-uint32_t due_us;  // as wide as micros(), which overflows after 71 minutes
+uint32_t begun_us, due_us;  // as wide as micros(), which overflows after 71 minutes
 
 void setup() {
   Serial.begin(1000000);
   analogReadResolution(12);
-  due_us = micros();
+  begun_us = due_us = micros();
 }
 
 unsigned long microvolts(int channel) {
@@ -68,5 +69,8 @@ void loop() {
   if ((int32_t)(micros() - due_us) < 0) return;
   if (FRAMES) sendFrame(); else sendLine();
   // A sample that came too late to be taken leaves a gap in the times, which 'softslide record' sees.
-  do { sample++; due_us += STEP_US; } while ((int32_t)(micros() - due_us) > (int32_t)STEP_US);
+  do {
+    sample++;
+    due_us = begun_us + (uint32_t)(uint64_t)(sample * (STEP_US / CLOCK));
+  } while ((int32_t)(micros() - due_us) > (int32_t)STEP_US);
 }

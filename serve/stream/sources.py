@@ -22,9 +22,11 @@ from softslide.serve.stream.framing import Chunk, Framing, framing_of
 Source = Iterator[Chunk | tuple[()]]
 KINDS = (
     "FILE.csv or FILE.parquet plays a recording; '-' reads standard input; udp://HOST:PORT; "
-    "serial:///dev/PORT?BAUD; ros2://TOPIC; in 'serve' ros2+imu://TOPIC"
+    "serial:///dev/PORT?BAUD (default: 1000000); ros2://TOPIC; in 'serve' ros2+imu://TOPIC"
 )
 WAIT_S = 0.2
+# Of a serial port unless its name says another: that of docs/hardware/stream.ino.
+BAUD = 1_000_000
 _READ_BYTES = 1 << 16
 # Pieces read ahead of the stream; a writer that is faster waits.
 _WAITING = 16
@@ -96,9 +98,9 @@ def _serial(name: str, framing: Framing) -> Source:
 
     port, _, baud = name.removeprefix("serial://").partition("?")
     if baud and not baud.isdigit():
-        raise InputError(f"{name}: '{baud}' is no baud rate; write serial:///dev/ttyUSB0?921600", "source")
+        raise InputError(f"{name}: '{baud}' is no baud rate; write serial:///dev/ttyUSB0?{BAUD}", "source")
     try:
-        port_open = serial.Serial(port, int(baud or 921_600), timeout=WAIT_S)
+        port_open = serial.Serial(port, int(baud or BAUD), timeout=WAIT_S)
     except (OSError, ValueError) as error:
         raise InputError(f"{name}: cannot be opened ({' '.join(str(error).split())})", "source") from None
     return _heard(name, port_open, framing)

@@ -102,7 +102,7 @@ def record(parser: Parser) -> Run:
     CNC machine moves the ball, also along waypoints, and its acknowledgements
     give the moments of motion, as docs/printer.md says.
 
-        softslide record --source serial:///dev/ttyACM0?115200 --sensor sensor.toml \\
+        softslide record --source serial:///dev/ttyACM0 --sensor sensor.toml \\
             --plan plan.csv --out my-recordings
         softslide record --source udp://:9000 --plan plan.csv --out my-recordings
         softslide record --source udp://:9000 --plan plan.csv --out my-recordings --yes \\
