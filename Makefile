@@ -18,7 +18,7 @@ docs: .venv/docs-installed ## these pages as a site, its examples run: docs/_bui
 	$(BIN)/sphinx-build -q -W --keep-going -c docs . docs/_build
 
 # Its environment is its own: what OctoPrint needs is not what softslide needs.
-lab: .venv/installed .octoprint/installed ## the whole hour with a printer as the stage, simulated, in minutes
+lab: .venv/installed .octoprint/installed ## a recording session with a printer as the stage, simulated, in minutes
 	$(BIN)/python -m softslide.experiments.studies.lab --printer .octoprint/bin/python --out lab
 
 # `evaluate` scores no bound of the article's on curves, which is no failure here.

@@ -267,7 +267,7 @@ def _parser() -> argparse.ArgumentParser:
         "--recordings-root",
         type=Path,
         metavar="DIR",
-        help="holds bench-a, bench-d and paths-a (default: none)",
+        help="holds bench-a, bench-d, bench-depth and paths-a (default: none)",
     )
     return parser
 

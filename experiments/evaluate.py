@@ -149,7 +149,7 @@ def _evaluated(
         verdicts = tuple(check(bound, unseen, learned_depths_mm(whole.manifest)) for bound in read_bounds())
         card = json.loads((bundle / "model.json").read_text(encoding="utf-8"))
         metrics = measure(unseen, verdicts) | {
-            "taught_lines": {
+            "calibration_lines": {
                 "names": [str(name) for name in apart["recording"].unique()],
                 "end_of_stroke": summary(apart[apart["stroke_fraction"] == 1.0]),
             },

@@ -1,10 +1,10 @@
-"""What is said of a contact: the straight slide that the graph fits, the track, or neither, and why.
+"""The estimate of a contact: the straight slide that the graph fits, the track, or neither, and why.
 
 1. The straight slide, where the track agrees with it (`apart`), and is valid or makes it likely (`likely`). On a line
    that they agreed on before, its misfit may be twice the bundle's limit, where a valid track agrees to 95 %.
 2. What the signal forbids, whatever fits: a dead channel, drift; too early, unless the track has much evidence.
-3. The line that straight slide and track agreed on, where the contact stops on it, or where the straight slide is of it
-   still and the track is lost or goes much the same way: then with intervals that hold the track.
+3. The line that straight slide and track agreed on, where the contact stops on it, or where the straight slide still
+   follows it and the track is lost or goes much the same way: then with intervals that hold the track.
 4. Ambiguous, where a straight slide explains the output and goes another way than the track, or explains to the noise
    what the track takes for a press.
 5. The track, valid by its own limits (`features/track_estimate.py`).

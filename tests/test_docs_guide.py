@@ -104,14 +104,12 @@ def test_every_command_is_one_that_the_program_has() -> None:
             assert (Path(__file__).parent / file).exists()
 
 
-def follow(bench: Path, chosen: Iterable[str]) -> None:
-    """Runs the commands in order; does what the guide asks for between them."""
+def follow(chosen: Iterable[str]) -> None:
+    """Runs the commands in order."""
     for command in chosen:
         status = run(command)
         # A bound of the article that is missed gives 1: the recordings are few.
         assert status == 0 or (status == 1 and command.startswith("evaluate")), command
-        if command.startswith("import --map-template"):
-            (bench / "map.toml").write_text((bench / "template.toml").read_text())
 
 
 def test_the_guide_s_commands_run(bench: Path) -> None:
@@ -120,7 +118,7 @@ def test_the_guide_s_commands_run(bench: Path) -> None:
     write_small_bundle(bench / "first-model", read_folder(SAMPLE).sensor)
     chosen = [c for c in commands() if not begins(c, (*SLOW, *ELSEWHERE))]
     assert len(chosen) == 8
-    follow(bench, chosen)
+    follow(chosen)
     assert read_folder(bench / "imported").manifest["split"].tolist() == ["calibration"]
     assert "be trusted on" in (bench / "results/report.html").read_text()
     assert (bench / "coverage.svg").stat().st_size > 1000
@@ -129,7 +127,7 @@ def test_the_guide_s_commands_run(bench: Path) -> None:
 @pytest.mark.long
 def test_the_guide_s_slow_commands_run(bench: Path) -> None:
     lay_out(bench, FITTED)
-    follow(bench, [c for c in commands() if not begins(c, ELSEWHERE)])
+    follow([c for c in commands() if not begins(c, ELSEWHERE)])
     assert len(read_sensor(bench / "design/sensor-2.toml").accelerometers) == 2
     assert len(pd.read_csv(bench / "plan.csv")) == 24 + 12
     assert (bench / "my-model-c/model.c").exists()

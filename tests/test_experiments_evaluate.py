@@ -201,8 +201,8 @@ def test_slides_along_calibrated_lines_are_scored_apart(tmp_path: Path) -> None:
     )
     evaluated(tmp_path / "b", tmp_path / "lab", tmp_path / "out", report=True)
     metrics = json.loads((tmp_path / "out/metrics.json").read_text())
-    assert metrics["taught_lines"]["names"] == ["along"]
-    assert metrics["taught_lines"]["end_of_stroke"]["speed_percent"]["mean"] == pytest.approx(20.0)
+    assert metrics["calibration_lines"]["names"] == ["along"]
+    assert metrics["calibration_lines"]["end_of_stroke"]["speed_percent"]["mean"] == pytest.approx(20.0)
     assert metrics["end_of_stroke"]["recordings"] == 1
     assert metrics["end_of_stroke"]["speed_percent"]["max"] == pytest.approx(0.0, abs=1e-4)
     assert [b["recordings"] for b in metrics["bounds"] if b["name"] == "speed"] == [1]

@@ -100,7 +100,7 @@ def truth_of(waypoints: np.ndarray, moments_s: np.ndarray, until_s: float, atlas
     """What was so up to a moment of the recording, as `pipeline.recordings.truth` says.
 
     moments_s: (m, 2) s of the waypoints' time and of the recording's. Contact is deeper than the touch of the atlas's
-    untouched skin, of its middle height.
+    untouched skin, of the atlas's median height.
     """
     height_mm = float(np.median(atlas.height_mm))
     time_s = np.arange(int(until_s * TRUTH_HZ) + 1) / TRUTH_HZ

@@ -58,7 +58,7 @@ def write_report(
         answer=answer(verdicts),
         untested=not_tested(end, verdicts, sensor.chamber_mm),
         end=metrics["end_of_stroke"],
-        learned=metrics["taught_lines"],
+        learned=metrics["calibration_lines"],
         tables=[
             ("By split", ends),
             ("By direction", metrics["by_direction"]),

@@ -94,7 +94,7 @@ class Page:
             raise InputError(f"{place}: the page's process did not start; serve without it", "page")
         self._waiting: SimpleQueue[tuple[Estimate, np.ndarray] | None] = SimpleQueue()
         self._zero = False
-        self._told_gone = False
+        self._gone_said = False
         self._sender = threading.Thread(target=self._send, name="page", daemon=True)
         self._sender.start()
         self._listener = threading.Thread(target=self._listen, name="page's requests", daemon=True)
@@ -119,12 +119,12 @@ class Page:
             self._process.join()
         elif self._process.exitcode:
             # What was sent to it while it died had still room in the pipe.
-            self._tell_gone()
+            self._say_gone()
 
-    def _tell_gone(self) -> None:
-        if not self._told_gone:
+    def _say_gone(self) -> None:
+        if not self._gone_said:
             print("softslide serve: the page has ended; the stream goes on", file=sys.stderr)
-        self._told_gone = True
+        self._gone_said = True
 
     def _send(self) -> None:
         """Sends what waits until the end, or until the page is gone."""
@@ -133,7 +133,7 @@ class Page:
                 self._pipe.send_bytes(frame(*shown))
             self._pipe.send_bytes(b"")
         except OSError:
-            self._tell_gone()
+            self._say_gone()
 
     def _listen(self) -> None:
         """Notes requests until the page is gone."""

@@ -140,9 +140,9 @@ def serve(parser: Parser) -> Run:
     arguments.unsigned(parser)
     log = "a new MCAP file for what comes (V) and goes out, as Foxglove and Rerun open it; 'import' reads its volts "
     parser.add_argument("--log", type=Path, metavar="FILE.mcap", help=f"{log}(needs the live extra)")
-    rate = "of a live source's samples (default: as in the bundle's calibration); a recording's clock says it"
+    rate = "sample rate of a live source (default: as in the bundle's calibration); a recording has its own clock"
     arguments.number(parser, "--rate", "HZ", rate)
-    lag = "give each moment's estimate so much later, at most 2, from what comes after it as well: sharper, and valid "
+    lag = "give each estimate so many s later, at most 2, from later samples as well: sharper, and valid "
     arguments.number(parser, "--lag", "S", f"{lag}more often (cnn alone)", default=0.0)
     parser.add_argument("--fast", action="store_true", help="play a recording as fast as it goes")
     parser.add_argument(

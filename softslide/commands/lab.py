@@ -62,16 +62,14 @@ def plan(parser: Parser) -> Run:
     arguments.atlas(parser, "from 'simulate' (default: the shipped one for its design, else solved coarsely)")
     among = "choose among the calibration and train slides of a manifest (default: lines in all directions)"
     arguments.existing(parser, "--candidates", "manifest.csv", among)
-    directions = "that the stage can move in, deg (default: every 15)"
-    speeds = "that the stage can move at, mm/s (default: 1 2 4)"
+    directions = "directions that the stage can move in, deg (default: every 15)"
+    speeds = "speeds that the stage can move at, mm/s (default: 1 2 4)"
     arguments.number(parser, "--directions", "DEG", directions, nargs="+")
     arguments.number(parser, "--speeds", "MM_S", speeds, nargs="+")
     arguments.number(parser, "--depth", "MM", "contact depth, mm", 0.5)
-    apart = (
-        "slides too to test with, along lines between those, on which each of the article's bounds is tested"
-    )
+    apart = "how many test slides to add, along other lines, so that each of the article's bounds is tested"
     arguments.number(parser, "--tests", "N", apart, 0)
-    others = "contacts too that bend, stop, turn back, press, are put down or lifted, for a stage to follow"
+    others = "how many contacts to add that bend, stop, turn back, press, touch down or lift, for a stage to follow"
     arguments.number(parser, "--paths", "N", others, 0)
     arguments.out(parser, "the CSV to write", metavar="plan.csv")
     arguments.picture(parser, "plan.svg", "draw the plan too")
@@ -139,10 +137,14 @@ def record(parser: Parser) -> Run:
         "what moves the ball: serial:///dev/PORT?firmware=marlin&baud=115200, or grbl (needs the live extra)"
     )
     parser.add_argument("--stage", metavar="URL", help=f"{moves} (default: a person)")
-    origin = "where, after homing, the ball just touches the skin over the chamber's middle (default: where it is now)"
+    origin = (
+        "where, after homing, the ball just touches the skin over the chamber's middle, mm (default: where it is now; "
+        "--yes needs it)"
+    )
     arguments.number(parser, "--origin", "MM", origin, nargs=3)
     height = (
-        "with --origin above the skin and the pressure off: find its height, by lowering so far at most, mm"
+        "with --origin above the skin and the pressure off: find its height, by lowering so far at most, mm; "
+        "not with --yes"
     )
     arguments.number(parser, "--approach", "MM", height)
     in_the_air = "with --stage: drive the slides above the skin, and record nothing"

@@ -33,7 +33,8 @@ def demo(parser: Parser) -> Run:
 def train(parser: Parser) -> Run:
     """train a model, tracked in MLflow, and export it
 
-    Uses the splits whose names begin with calibration or train and no other.
+    Uses the splits whose names begin with calibration or train, of a sensor with a
+    [base] also the split base, and no other.
     The run is kept in sqlite:///mlflow.db, or where MLFLOW_TRACKING_URI says.
     A folder without labelled recordings trains cnn from the sensor's design.
     trees, mlp and gp learn from recorded slides and from slides drawn from the
@@ -116,8 +117,8 @@ def evaluate(parser: Parser) -> Run:
     Writes predictions.csv (deg, mm/s, mm), metrics.json and report.html.
     Recordings with their truth next to them (slides/NAME.truth.csv) are
     followed over time as well: errors of place, direction and speed, by split.
-    Slides along calibration lines are scored apart. Of a bundle with a
-    response map, errors are shown over its Cramer-Rao bound. The same command
+    Slides along calibration lines are scored apart. For a bundle with a
+    response map, errors are shown relative to its Cramer-Rao bound too. The same command
     goes on where it was stopped. Exit status 1: a bound of the article is not met, or
     nothing tests it (see --allow-untested).
 

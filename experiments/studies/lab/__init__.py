@@ -1,1 +1,1 @@
-"""`make lab`: the whole hour, from a bare skin to a model, without hardware."""
+"""`make lab`: a simulated recording session, from a bare skin to a model, without hardware."""

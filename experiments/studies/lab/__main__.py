@@ -1,4 +1,4 @@
-"""The whole hour without hardware: plan, record by a printer, check, train, evaluate, on a simulated skin.
+"""A simulated recording session: plan, record by a printer, check, train, evaluate, on a simulated skin.
 
 OctoPrint's virtual printer takes the G-code; the ball goes where it says, over a simulated skin that streams over UDP
 with noise, lag and a clock of its own. The same sensor is then recorded with labels made by hand, and scored alike.
