@@ -88,6 +88,9 @@ def test_check_says_and_draws_it(tmp_path: Path, capsys: pytest.CaptureFixture[s
     said = capsys.readouterr().out
     assert "not covered: directions without a slide: 0 to 0 deg" in said
     assert "not covered: all calibration slides move at" in said
-    assert "direction and speed" in picture.read_text()
+    drawn = picture.read_text()
+    assert "direction and speed" in drawn
+    softslide.check(tmp_path, picture=picture)
+    assert picture.read_text() == drawn
     assert softslide.main(["check", str(tmp_path), "--picture", "coverage.doc"]) == 2
     assert "--picture" in capsys.readouterr().err

@@ -12,7 +12,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from softslide.experiments.evaluation.figures import slide_lines
-from softslide.experiments.pages.figures import COLOURS, EDGE, STYLE, draw_sensor
+from softslide.experiments.pages.figures import COLOURS, EDGE, STYLE, draw_sensor, write_figure
 from softslide.pipeline.recordings.folder import Folder
 from softslide.pipeline.recordings.learned import CALIBRATION
 from softslide.pipeline.sensor import Sensor
@@ -44,7 +44,7 @@ def draw_plan(plan: pd.DataFrame, paths: Sequence[np.ndarray], sensor: Sensor, o
     title = f"{len(plan)} slides for {sensor.name}"
     axes.set(xlim=(-x, x), ylim=(-y, y), aspect="equal", title=title, **MM)
     axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
-    figure.savefig(out)
+    write_figure(figure, out)
 
 
 def draw_coverage(folder: Folder, out: Path) -> None:
@@ -63,4 +63,4 @@ def draw_coverage(folder: Folder, out: Path) -> None:
         skin.legend(loc="upper right", fontsize=8)
         plane.set(xlabel="direction, deg", ylabel="speed, mm/s", xlim=(-12, 372), title="direction and speed")
         plane.set_xticks([0, 90, 180, 270, 360])
-        figure.savefig(out)
+        write_figure(figure, out)
