@@ -249,6 +249,11 @@ class Localizer:
         )
 
     @property
+    def blocks(self) -> int:
+        """How many blocks of samples were complete since the stream began."""
+        return self._count
+
+    @property
     def state(self) -> SlideState:
         """What the stream shows now."""
         return self._tracker.state

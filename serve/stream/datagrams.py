@@ -45,11 +45,10 @@ class Datagrams:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
             self._socket.bind((host, port))
-        except OSError as error:
+        except (OSError, UnicodeError) as error:
             self._socket.close()
-            raise InputError(
-                f"{name}: cannot listen there ({error.strerror}); name another port", "source"
-            ) from None
+            why = getattr(error, "strerror", "no such host")
+            raise InputError(f"{name}: cannot listen there ({why}); name another place", "source") from None
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, BUFFER_BYTES)
         self._counts = sys.platform == "linux"
         if self._counts:
@@ -57,7 +56,10 @@ class Datagrams:
         self._socket.settimeout(wait_s)
 
     def chunks(self, form: str, channels: int) -> Iterator[Chunk | tuple[()]]:
-        """Chunks as they come, () after the time to wait. form, channels: as in serve/stream/framing.py."""
+        """Chunks as they come, () after the time to wait and for a datagram without samples or of another sender.
+
+        form, channels: as in serve/stream/framing.py.
+        """
         usual = 0
         try:
             while True:
@@ -67,13 +69,14 @@ class Datagrams:
                     yield ()
                     continue
                 if data is None:
+                    yield ()
                     continue
                 # A datagram is whole or lost: the rest of one is not the beginning of the next.
                 framing = framing_of(form, channels, strict=False)
                 pieces = [*framing.read(data), *framing.end()]
                 if missed and pieces and pieces[0][1] is None:
                     yield np.full((min(missed * max(usual, 1), MOST_EMPTY), channels), np.nan), None
-                yield from pieces
+                yield from pieces or [()]
                 usual = sum(len(volts) for volts, _ in pieces) or usual
         finally:
             self._socket.close()

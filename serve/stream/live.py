@@ -19,7 +19,7 @@ from softslide.serve.page.process import Page
 from softslide.serve.stream.age import SampleAge
 from softslide.serve.stream.framing import Chunk
 from softslide.serve.stream.sinks import Sink, open_sink
-from softslide.serve.stream.sources import is_live, open_source, played
+from softslide.serve.stream.sources import WAIT_S, is_live, open_source, played
 
 
 def serve(
@@ -37,7 +37,8 @@ def serve(
 ) -> int:
     """Streams until the source ends, or SIGINT or SIGTERM comes. Returns the number of estimates written.
 
-    While no samples come from a live source, an estimate that is not valid (`no_signal`) is handed on each WAIT_S.
+    While a live source gives nothing to estimate from, an estimate that is not valid (`no_signal`) is handed on each
+    WAIT_S, whatever else comes.
 
     source, sink: as in serve/stream/sources.py and serve/stream/sinks.py. format: csv or f32, of bytes that come in.
     fast: play a recording as fast as possible. page: [HOST:]PORT of the live page, None for none.
@@ -74,17 +75,23 @@ def serve(
             chunks, opened = kept.passed(chunks), [*opened, kept]
         if shown is not None:
             print(f"softslide serve: the page is at {shown.address}", file=sys.stderr, flush=True)
+        said_s = time.monotonic()  # when blocks were last complete, or were last said to be missing
         try:
             for chunk in chunks:
                 if stopped:
                     break
                 if shown is not None and shown.zero_wanted():
                     localizer.zero()
+                before = localizer.blocks
                 if chunk:
                     made = _estimates(localizer, chunk, age)
                     written += _hand_on(made, age, opened, shown)
-                elif age is not None:
+                # A source's wait may end a little early.
+                overdue = time.monotonic() - said_s > 0.9 * WAIT_S
+                if age is not None and overdue and localizer.blocks == before:
                     _without_signal(localizer, age, opened, shown)
+                if overdue or localizer.blocks != before:
+                    said_s = time.monotonic()
             left = [(estimate, localizer.subtracted) for estimate in localizer.rest()]
             written += _hand_on(left, age, opened, shown)
         except InputError as error:

@@ -4,7 +4,7 @@ import json
 import socket
 import sys
 import threading
-from contextlib import suppress
+import time
 from queue import SimpleQueue
 from typing import Protocol
 
@@ -65,7 +65,8 @@ class QueuedLines(Lines):
     """Standard output from a thread of its own: a reader that does not read holds up neither stream nor sinks."""
 
     def __init__(self) -> None:
-        self._waiting: SimpleQueue[Estimate | None] = SimpleQueue()
+        # With when each was handed on, s.
+        self._waiting: SimpleQueue[tuple[Estimate, float] | None] = SimpleQueue()
         self._dropped = self._left = False
         self._writer = threading.Thread(target=self._write_all, name="standard output", daemon=True)
         self._writer.start()
@@ -73,7 +74,7 @@ class QueuedLines(Lines):
     def write(self, estimate: Estimate) -> None:
         if self._left:
             raise BrokenPipeError
-        if put_newest(self._waiting, estimate, MOST_WAITING) and not self._dropped:
+        if put_newest(self._waiting, (estimate, time.monotonic()), MOST_WAITING) and not self._dropped:
             self._dropped = True
             print(
                 "softslide serve: standard output is not read; its oldest lines are dropped", file=sys.stderr
@@ -86,25 +87,38 @@ class QueuedLines(Lines):
 
     def _write_all(self) -> None:
         try:
-            while (estimate := self._waiting.get()) is not None:
-                super().write(estimate)
+            while (waiting := self._waiting.get()) is not None:
+                estimate, since_s = waiting
+                waited_s = time.monotonic() - since_s
+                super().write(estimate._replace(age_s=round(estimate.age_s + waited_s, 3)))
         except OSError:
             self._left = True
 
 
 class Datagrams:
-    """UDP; a missing listener is not an error."""
+    """UDP; a missing listener, or a network that is gone for a while, is not an error."""
 
     def __init__(self, host: str, port: int) -> None:
         try:
             self._address = socket.getaddrinfo(host, port, socket.AF_INET, socket.SOCK_DGRAM)[0][4]
-        except OSError as error:
-            raise InputError(f"udp://{host}:{port}: no such host ({error.strerror})", "sink") from None
+        except (OSError, UnicodeError):
+            raise InputError(f"udp://{host}:{port}: no such host; name another", "sink") from None
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._lost = False
 
     def write(self, estimate: Estimate) -> None:
-        with suppress(ConnectionRefusedError):
+        try:
             self._socket.sendto(_text(estimate).encode(), self._address)
+        except ConnectionRefusedError:
+            return
+        except OSError as error:
+            if not self._lost:
+                host, port, *_ = self._address
+                print(
+                    f"softslide serve: udp://{host}:{port} cannot be reached ({error.strerror})",
+                    file=sys.stderr,
+                )
+            self._lost = True
 
     def close(self) -> None:
         self._socket.close()

@@ -1,7 +1,8 @@
 """Sources of samples: a recording, standard input, UDP, a serial port, a ROS 2 topic.
 
-A source yields chunks (volts (n, C) V, time_s (n,) s or None), and () when nothing has come for WAIT_S, so that the
-reader can stop. The localizer judges the values; here only input that is not a sample at all is refused.
+A source yields chunks (volts (n, C) V, time_s (n,) s or None), and () when nothing has come for WAIT_S, or nothing with
+a sample in it, so that the reader can stop. The localizer judges the values; here only input that is not a sample at
+all is refused.
 """
 
 import io
@@ -90,6 +91,7 @@ def _bytes_from(stream: BinaryIO, framing: Framing) -> Source:
         if not data:
             break
         yield from framing.read(data)
+        yield ()
     yield from framing.end()
 
 
@@ -97,7 +99,7 @@ def _serial(name: str, framing: Framing) -> Source:
     import serial
 
     port, _, baud = name.removeprefix("serial://").partition("?")
-    if baud and not baud.isdigit():
+    if baud and not (baud.isascii() and baud.isdigit()):
         raise InputError(f"{name}: '{baud}' is no baud rate; write serial:///dev/ttyUSB0?{BAUD}", "source")
     try:
         port_open = serial.Serial(port, int(baud or BAUD), timeout=WAIT_S)
@@ -113,10 +115,8 @@ def _heard(name: str, port: BinaryIO, framing: Framing) -> Source:
                 data = port.read(max(1, getattr(port, "in_waiting", 1)))
             except OSError as error:
                 raise InputError(f"{name}: the port is gone ({error}); plug it in again", "source") from None
-            if data:
-                yield from framing.read(data)
-            else:
-                yield ()
+            yield from framing.read(data)
+            yield ()
 
 
 def played(volts: np.ndarray, card: Card, fast: bool) -> Source:
@@ -138,6 +138,6 @@ def address(name: str) -> tuple[str, int]:
         InputError: no port.
     """
     host, _, port = name.removeprefix("udp://").rpartition(":")
-    if not port.isdigit() or not 0 < int(port) < 65536:
+    if not (port.isascii() and port.isdigit()) or not 0 < int(port) < 65536:
         raise InputError(f"{name}: no port; write udp://127.0.0.1:9000")
     return host or "127.0.0.1", int(port)
