@@ -5,6 +5,17 @@ and ONNX Runtime alone. The rooms are packages of their own: `softslide.features
 """
 
 import os
+import sys
+
+# `python -m softslide...` puts the current folder first, where a module of any name may be anybody's: typing as well.
+# While it looks for the module, `-m` stands in the place of the script.
+if (
+    sys.argv[:1] == ["-m"]
+    and any(word.partition(".")[0] == "softslide" for word in sys.orig_argv)
+    and sys.path[0] == os.getcwd() != os.path.dirname(__path__[0])
+):
+    del sys.path[0]
+
 from typing import Any
 
 __version__ = "0.2.0"

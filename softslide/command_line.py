@@ -25,6 +25,8 @@ PACKAGE_EXTRA = {
 }
 # A disk that is full, over its quota or read-only, and places that may not be written.
 NO_PLACE = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EPERM)
+# A name that no system takes, or a link that leads nowhere.
+NO_NAME = (errno.ENAMETOOLONG, errno.ELOOP)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -58,6 +60,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except OSError as error:
+        if error.errno in NO_NAME:
+            return _said(name, printable(f"{error.filename}: {error.strerror}; name another place"), 2)
         if error.errno not in NO_PLACE:
             raise
         where = error.filename or "the output"

@@ -18,7 +18,19 @@ TRAP = "open({!r}, 'a').write(__name__ + '\\n')\nraise SystemExit('a trap')\n"
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     """A folder whose modules note that they were imported."""
-    for name in ("features", "pipeline", "multiprocessing", "joblib", "numpy", "json", "socket", "uvicorn"):
+    names = (
+        "features",
+        "pipeline",
+        "multiprocessing",
+        "joblib",
+        "numpy",
+        "json",
+        "socket",
+        "uvicorn",
+        "typing",
+        "re",
+    )
+    for name in names:
         (tmp_path / name).mkdir()
         (tmp_path / name / "__init__.py").write_text(TRAP.format(str(tmp_path / "sprung")))
     return tmp_path
@@ -41,6 +53,27 @@ def test_the_module_is_called(folder: Path) -> None:
     assert running.returncode == 0, wrong
     assert b"60 recordings, 0 errors" in said
     assert not (folder / "sprung").exists()
+
+
+def test_a_study_is_called(folder: Path) -> None:
+    with called(folder, "-m", "softslide.experiments.bench", "--help") as running:
+        said, wrong = running.communicate(timeout=120)
+    assert b"usage:" in said, wrong
+    assert not (folder / "sprung").exists()
+
+
+def test_settings_of_libraries_are_not_taken_from_the_folder(tmp_path: Path) -> None:
+    """A cache of compiled code is loaded as it is; LaTeX is a program of its own."""
+    (tmp_path / ".numba_config.yaml").write_text("cache_dir: compiled\n")
+    show = "import softslide.pipeline.skin.loads, numba; print(repr(numba.config.CACHE_DIR))"
+    with called(tmp_path, "-P", "-c", show) as running:
+        said, wrong = running.communicate(timeout=120)
+    assert said.strip() == b"''", wrong
+    (tmp_path / "matplotlibrc").write_text("text.usetex: True\n")
+    with called(tmp_path, "-m", "softslide", "check", str(SAMPLE), "--picture", "seen.svg") as running:
+        said, wrong = running.communicate(timeout=120)
+    assert running.returncode == 0, wrong
+    assert (tmp_path / "seen.svg").exists()
 
 
 def test_the_page_has_a_process_of_its_own(folder: Path, bundle: Path) -> None:

@@ -24,6 +24,7 @@ from softslide.features.errors import InputError
 from softslide.serve.localizer import Localizer
 from softslide.serve.records import record
 from softslide.serve.stream.framing import framing_of
+from softslide.serve.stream.sinks import open_sink
 
 VOLTS = stream(still(0.6), pass_over(1.0), still(0.4))
 TIME_S = np.arange(len(VOLTS)) / RATE_HZ
@@ -165,10 +166,10 @@ def test_a_serial_port(bundle: Path) -> None:
 
 
 SOURCES = (
-    *("nothing.csv", "http://x", "udp://x", "udp://203.0.113.1:9000"),
+    *("nothing.csv", "x" * 5000, "http://x", "udp://x", "udp://a..b:9000", "udp://203.0.113.1:9000"),
     *("serial:///dev/no-such-port", "serial:///dev/ttyS0?fast", "ros2://x", "ros2+imu://x"),
 )
-SINKS = ("udp://127.0.0.1", "file.json", "ros2://x")
+SINKS = ("udp://127.0.0.1", "udp://a..b:9000", "udp://127.0.0.1:\u00b2", "file.json", "ros2://x")
 
 
 @pytest.mark.parametrize(("source", "sink"), [*((s, "") for s in SOURCES), *(("-", s) for s in SINKS)])
@@ -206,3 +207,12 @@ def test_a_line_that_is_not_a_sample_is_refused_or_skipped(line: str) -> None:
 def test_an_empty_cell_is_a_lost_sample() -> None:
     ((volts, _),) = framing_of("csv", 3).read(b"1.0,,2.0\n")
     assert np.isnan(volts[0, 1])
+
+
+def test_a_sink_that_cannot_be_reached_is_said_once(bundle: Path, capsys: pytest.CaptureFixture) -> None:
+    """A broadcast is not permitted."""
+    sink = open_sink("udp://255.255.255.255:9000")
+    for estimate in Localizer.load(bundle).push(VOLTS)[:3]:
+        sink.write(estimate)
+    sink.close()
+    assert capsys.readouterr().err.count("cannot be reached") == 1

@@ -23,28 +23,31 @@ MM = {"xlabel": "x, mm", "ylabel": "y, mm"}
 
 def draw_plan(plan: pd.DataFrame, paths: Sequence[np.ndarray], sensor: Sensor, out: Path) -> None:
     """Each slide's line, direction, speed and number; paths are places (n, 2) mm each."""
-    figure = Figure(figsize=(7, 7), layout="constrained")
-    axes = figure.subplots()
-    draw_sensor(axes, sensor, width=1.0, label="")
-    for part in sensor.accelerometers:
-        axes.annotate(part.name, (part.x_mm, part.y_mm), (6, 6), textcoords="offset points")
-    for number, places in enumerate(paths):
-        axes.plot(*places.T, ".-", color=EDGE, markevery=[0], label="" if number else f"{len(paths)} paths")
-    speeds = sorted(set(plan["speed_mm_s"]))
-    colour = dict(zip(speeds, mpl.colormaps["viridis"](np.linspace(0.1, 0.8, len(speeds))), strict=True))
-    for number, (start, end) in enumerate(slide_lines(plan), 1):
-        row, heading = plan.iloc[number - 1], (end - start) / np.linalg.norm(end - start)
-        arrow = {"arrowstyle": "-|>", "color": colour[row["speed_mm_s"]], "lw": 1.5}
-        axes.annotate("", end, start, arrowprops=arrow)
-        x, y = start - NUMBER_MM * heading
-        axes.text(x, y, str(number), ha="center", va="center")
-    for speed in speeds:
-        axes.plot([], [], color=colour[speed], label=f"{speed:g} mm/s")
-    x, y = (size / 2 + sensor.indenter_diameter_mm + 4 for size in sensor.chamber_mm)
-    title = f"{len(plan)} slides for {sensor.name}"
-    axes.set(xlim=(-x, x), ylim=(-y, y), aspect="equal", title=title, **MM)
-    axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
-    write_figure(figure, out)
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(7, 7), layout="constrained")
+        axes = figure.subplots()
+        draw_sensor(axes, sensor, width=1.0, label="")
+        for part in sensor.accelerometers:
+            axes.annotate(part.name, (part.x_mm, part.y_mm), (6, 6), textcoords="offset points")
+        for number, places in enumerate(paths):
+            axes.plot(
+                *places.T, ".-", color=EDGE, markevery=[0], label="" if number else f"{len(paths)} paths"
+            )
+        speeds = sorted(set(plan["speed_mm_s"]))
+        colour = dict(zip(speeds, mpl.colormaps["viridis"](np.linspace(0.1, 0.8, len(speeds))), strict=True))
+        for number, (start, end) in enumerate(slide_lines(plan), 1):
+            row, heading = plan.iloc[number - 1], (end - start) / np.linalg.norm(end - start)
+            arrow = {"arrowstyle": "-|>", "color": colour[row["speed_mm_s"]], "lw": 1.5}
+            axes.annotate("", end, start, arrowprops=arrow)
+            x, y = start - NUMBER_MM * heading
+            axes.text(x, y, str(number), ha="center", va="center")
+        for speed in speeds:
+            axes.plot([], [], color=colour[speed], label=f"{speed:g} mm/s")
+        x, y = (size / 2 + sensor.indenter_diameter_mm + 4 for size in sensor.chamber_mm)
+        title = f"{len(plan)} slides for {sensor.name}"
+        axes.set(xlim=(-x, x), ylim=(-y, y), aspect="equal", title=title, **MM)
+        axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
+        write_figure(figure, out)
 
 
 def draw_coverage(folder: Folder, out: Path) -> None:

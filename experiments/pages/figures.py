@@ -24,7 +24,8 @@ from softslide.pipeline.sensor import Sensor
 # Okabe and Ito's palette: distinct with any colour vision.
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
 INK, LABEL, EDGE, GRID = "#1c2328", "#3b444b", "#8a939b", "#e4e7ea"
-STYLE: dict[Any, Any] = {
+# Of all that a figure has, so that a `matplotlibrc` in the current folder changes nothing.
+STYLE: dict[Any, Any] = {name: value for name, value in mpl.rcParamsDefault.items() if name != "backend"} | {
     "svg.hashsalt": "softslide",
     "svg.fonttype": "none",
     "font.family": "sans-serif",
@@ -219,7 +220,7 @@ def inline(figure: Figure, alt: str) -> str:
 
 def write_figure(figure: Figure, out: Path) -> None:
     """Writes the kind that the name's ending says; the same numbers give the same SVG."""
-    with mpl.rc_context({"svg.hashsalt": STYLE["svg.hashsalt"]}):
+    with mpl.rc_context(STYLE):
         figure.savefig(out, metadata={"Date": None} if out.suffix == ".svg" else None)
 
 

@@ -67,6 +67,8 @@ def _check_place(out: Path) -> None:
     """Sees that something can be written there, before the work and not after it."""
     from softslide.pipeline.staging import writing
 
+    if out.is_symlink() and not out.exists():
+        raise InputError(f"{out}: is a link to what there is not; remove it, or name another place", "out")
     above = next(folder for folder in (out, *out.absolute().parents) if folder.exists())
     if above == out and not above.is_dir():
         above = out.absolute().parent
