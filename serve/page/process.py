@@ -170,7 +170,7 @@ def run_page(
 
 def _listener(place: str) -> socket.socket:
     host, _, port = place.rpartition(":")
-    if not port.isdigit() or int(port) > 65535:
+    if not (port.isascii() and port.isdigit()) or int(port) > 65535:
         raise InputError(f"{place}: no port; {PLACE}", "page")
     try:
         where = socket.getaddrinfo(host.strip("[]") or "127.0.0.1", int(port), type=socket.SOCK_STREAM)[0]
