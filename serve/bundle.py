@@ -47,7 +47,6 @@ def open_bundle(bundle: str | Path, unsigned: bool = False) -> tuple[Card, ort.I
         raise InputError(
             f"{path}: not the graph that model.json describes; take the bundle from its source again"
         )
-    _check_limits(graph, path)
     return card, _in_time(lambda: _checked_session(card, graph, path), path)
 
 
@@ -62,6 +61,7 @@ def _check_limits(graph: bytes, path: Path) -> None:
 
 
 def _checked_session(card: Card, graph: bytes, path: Path) -> ort.InferenceSession:
+    _check_limits(graph, path)
     session = open_session(graph, path)
     _check_shapes(card, session, path)
     _check_golden(card, session, path)

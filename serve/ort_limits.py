@@ -4,21 +4,26 @@ The file is a FlatBuffer (ort.fbs of ONNX Runtime); the reader is the one that c
 """
 
 import importlib
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 from softslide.serve.graph_limits import (
+    CONSTANT,
     INT64,
-    MOST_BYTES,
-    MOST_NODES,
-    SHAPE_INPUT,
-    SHORT_BYTES,
-    check_domain,
+    MOST_SIZES,
+    SIZE_INPUT,
+    TREES,
+    Constants,
+    check_elements,
+    check_nodes,
+    check_operator,
     check_sizes,
+    note,
 )
 
-_CONSTANT, _INLINE = "Constant", -1
+_INLINE = -1
 
 
 def check_ort(graph: bytes) -> None:
@@ -40,43 +45,51 @@ def check_ort(graph: bytes) -> None:
 
 
 def _check_graph(graph: Any) -> None:
-    if graph.NodesLength() > MOST_NODES:
-        raise ValueError(f"more than {MOST_NODES} nodes")
+    check_nodes(graph.NodesLength())
     if graph.SparseInitializersLength():
         raise ValueError("a constant is sparse")
-    constants: dict[bytes, list[int]] = {}
+    constants: Constants = {}
     for n in range(graph.InitializersLength()):
         tensor = graph.Initializers(n)
-        constants[tensor.Name()] = _values(tensor)
+        note(constants, tensor.Name(), _values(tensor))
     asked = []
     for n in range(graph.NodesLength()):
         node = graph.Nodes(n)
         operator = _text(node.OpType())
-        check_domain(operator, _text(node.Domain()))
+        check_operator(operator, _text(node.Domain()))
         for k in range(node.AttributesLength()):
             attribute = node.Attributes(k)
-            if attribute.G() is not None or attribute.GraphsLength():
-                raise ValueError(f"control flow, operator {operator}")
-            if attribute.T() is not None and operator == _CONSTANT:
-                constants[node.Outputs(0)] = _values(attribute.T())
-        place = SHAPE_INPUT.get(operator)
-        if place is not None and node.InputsLength() > place:
-            asked.append((operator, node.Inputs(place)))
+            if attribute.G() is not None or attribute.GraphsLength() or attribute.TensorsLength():
+                raise ValueError(f"{operator} holds a graph or several constants")
+            if operator != TREES:
+                check_elements(operator, _first(attribute.Ints, attribute.IntsLength()))
+            check_elements(operator, [attribute.I()])
+            if attribute.T() is not None:
+                values = _values(attribute.T())
+                if operator == CONSTANT and node.OutputsLength():
+                    note(constants, node.Outputs(0), values)
+        place = SIZE_INPUT.get(operator)
+        if place is not None:
+            asked.append((operator, node.Inputs(place) if node.InputsLength() > place else b""))
     check_sizes(asked, constants)
 
 
-def _values(tensor: Any) -> list[int]:
+def _values(tensor: Any) -> list[int] | None:
     """The values of a short list of int64, else none."""
-    dims = [tensor.Dims(n) for n in range(min(tensor.DimsLength(), MOST_NODES))]
     if tensor.ExternalDataOffset() != _INLINE:
         raise ValueError("a constant lies in another file")
-    if any(size < 0 for size in dims) or np.prod([1.0, *dims]) > MOST_BYTES:
-        raise ValueError("a constant is too large")
     length = tensor.RawDataLength()
-    if tensor.DataType() != INT64 or length > SHORT_BYTES or length % 8:
-        return []
-    raw = bytes(tensor.RawData(n) for n in range(length))
-    return np.frombuffer(raw, "<i8").tolist()
+    dims = _first(tensor.Dims, tensor.DimsLength())
+    if 0 not in dims:
+        check_elements("a constant", dims, 2 * length + tensor.StringDataLength())
+    if tensor.DataType() != INT64 or length > 8 * MOST_SIZES:
+        return None
+    return np.frombuffer(bytes(_first(tensor.RawData, length)), "<i8").tolist()
+
+
+def _first(item: Callable[[int], int], count: int) -> list[int]:
+    """The items of a vector; of many the first."""
+    return [item(n) for n in range(min(count, 8 * MOST_SIZES + 1))]
 
 
 def _text(name: bytes | None) -> str:
