@@ -8,7 +8,7 @@ import struct
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager, suppress
 from dataclasses import replace
 from http.client import HTTPConnection, HTTPMessage
@@ -42,10 +42,10 @@ class Serving:
     Its estimates wait in a pipe, unless `unread`: a full pipe stops the stream.
     """
 
-    def __init__(self, bundle: Path, place: str, source: str, unread: bool) -> None:
+    def __init__(self, bundle: Path, place: str, source: str, unread: bool, more: Sequence[str]) -> None:
         command = ["serve", "--model", str(bundle), "--source", source, "--format", "f32", "--page", place]
         pipe, out = subprocess.PIPE, subprocess.DEVNULL if unread else subprocess.PIPE
-        words = [sys.executable, "-m", "softslide", *command]
+        words = [sys.executable, "-m", "softslide", *command, *more]
         self.process = subprocess.Popen(words, stdin=pipe, stdout=out, stderr=pipe)
         assert self.process.stderr is not None
         said = b""
@@ -81,8 +81,10 @@ class Serving:
 
 
 @contextmanager
-def serving(bundle: Path, place: str = "0", source: str = "-", unread: bool = False) -> Iterator[Serving]:
-    running = Serving(bundle, place, source, unread)
+def serving(
+    bundle: Path, place: str = "0", source: str = "-", unread: bool = False, more: Sequence[str] = ()
+) -> Iterator[Serving]:
+    running = Serving(bundle, place, source, unread, more)
     try:
         yield running
     finally:

@@ -8,6 +8,7 @@ from base64 import b64decode
 from collections.abc import Iterator
 from io import BytesIO
 from pathlib import Path
+from shutil import copytree
 from urllib.parse import urlsplit
 
 import numpy as np
@@ -116,6 +117,23 @@ def test_a_recording_that_is_sent_is_answered_as_predict_does(
     assert status == 200
     assert {"/predict", "/model", "/healthz"} <= set(json.loads(answer)["paths"])
     assert len(running.feed(REST)) == len(REST) // 20
+
+
+def test_a_bundle_whose_hash_is_gone_answers_only_if_unsigned_ones_are_served(
+    two_boards: Path, tmp_path: Path
+) -> None:
+    """Changed while the page runs, as `softslide predict` would find it."""
+    bundle = Path(copytree(two_boards, tmp_path / "b"))
+    path = write_csv(tmp_path / "slide.csv", np.concatenate([REST, SLIDE]), a_sensor(2).channels)
+    with serving(bundle) as running:
+        table = json.loads((bundle / "model.json").read_text())
+        del table["card_sha256"]
+        (bundle / "model.json").write_text(json.dumps(table))
+        status, _, answer = running.ask("/predict", "POST", body=path.read_bytes())
+        assert status == 422
+        assert "no card_sha256" in json.loads(answer)["detail"]
+    with serving(bundle, more=["--unsigned"]) as running:
+        assert running.ask("/predict", "POST", body=path.read_bytes())[0] == 200
 
 
 def test_the_static_output_is_learnt_anew_on_request(two_boards: Path) -> None:

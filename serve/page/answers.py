@@ -10,11 +10,11 @@ from softslide.features.errors import InputError
 MOST_BYTES = 1 << 26
 
 
-def answer(bundle: Path, height_mm: float | None, recording: bytes) -> dict[str, Any]:
+def answer(bundle: Path, height_mm: float | None, unsigned: bool, recording: bytes) -> dict[str, Any]:
     """What `softslide predict` says of a recording in CSV, but for its name.
 
     Raises:
-        InputError: it is not a recording, or not of this bundle's sensor.
+        InputError: it is not a recording, or not of this bundle's sensor; or the bundle is refused by now.
     """
     # A page that nobody asks this needs no ONNX Runtime.
     from softslide.serve.predict import predict
@@ -23,7 +23,7 @@ def answer(bundle: Path, height_mm: float | None, recording: bytes) -> dict[str,
         path = Path(folder) / "recording.csv"
         path.write_bytes(recording)
         try:
-            (estimate,) = predict(bundle, [path], height_mm=height_mm, unsigned=True)
+            (estimate,) = predict(bundle, [path], height_mm=height_mm, unsigned=unsigned)
         except InputError as error:
             raise InputError(str(error).replace(f"{path}", "recording")) from None
     return {name: value for name, value in estimate.items() if name not in ("recording", "file")}

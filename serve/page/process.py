@@ -49,10 +49,16 @@ class Page:
     """Listens once it is made, serves until it is closed."""
 
     def __init__(
-        self, place: str, card: Card, source: str, bundle: Path, height_mm: float | None = None
+        self,
+        place: str,
+        card: Card,
+        source: str,
+        bundle: Path,
+        height_mm: float | None = None,
+        unsigned: bool = False,
     ) -> None:
-        """place: [HOST:]PORT; without a host 127.0.0.1. source: the stream's name, to be shown. bundle, height_mm: as
-        in `serve.predict`, for recordings that are sent to the page.
+        """place: [HOST:]PORT; without a host 127.0.0.1. source: the stream's name, to be shown. bundle, height_mm,
+        unsigned: as in `serve.predict`, for recordings that are sent to the page.
 
         Raises:
             InputError: no such address, or it is taken.
@@ -76,7 +82,7 @@ class Page:
                 listener,
                 json.dumps(about(card, source)),
                 (token, alone),
-                partial(answer, bundle, height_mm),
+                partial(answer, bundle, height_mm, unsigned),
             ),
             daemon=True,
         )

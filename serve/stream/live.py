@@ -64,7 +64,7 @@ def serve(
             None
             if page is None
             else held.enter_context(
-                closing(Page(page, localizer.card, _name(source), Path(model), height_mm))
+                closing(Page(page, localizer.card, _name(source), Path(model), height_mm, unsigned))
             )
         )
         chunks = open_source(source, localizer.card, format) if live else played(volts, localizer.card, fast)
