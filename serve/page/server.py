@@ -35,12 +35,15 @@ SILENCE_S = 1.0
 FAREWELL_S = 0.5
 # A browser's request has about 1 kB of headers.
 MOST_HEADER_BYTES = 1 << 14
-# Half-open ones among them; a request is complete within REQUEST_S, and its body within BODY_S, or it is refused.
+# Half-open ones among them; a request is complete within REQUEST_S, the next one of its connection too, and a body
+# within BODY_S, or it is refused.
 MOST_CONNECTIONS = 512
 REQUEST_S = 5.0
 BODY_S = 20.0
-# Recordings that are held in memory at once, each of MOST_BYTES at most.
+# Recordings that are estimated at once, each of MOST_BYTES at most; and bytes of all that are here, those on their way
+# included: beyond it they are refused.
 MOST_BODIES = 4
+MOST_HELD_BYTES = MOST_BODIES * MOST_BYTES
 # Frames that can be replayed and downloaded: five minutes of blocks of 20 ms, 3 MB.
 KEPT = 15_000
 STATES, CONTACTS, REASONS = tuple(SlideState), tuple(Contact), tuple(Reason)
@@ -69,6 +72,7 @@ class Server:
         self._kept: deque[bytes] = deque(maxlen=KEPT)
         self._ended = False
         self._viewers = 0
+        self._held_bytes = 0
         self._server = _server(Guard(self._application(), *token))
         self._thread = threading.Thread(
             target=self._server.run, kwargs={"sockets": [listener]}, name="page", daemon=True
@@ -146,20 +150,25 @@ class Server:
         )
         async def predict(request: Request) -> dict[str, Any]:
             """The estimate at the end of a recording: CSV with time_s (s) and each channel (V)."""
-            async with bodies:
-                sent = bytearray()
+            sent = bytearray()
+            try:
                 try:
                     async with asyncio.timeout(BODY_S):
                         async for part in request.stream():
                             sent += part
+                            self._held_bytes += len(part)
                             if len(sent) > MOST_BYTES:
                                 raise HTTPException(413, f"more than {MOST_BYTES >> 20} MB")
+                            if self._held_bytes > MOST_HELD_BYTES:
+                                raise HTTPException(503, "too many recordings at once; send it later")
                 except TimeoutError:
                     raise HTTPException(408, f"not sent within {BODY_S:g} s") from None
-                try:
+                async with bodies:
                     return await run_in_threadpool(self._predict, bytes(sent))
-                except InputError as error:
-                    raise HTTPException(422, str(error)) from None
+            except InputError as error:
+                raise HTTPException(422, str(error)) from None
+            finally:
+                self._held_bytes -= len(sent)
 
         application.mount("/", StaticFiles(directory=_FILES, html=True))
         return application
@@ -232,15 +241,20 @@ def _server(application: Any) -> Any:
     from uvicorn.protocols.http.h11_impl import H11Protocol
 
     class InTime(H11Protocol):
-        """Closes a connection that has sent no whole request within REQUEST_S."""
+        """Closes a connection that has sent no whole request within REQUEST_S of its opening, or of its last answer."""
 
         def connection_made(self, transport: Any) -> None:
             super().connection_made(transport)
-            self.loop.call_later(REQUEST_S, self._close_unasked)
+            self.loop.call_later(REQUEST_S, self._close_unasked, None)
 
-        def _close_unasked(self) -> None:
+        def on_response_complete(self) -> None:
+            # Before the next request, which may have come already.
+            self.loop.call_later(REQUEST_S, self._close_unasked, self.cycle)
+            super().on_response_complete()
+
+        def _close_unasked(self, last: Any) -> None:
             # A viewer's stream has left the connections that answer requests.
-            if self.cycle is None and self in self.connections:
+            if self.cycle is last and self in self.connections:
                 self.transport.close()
 
     return uvicorn.Server(
