@@ -22,6 +22,7 @@ import pytest
 from playwright.sync_api import Browser, ConsoleMessage, Locator, Page, expect
 from small_bundle import write_small_bundle
 from streams import a_sensor, pass_over, still, stream, write_csv
+from test_serve_live import repeated
 from tracked_map import INFLATION, TWO_BOARDS, noisy_map, pressed
 from websockets.exceptions import ConnectionClosedOK
 from websockets.sync.client import ClientConnection, connect
@@ -34,6 +35,8 @@ from softslide.serve.localizer import Localizer
 BOARDS = 2
 VOLTS = stream(still(0.6), pass_over(1.0), still(0.4), accelerometers=BOARDS)
 REST, SLIDE = VOLTS[:600], VOLTS[600:1400]
+# A slide that takes longer than the page is looked at.
+SLOW = stream(pass_over(30.0), accelerometers=BOARDS)
 
 
 class Serving:
@@ -63,6 +66,13 @@ class Serving:
         self.process.stdin.flush()
         lines = (json.loads(line) for line in self.process.stdout)
         return list(islice((line for line in lines if line["reason"] != "no_signal"), len(volts) // 20))
+
+    @contextmanager
+    def fed(self, volts: np.ndarray) -> Iterator[list[dict]]:
+        """Samples keep coming, so that the page goes on showing them. Their estimates so far."""
+        pieces, sent = (volts[n : n + 20] for n in range(0, len(volts), 20)), list[dict]()
+        with repeated(lambda: sent.extend(self.feed(next(pieces, volts[:0])))):
+            yield sent
 
     def ask(
         self, path: str, method: str = "GET", body: bytes | None = None, **headers: str
@@ -259,56 +269,75 @@ def test_the_page_shows_a_slide_and_why_it_abstains_before(two_boards: Path, bro
     with serving(two_boards) as running, opened(browser, running.address, lost=True) as page:
         # Which of the two depends on whether a heartbeat has come.
         expect(page.locator("#connection")).to_have_text(re.compile("^no samples (yet|come)$"))
+        state, zones, reason = (page.locator(f"#{name}") for name in ("state", "zones", "reason"))
         running.feed(REST)
-        state = page.locator("#state")
-        expect(state).to_have_text("rest no estimate")
-        expect(page.locator("#zones")).to_have_text("")
-        expect(page.locator("#reason")).to_have_text("nothing touches the skin")
-        for unknown in ("speed", "accelerometers in use"):
-            expect(cell(page, unknown)).to_have_text("–")
-        assert not running.feed(SLIDE[:260])[-1]["valid"]
+        with running.fed(np.tile(REST, (20, 1))):
+            expect(state).to_have_text("rest no estimate")
+            expect(zones).to_have_text("")
+            expect(reason).to_have_text("nothing touches the skin")
+            for unknown in ("speed", "accelerometers in use"):
+                expect(cell(page, unknown)).to_have_text("–")
+        assert not running.feed(SLOW[:2000])[-1]["valid"]
         expect(page.locator("#phase")).to_have_text("slide")
-        expect(page.locator("#reason")).not_to_have_text("")
+        expect(reason).not_to_have_text("")
         for unknown in ("direction", "speed", "offset"):
             expect(cell(page, unknown)).to_have_text("–")
-        (sent,) = running.feed(SLIDE[260:])[-1:]
-        expect(state).to_have_text("slide valid")
-        expect(page.locator("#zones")).to_have_text("zone: a0 4, a1 4")
-        expect(cell(page, "offset")).to_have_text(f"{sent['offset_mm']:.2f} mm")
-        expect(cell(page, "direction")).to_have_text("30.0 deg")
-        expect(cell(page, "speed")).to_have_text("2.00 mm/s")
-        expect(cell(page, "depth")).to_have_text("–")
-        expect(cell(page, "accelerometers in use")).to_have_text("2")
-        expect(cell(page, "zero shift")).to_have_text(re.compile(r" mV$"))
-        interval = page.get_by_role("row", name="direction").get_by_role("cell").nth(1)
-        expect(interval).to_have_text("28.0 … 32.0")
-        expect(page.get_by_role("img")).to_have_count(1 + BOARDS)
-        expect(page.locator("#traces figcaption").first).to_have_text(re.compile(r"^a0 at \(0\.0, 0\.0\) mm"))
-        expect_drawing(page, "#skin")
-        expect_drawing(page, "#traces canvas")
-        expect(page.locator("#connection")).to_have_text("no samples come", timeout=10_000)
+        running.feed(SLOW[2000:17_000])
+        with running.fed(SLOW[17_000:]) as sent:
+            expect(state).to_have_text("slide valid")
+            expect(zones).to_have_text("zone: a0 4, a1 4")
+            expect(cell(page, "offset")).to_have_text(re.compile(r"^\d\.\d\d mm$"))
+            offset = page.wait_for_function(VALID_OFFSET).json_value()
+            expect(cell(page, "direction")).to_have_text("30.0 deg")
+            expect(cell(page, "speed")).to_have_text("2.00 mm/s")
+            expect(cell(page, "depth")).to_have_text("–")
+            expect(cell(page, "accelerometers in use")).to_have_text("2")
+            expect(cell(page, "zero shift")).to_have_text(re.compile(r" mV$"))
+            interval = page.get_by_role("row", name="direction").get_by_role("cell").nth(1)
+            expect(interval).to_have_text("28.0 … 32.0")
+            expect(page.get_by_role("img")).to_have_count(1 + BOARDS)
+            figure = page.locator("#traces figcaption").first
+            expect(figure).to_have_text(re.compile(r"^a0 at \(0\.0, 0\.0\) mm"))
+            expect_drawing(page, "#skin")
+            expect_drawing(page, "#traces canvas")
+        assert offset in {f"{estimate['offset_mm']:.2f} mm" for estimate in sent}
+        assert sent[-1]["valid"]
+        # The samples have stopped.
+        expect(state).to_have_text("slide abstains")
+        expect(reason).to_have_text("no samples come")
+        expect(page.locator("#connection")).to_have_text("no samples come")
+        expect(zones).to_have_text("")
+        for unknown in ("direction", "speed", "offset"):
+            expect(cell(page, unknown)).to_have_text("–")
         assert running.end()[0] == 0
         expect(page.locator("#connection")).to_have_text("the stream has ended; waiting for the next")
-        expect(cell(page, "speed")).to_have_text("2.00 mm/s")
+        expect(cell(page, "speed")).to_have_text("–")
+
+
+VALID_OFFSET = """() => {
+  const row = [...document.querySelectorAll("#estimates tr")].find(({ cells }) => cells[0].textContent === "offset");
+  return document.querySelector("#trust").textContent === "valid" && row.cells[1].textContent;
+}"""
 
 
 def test_the_page_shows_a_press_without_a_direction(browser: Browser, tmp_path: Path) -> None:
     response = noisy_map(places=TWO_BOARDS)
     level = pressed(response, (12.0, 9.0))
-    grown = np.zeros((4000, 3 * BOARDS))
-    grown[:, [0, 1, 3, 4]] = np.clip(np.arange(4000)[:, None] / 1500.0, 0.0, 1.0) * level
-    volts = stream(np.zeros((7000, 3)), accelerometers=BOARDS)
+    grown = np.zeros((12_000, 3 * BOARDS))
+    grown[:, [0, 1, 3, 4]] = np.clip(np.arange(12_000)[:, None] / 1500.0, 0.0, 1.0) * level
+    volts = stream(np.zeros((15_000, 3)), accelerometers=BOARDS)
     volts[3000:] += grown
     contact = contact_calibration(response, INFLATION)
     bundle = write_small_bundle(tmp_path / "b", a_sensor(BOARDS), contact=contact)
     with serving(bundle) as running, opened(browser, running.address) as page:
-        running.feed(volts)
-        expect(page.locator("#state")).to_have_text("press valid")
-        expect(cell(page, "speed")).to_have_text("0.00 mm/s")
-        expect(cell(page, "x")).to_have_text(re.compile(r"^1[12]\.\d mm$"))
-        for unknown in ("direction", "offset", "depth", "force"):
-            expect(cell(page, unknown)).to_have_text("–")
-        expect_drawing(page, "#skin")
+        running.feed(volts[:6000])
+        with running.fed(volts[6000:]):
+            expect(page.locator("#state")).to_have_text("press valid")
+            expect(cell(page, "speed")).to_have_text("0.00 mm/s")
+            expect(cell(page, "x")).to_have_text(re.compile(r"^1[12]\.\d mm$"))
+            for unknown in ("direction", "offset", "depth", "force"):
+                expect(cell(page, unknown)).to_have_text("–")
+            expect_drawing(page, "#skin")
 
 
 def test_the_page_shows_another_kinds_outputs_in_their_unit(browser: Browser, tmp_path: Path) -> None:

@@ -6,7 +6,10 @@ import signal
 import socket
 from base64 import b64decode
 from collections.abc import Iterator
+from contextlib import contextmanager
 from io import BytesIO
+from itertools import count
+from multiprocessing import active_children
 from pathlib import Path
 from shutil import copytree
 from urllib.parse import urlsplit
@@ -16,7 +19,8 @@ import pytest
 from PIL import Image
 from playwright.sync_api import Browser, Page, expect
 from streams import a_sensor, write_csv
-from test_serve_page import REST, SLIDE, Serving, opened, serving, upgrade
+from test_serve_live import repeated
+from test_serve_page import REST, SLIDE, Serving, cell, opened, serving, upgrade
 
 from softslide.features.contact.places import Place
 from softslide.features.estimate import Contact, Estimate, Reason
@@ -176,14 +180,14 @@ def test_the_page_shows_where_a_contact_may_be(two_boards: Path, browser: Browse
     shown = Served("0", card, "-", two_boards)
     try:
         with opened(browser, shown.address) as page:
-            shown.show(slide._replace(time_s=0.5), np.zeros(len(card.channels)))
-            expect(page.locator("#reason")).to_have_text("several places or headings explain the output")
-            page.wait_for_timeout(200)
-            before = drawn(page)
-            shown.show(slide._replace(places=places), np.zeros(len(card.channels)))
-            expect(page.locator("#places")).to_have_text(named)
-            page.wait_for_timeout(200)
-            rows, columns = np.nonzero((drawn(page) != before).any(axis=2))
+            with going_on(shown, slide):
+                expect(page.locator("#reason")).to_have_text("several places or headings explain the output")
+                page.wait_for_timeout(200)
+                before = drawn(page)
+            with going_on(shown, slide._replace(time_s=1000.0, places=places)):
+                expect(page.locator("#places")).to_have_text(named)
+                page.wait_for_timeout(200)
+                rows, columns = np.nonzero((drawn(page) != before).any(axis=2))
     finally:
         shown.close()
     # The two outlines bound what has changed: 6 mm wide, 35 and 15 mm apart.
@@ -191,6 +195,43 @@ def test_the_page_shows_where_a_contact_may_be(two_boards: Path, browser: Browse
     left = columns < columns.mean()
     across, down = columns[left].mean() - columns[~left].mean(), rows[left].mean() - rows[~left].mean()
     assert across / down == pytest.approx(35 / 15, rel=0.1)
+
+
+@contextmanager
+def going_on(shown: Served, estimate: Estimate) -> Iterator[None]:
+    """The same estimate 20 times a second, each 20 ms later than the last."""
+    times = count(estimate.time_s, 0.02)
+    with repeated(lambda: shown.show(estimate._replace(time_s=next(times)), np.zeros(6))):
+        yield
+
+
+@pytest.mark.parametrize("end", ["silent", "ended", "lost"])
+def test_the_page_takes_back_what_is_not_estimated_any_more(
+    two_boards: Path, browser: Browser, end: str
+) -> None:
+    """A stream that stands still, has ended, or whose page has died: the last estimate is not valid any more."""
+    shown = Served("0", Localizer.load(two_boards).card, "-", two_boards)
+    slide = Estimate(
+        1.0, SlideState.SLIDE, valid=True, contact=Contact.SLIDE, direction_deg=30.0, speed_mm_s=2.0
+    )
+    try:
+        with opened(browser, shown.address, lost=True) as page:
+            state = page.locator("#state")
+            with going_on(shown, slide):
+                expect(state).to_have_text("slide valid")
+                expect(cell(page, "direction")).to_have_text("30.0 deg")
+                if end == "ended":
+                    shown.close()
+                if end == "lost":
+                    (served,) = active_children()
+                    served.kill()
+                    expect(state).to_have_text("slide abstains")
+            expect(state).to_have_text("slide abstains")
+            expect(page.locator("#reason")).to_have_text("no samples come")
+            for unknown in ("direction", "speed"):
+                expect(cell(page, unknown)).to_have_text("–")
+    finally:
+        shown.close()
 
 
 def drawn(page: Page) -> np.ndarray:

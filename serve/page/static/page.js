@@ -133,6 +133,14 @@ function take(record) {
   drawSoon();
 }
 
+// What was estimated last is not true any more: no samples come, or nothing at all.
+function silence() {
+  if (trace.at(-1)) trace.push(null);
+  latest = { ...latest, valid: 0, reason: "no_signal", places: [] };
+  zones.clear();
+  drawSoon();
+}
+
 // What is shown: "live" what comes, "pause" what there was, "replay" what the server has kept, from its beginning.
 let mode = "live";
 
@@ -178,6 +186,7 @@ follow({
   },
   status(kind, text) {
     say(byId("connection"), text, kind);
+    if (kind !== "live" && mode === "live" && latest) silence();
   },
 });
 

@@ -15,9 +15,10 @@ export function follow({ about, frame, status }, ended = false) {
       status("silent", "no samples yet");
     } else if (data.byteLength) {
       const record = decoded(data, names);
-      const fresh = record.time_s !== last;
+      // Without new samples the last frame comes again, or one that says so.
+      const fresh = record.time_s !== last && record.reason !== "no_signal";
+      if (record.time_s !== last) frame(record);
       last = record.time_s;
-      if (fresh) frame(record);
       status(fresh ? "live" : "silent", fresh ? "live" : "no samples come");
     }
     socket.send("");
