@@ -76,7 +76,9 @@ class Datagrams:
                 pieces = [*framing.read(data), *framing.end()]
                 if missed and pieces and pieces[0][1] is None:
                     yield np.full((min(missed * max(usual, 1), MOST_EMPTY), channels), np.nan), None
-                yield from pieces or [()]
+                yield from pieces
+                if not pieces:
+                    yield ()
                 usual = sum(len(volts) for volts, _ in pieces) or usual
         finally:
             self._socket.close()

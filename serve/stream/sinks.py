@@ -104,7 +104,7 @@ class Datagrams:
         except (OSError, UnicodeError):
             raise InputError(f"udp://{host}:{port}: no such host; name another", "sink") from None
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._lost = False
+        self._name, self._lost = f"udp://{host}:{port}", False
 
     def write(self, estimate: Estimate) -> None:
         try:
@@ -113,11 +113,7 @@ class Datagrams:
             return
         except OSError as error:
             if not self._lost:
-                host, port, *_ = self._address
-                print(
-                    f"softslide serve: udp://{host}:{port} cannot be reached ({error.strerror})",
-                    file=sys.stderr,
-                )
+                print(f"softslide serve: {self._name} cannot be reached ({error.strerror})", file=sys.stderr)
             self._lost = True
 
     def close(self) -> None:
