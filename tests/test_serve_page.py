@@ -282,7 +282,7 @@ def test_the_page_shows_a_slide_and_why_it_abstains_before(two_boards: Path, bro
         expect(reason).not_to_have_text("")
         for unknown in ("direction", "speed", "offset"):
             expect(cell(page, unknown)).to_have_text("–")
-        running.feed(SLOW[2000:17_000])
+        before = running.feed(SLOW[2000:17_000])
         with running.fed(SLOW[17_000:]) as sent:
             expect(state).to_have_text("slide valid")
             expect(zones).to_have_text("zone: a0 4, a1 4")
@@ -300,7 +300,7 @@ def test_the_page_shows_a_slide_and_why_it_abstains_before(two_boards: Path, bro
             expect(figure).to_have_text(re.compile(r"^a0 at \(0\.0, 0\.0\) mm"))
             expect_drawing(page, "#skin")
             expect_drawing(page, "#traces canvas")
-        assert offset in {f"{estimate['offset_mm']:.2f} mm" for estimate in sent}
+        assert offset in {f"{estimate['offset_mm']:.2f} mm" for estimate in [*before, *sent]}
         assert sent[-1]["valid"]
         # The samples have stopped.
         expect(state).to_have_text("slide abstains")
