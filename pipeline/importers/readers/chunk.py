@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from softslide.features.errors import InputError
+from softslide.features.recording_file import MOST_SAMPLES
 
 # Samples a chunk holds: some tens of MB for a dozen columns, so that memory does not grow with the file.
 CHUNK = 200_000
@@ -54,17 +55,31 @@ def require(path: Path, columns: Sequence[str], present: Iterable[str], what: st
             raise InputError(f"{path}: no {what} '{column}' (it has {has}); correct its name in the map")
 
 
+def check_length(path: Path, samples: int) -> None:
+    """Sees that a file says no more samples than a recording may have: few bytes can stand for any number of them.
+
+    Raises:
+        InputError: it says more.
+    """
+    if samples > MOST_SAMPLES:
+        raise InputError(
+            f"{path}: says it holds {samples} samples; {MOST_SAMPLES} at most are read: record shorter, or copy it "
+            "again"
+        )
+
+
 def in_chunks(path: Path, lanes: Mapping[str, Any]) -> Iterator[Chunk]:
     """Chunks of columns that have a length and are sliced as arrays are; a column of one value stands for every sample.
 
     Raises:
-        InputError: their lengths differ.
+        InputError: their lengths differ, or are more than a recording may have.
     """
     longer = {column: len(lane) for column, lane in lanes.items() if len(lane) != 1}
     if len(set(longer.values())) > 1:
         text = ", ".join(f"{column} {length}" for column, length in longer.items())
         raise InputError(f"{path}: columns differ in length ({text}); map columns of one recording")
     length = next(iter(longer.values()), 1)
+    check_length(path, length)
     for start in range(0, length, CHUNK):
         stop = min(start + CHUNK, length)
         parts = {

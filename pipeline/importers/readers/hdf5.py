@@ -1,5 +1,6 @@
 """HDF5: datasets by their path, a column of a two-dimensional one as `path:column`."""
 
+import math
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -8,7 +9,14 @@ import h5py
 import numpy as np
 
 from softslide.features.errors import InputError
-from softslide.pipeline.importers.readers.chunk import Chunk, in_chunks, require
+from softslide.pipeline.importers.readers.chunk import Chunk, check_length, in_chunks, require
+
+# A chunk is unpacked whole, whatever is read of it. h5py makes chunks of 1 MB at most.
+MOST_CHUNK_BYTES = 64 << 20
+# Of one value: a number, or a label's text.
+MOST_VALUE_BYTES = 4096
+# gzip makes nothing smaller than 1,032 times; where more than this is missing, it was never written.
+MOST_PACKED = 2000
 
 
 def read_hdf5(path: Path, columns: Sequence[str], matlab: bool = False) -> Iterator[Chunk]:
@@ -46,6 +54,7 @@ def _lane(path: Path, dataset: h5py.Dataset, column: str, matlab: bool) -> Any:
     if dataset.external or dataset.is_virtual:
         raise InputError(f"{path}: '{column}' lies in other files; copy it into one of its own (h5repack)")
     number = column.rpartition(":")[2] if ":" in column else ""
+    _check_size(path, dataset, column)
     if dataset.ndim > 2:
         raise InputError(f"{path}: '{column}' has {dataset.ndim} dimensions; name one of one or two")
     axis = 1 if matlab and dataset.ndim == 2 else 0
@@ -60,6 +69,35 @@ def _lane(path: Path, dataset: h5py.Dataset, column: str, matlab: bool) -> Any:
             )
         axis = int(np.argmax(dataset.shape))
     if not dataset.shape or dataset.shape[axis] == 1:
-        value = np.asarray(dataset[()]).reshape(-1)[int(number or 0)]
+        place = [0] * dataset.ndim
+        if dataset.ndim == 2:
+            place[1 - axis] = int(number or 0)
+        # The one value alone: the other axis may have any length.
+        value = np.asarray(dataset[tuple(place)]).reshape(-1)[0]
         return np.array([value.decode() if isinstance(value, bytes) else value])
     return _Lane(dataset, int(number or 0), axis) if dataset.ndim == 2 else dataset
+
+
+def _check_size(path: Path, dataset: h5py.Dataset, column: str) -> None:
+    """Sees what a dataset says of its size, before any of it is read.
+
+    Raises:
+        InputError: a value or a chunk is too large, it has more samples than a recording, or most of it was never
+            written.
+    """
+    value_bytes, stored_bytes = dataset.dtype.itemsize, dataset.id.get_storage_size()
+    if value_bytes > MOST_VALUE_BYTES:
+        raise InputError(f"{path}: '{column}' has values of {value_bytes} bytes; name a dataset of numbers")
+    check_length(path, max(dataset.shape, default=1))
+    chunk_bytes = math.prod(dataset.chunks or ()) * value_bytes
+    if chunk_bytes > MOST_CHUNK_BYTES:
+        raise InputError(
+            f"{path}: '{column}' is in chunks of {chunk_bytes / 1e6:.3g} MB, and {MOST_CHUNK_BYTES / 1e6:.3g} at most "
+            "are read; write it in smaller ones (h5repack -l)"
+        )
+    whole_bytes = dataset.size * value_bytes
+    if whole_bytes > MOST_CHUNK_BYTES and stored_bytes * MOST_PACKED < whole_bytes:
+        raise InputError(
+            f"{path}: '{column}' stores {stored_bytes} bytes for {whole_bytes / 1e6:.3g} MB, so most of it was never "
+            "written; record it again, or copy what was written into a dataset of its own"
+        )

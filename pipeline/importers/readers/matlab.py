@@ -13,8 +13,8 @@ from softslide.features.errors import InputError
 from softslide.pipeline.importers.readers.chunk import Chunk, in_chunks, require
 from softslide.pipeline.importers.readers.hdf5 import read_hdf5
 
-# A variable of the older kind holds 2 GB at most; a file made to fill the memory unpacks to more.
-MOST_UNPACKED_BYTES = 2 << 30
+# Three hours of three channels at 1 kHz. A cell array takes some twenty times its bytes in memory.
+MOST_UNPACKED_BYTES = 256 << 20
 COMPRESSED = 15  # the type of an element (MAT-File Format, table 1-1)
 PIECE_BYTES = 1 << 20
 
@@ -22,8 +22,7 @@ PIECE_BYTES = 1 << 20
 def read_matlab(path: Path, columns: Sequence[str]) -> Iterator[Chunk]:
     """Columns `variable`, `variable:2` (column 2, counted from 0) or `struct.field`.
 
-    Version 7.3 streams. The older kind cannot: a variable, which holds 2 GB at most, is read whole; only the
-    variables that the map names are.
+    Version 7.3 streams. The older kind cannot: a variable is read whole; only the variables that the map names are.
     """
     with path.open("rb") as file:
         head = file.read(128)

@@ -5,13 +5,14 @@ from pathlib import Path
 
 import pyarrow.parquet as pq
 
-from softslide.pipeline.importers.readers.chunk import CHUNK, Chunk, require
+from softslide.pipeline.importers.readers.chunk import CHUNK, Chunk, check_length, require
 
 
 def read_parquet(path: Path, columns: Sequence[str]) -> Iterator[Chunk]:
     """Columns by name; a null comes as NaN."""
     with pq.ParquetFile(path, pre_buffer=False) as file:
         require(path, columns, file.schema_arrow.names)
+        check_length(path, file.metadata.num_rows)
         rows, total = 0, max(file.metadata.num_rows, 1)
         for batch in file.iter_batches(CHUNK, columns=list(columns)):
             rows += len(batch)

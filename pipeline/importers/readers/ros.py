@@ -5,11 +5,13 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
+from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
 from softslide.features.errors import InputError
 from softslide.pipeline.importers.readers.chunk import Chunk, require
+from softslide.pipeline.importers.readers.mcap_log import check_chunks
 
 # Messages a chunk holds: they are Python objects while they are read.
 MESSAGES = 20_000
@@ -24,6 +26,9 @@ def read_ros(path: Path, columns: Sequence[str]) -> Iterator[Chunk]:
     """
     topic = columns[0].partition(".")[0]  # a ROS name holds no dot
     readers = {column: _field(path, column) for column in columns}
+    for part in sorted(path.glob("*.mcap")) if path.is_dir() else [path] if path.suffix == ".mcap" else []:
+        with part.open("rb") as file:
+            check_chunks(part, file, make_reader(file).get_summary())
     # Bags recorded before message definitions were stored need the common ones.
     with AnyReader([path], default_typestore=get_typestore(Stores.LATEST)) as bag:
         require(path, [topic], sorted({connection.topic for connection in bag.connections}), "topic")
