@@ -4,7 +4,7 @@ Rows in messages are counted from 1 and leave the header out.
 """
 
 import difflib
-from pathlib import Path
+from pathlib import Path, PureWindowsPath
 
 import numpy as np
 import pandas as pd
@@ -88,6 +88,13 @@ def _cell_error(path: Path, table: pd.DataFrame, row: int, column: str, remedy: 
     return InputError(f"{path}: row {row + 1} ({name}), {column} = {value}: {remedy}")
 
 
+def _lies_within(file: str) -> bool:
+    """Whether a file's name leads nowhere out of the folder, on Windows too. Links in the folder are its owner's."""
+    path = PureWindowsPath(str(file))
+    # Windows leaves out dots and spaces at the end of a name.
+    return not path.anchor and all(part.strip(". ") for part in path.parts)
+
+
 def _schema(sensor: Sensor) -> pa.DataFrameSchema:
     """What the manifest's cells may hold. Each message is `column: remedy`."""
     chamber, reference = np.array(sensor.chamber_mm) / 2, np.abs(sensor.reference_mm)
@@ -118,11 +125,16 @@ def _schema(sensor: Sensor) -> pa.DataFrameSchema:
         **{"motion_start_s": finite, "motion_end_s": finite},
     }
     names = f"names must be given and differ, and hold {REMEDY}"
-    file = f"no file has such a name, of 1 to {MOST_LETTERS} letters; name it or take the row out"
+    file = (
+        f"no file of the folder has such a name (1 to {MOST_LETTERS} letters, neither absolute nor with ..); name one "
+        "or take the row out"
+    )
     return pa.DataFrameSchema(
         {
             "recording": column("recording", lambda v: v.map(is_plain) & ~v.duplicated(), names),
-            "file": column("file", lambda v: (v != "") & (v.str.len() <= MOST_LETTERS), file),
+            "file": column(
+                "file", lambda v: (v != "") & (v.str.len() <= MOST_LETTERS) & v.map(_lies_within), file
+            ),
             **{name: number(name, *rule) for name, rule in numbers.items()},
         },
         checks=pa.Check(
