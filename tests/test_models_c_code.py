@@ -31,6 +31,7 @@ from softslide.models.cnn.network import OUTPUTS, NetworkConfig, SlideNetwork
 from softslide.models.cnn.training import TrainingConfig, train_proposal
 from softslide.models.cnn.training_windows import SynthesisConfig, WindowBatch, WindowSource
 from softslide.models.export.bundle import PARITY
+from softslide.models.export.c_code import sources
 from softslide.models.export.formats import export
 from softslide.models.export.precision import in_single
 from softslide.models.graph.from_torch import export_graph
@@ -185,3 +186,46 @@ def test_what_has_no_form_in_c_is_one_line(tmp_path: Path, capsys: pytest.Captur
     words = ("export", "--model", bundle, "--to", "c", "--out", tmp_path / "c")
     assert "LinearRegressor" in refused(capsys, *words)
     assert not (tmp_path / "c").exists()
+
+
+EVIL = "x */ int evil_was_here = 1; /* "
+
+
+def with_evil_texts(graph: onnx.ModelProto) -> onnx.ModelProto:
+    """The graph with this text wherever one is the author's choice."""
+    kept = {value.name for value in (*graph.graph.input, *graph.graph.output)}
+    graph.producer_name = graph.producer_version = graph.domain = graph.doc_string = EVIL
+    graph.graph.name = graph.graph.doc_string = EVIL
+    graph.metadata_props.add(key=EVIL, value=EVIL)
+    for n, node in enumerate(graph.graph.node):
+        node.name, node.doc_string = f"{EVIL}{n}", EVIL
+        for names in (node.input, node.output):
+            names[:] = [name if name in kept else EVIL + name for name in names]
+        for attribute in node.attribute:
+            attribute.doc_string = EVIL
+    for item in graph.graph.initializer:
+        item.name, item.doc_string = EVIL + item.name, EVIL
+    for value in (*graph.graph.input, *graph.graph.output):
+        value.doc_string = EVIL
+        value.type.tensor_type.shape.dim[0].dim_param = EVIL
+    return graph
+
+
+def test_no_text_of_a_graph_gets_into_the_code(tmp_path: Path) -> None:
+    bundle, out = write_small_bundle(tmp_path / "b", a_sensor()), tmp_path / "c"
+    graph = with_evil_texts(onnx.load_model_from_string((bundle / "model.onnx").read_bytes()))
+    (bundle / "model.onnx").write_bytes(graph.SerializeToString())
+    resigned(bundle)
+    export(bundle, "c", out)
+    for path in out.glob("*.[ch]"):
+        assert "evil" not in path.read_text()
+    compiled(out, "check")
+    assert subprocess.run([out / "check"], capture_output=True, check=False).returncode == 0
+
+
+def test_an_attribute_with_such_a_text_is_refused(tmp_path: Path) -> None:
+    bundle = write_small_bundle(tmp_path / "b", a_sensor())
+    graph = onnx.load_model_from_string((bundle / "model.onnx").read_bytes())
+    graph.graph.node[0].attribute.append(onnx.helper.make_attribute("mode", EVIL))
+    with pytest.raises(ValueError, match="Flatten with the text"):
+        sources(graph, any_card(tmp_path / "card"))

@@ -22,6 +22,7 @@ INDENT = "    "
 PER_LINE = 8  # numbers
 FUNCTION = re.compile(r"^void graph\((.*?)\) \{\n(.*?)^\}", re.MULTILINE | re.DOTALL)
 LOCAL = re.compile(r"^    (\w+) (tmp\w+)((?:\[\d+\])+);$")
+PLAIN = re.compile(rb"[\w\s.,>-]*")  # cannot end a comment
 SIZES = {"float": 4, "double": 8, "int64_t": 8, "int32_t": 4}  # bytes; all else is counted as 1
 # GCC 12 at -O2 drops calls whose arrays share memory, once it has put their addresses into the functions.
 EACH_BY_ITSELF = """\
@@ -51,11 +52,11 @@ def sources(model: onnx.ModelProto, card: Card) -> tuple[dict[str, str], dict[st
     model: of one window, every size known.
 
     Raises:
-        ValueError: an operator that has no form in C.
+        ValueError: an operator that has no form in C, or one with a text that C might read.
     """
     options = CompilerOptions(model_name="graph", large_temp_threshold_bytes=0, large_weight_threshold=0)
     try:
-        text = Compiler(options).compile(model)
+        text = Compiler(options).compile(_without_texts(model))
     except (CodegenError, ShapeInferenceError, UnsupportedOpError) as error:
         raise ValueError(str(error)) from None
     inputs = {value.name: _shape(value) for value in model.graph.input}
@@ -75,6 +76,46 @@ def sources(model: onnx.ModelProto, card: Card) -> tuple[dict[str, str], dict[st
         "operators": dict(sorted(Counter(node.op_type for node in model.graph.node).items())),
     }
     return files, figures
+
+
+def _without_texts(model: onnx.ModelProto) -> onnx.ModelProto:
+    """The graph with numbers for names, but for its inputs and outputs, and none of its other texts: the library writes
+    them into comments, which a text could end.
+
+    Raises:
+        ValueError: an operator's attribute has a text that is not plain.
+    """
+    old = model.graph
+    kept = {"", *(value.name for value in (*old.input, *old.output))}
+    names: dict[str, str] = {}
+
+    def short(name: str) -> str:
+        return name if name in kept else names.setdefault(name, f"v{len(names)}")
+
+    graph = onnx.GraphProto(name="graph")
+    for given, values in ((old.input, graph.input), (old.output, graph.output)):
+        for value in given:
+            kind = value.type.tensor_type.elem_type
+            values.append(onnx.helper.make_tensor_value_info(value.name, kind, _shape(value)))
+    for item in old.initializer:
+        graph.initializer.append(
+            onnx.numpy_helper.from_array(onnx.numpy_helper.to_array(item), short(item.name))
+        )
+    for node in old.node:
+        inputs, outputs = ([short(name) for name in given] for given in (node.input, node.output))
+        plain = onnx.helper.make_node(node.op_type, inputs, outputs, domain=node.domain)
+        for attribute in node.attribute:
+            texts = (attribute.name.encode(), attribute.s, *attribute.strings)
+            if not all(map(PLAIN.fullmatch, texts)):
+                raise ValueError(f"{node.op_type} with the text {b' '.join(texts)!r}")
+            value = onnx.helper.get_attribute_value(attribute)
+            if isinstance(value, onnx.TensorProto):
+                value = onnx.numpy_helper.from_array(onnx.numpy_helper.to_array(value))
+            plain.attribute.append(
+                onnx.helper.make_attribute(attribute.name, value, attr_type=attribute.type)
+            )
+        graph.node.append(plain)
+    return onnx.helper.make_model(graph, opset_imports=model.opset_import, ir_version=model.ir_version)
 
 
 def _sharing_memory(text: str, inputs: list[str]) -> tuple[str, int]:
