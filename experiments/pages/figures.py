@@ -9,7 +9,6 @@ import io
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
@@ -216,12 +215,6 @@ def inline(figure: Figure, alt: str) -> str:
     for colour, variable in IN_PAGE.items():
         body = body.replace(colour, variable)
     return f'<svg {head.group()} role="img" aria-label="{html.escape(alt)}">{body}'
-
-
-def write_figure(figure: Figure, out: Path) -> None:
-    """Writes the kind that the name's ending says; the same numbers give the same SVG."""
-    with mpl.rc_context(STYLE):
-        figure.savefig(out, metadata={"Date": None} if out.suffix == ".svg" else None)
 
 
 def axis_marks(axis: Axis, marks: Sequence[float]) -> None:

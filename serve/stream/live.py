@@ -86,11 +86,11 @@ def serve(
                 if chunk:
                     made = _estimates(localizer, chunk, age)
                     written += _hand_on(made, age, opened, shown)
+                if localizer.blocks != before:
+                    said_s = time.monotonic()
                 # A source's wait may end a little early.
-                overdue = time.monotonic() - said_s > 0.9 * WAIT_S
-                if age is not None and overdue and localizer.blocks == before:
+                elif age is not None and time.monotonic() - said_s > 0.9 * WAIT_S:
                     _without_signal(localizer, age, opened, shown)
-                if overdue or localizer.blocks != before:
                     said_s = time.monotonic()
             left = [(estimate, localizer.subtracted) for estimate in localizer.rest()]
             written += _hand_on(left, age, opened, shown)

@@ -12,6 +12,8 @@ from softslide.features.recording_file import MOST_SAMPLES
 
 # Samples a chunk holds: some tens of MB for a dozen columns, so that memory does not grow with the file.
 CHUNK = 200_000
+# Of a file's own chunk, which is unpacked whole whatever is read of it; writers make them of 1 to 8 MB.
+MOST_CHUNK_BYTES = 64 << 20
 
 
 @dataclass(frozen=True)

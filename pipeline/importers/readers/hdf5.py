@@ -9,10 +9,14 @@ import h5py
 import numpy as np
 
 from softslide.features.errors import InputError
-from softslide.pipeline.importers.readers.chunk import Chunk, check_length, in_chunks, require
+from softslide.pipeline.importers.readers.chunk import (
+    MOST_CHUNK_BYTES,
+    Chunk,
+    check_length,
+    in_chunks,
+    require,
+)
 
-# A chunk is unpacked whole, whatever is read of it. h5py makes chunks of 1 MB at most.
-MOST_CHUNK_BYTES = 64 << 20
 # Of one value: a number, or a label's text.
 MOST_VALUE_BYTES = 4096
 # gzip makes nothing smaller than 1,032 times; where more than this is missing, it was never written.

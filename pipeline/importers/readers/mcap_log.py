@@ -15,11 +15,9 @@ from mcap.stream_reader import StreamReader
 from mcap.summary import Summary
 
 from softslide.features.errors import InputError
-from softslide.pipeline.importers.readers.chunk import CHUNK, Chunk, require
+from softslide.pipeline.importers.readers.chunk import CHUNK, MOST_CHUNK_BYTES, Chunk, require
 
 TOPIC = "/softslide/volts"
-# A chunk is unpacked whole; writers make chunks of 1 to 8 MB.
-MOST_CHUNK_BYTES = 64 << 20
 RECORD_HEAD_BYTES = 9  # of each record: its kind and its length
 
 
