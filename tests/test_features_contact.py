@@ -178,7 +178,7 @@ def test_noise_alone_starts_nothing() -> None:
 
 def test_two_accelerometers_are_sharper_than_one_and_do_without_one() -> None:
     places = ((5.0, 0.0), (-8.0, 3.0))
-    path = line(3.0)
+    path = line(6.0)
     both = noisy_map(places=places)
     inside = np.flatnonzero(np.abs(path[:, 0]) < 15)
 
@@ -192,22 +192,30 @@ def test_two_accelerometers_are_sharper_than_one_and_do_without_one() -> None:
     assert error(tracks) < 1.0
 
 
-NUMBERS = [{"knots": 3}, {"scale_v": 0.0}, {"half_mm": float("nan")}, {"noise_v": (1e-3,)}]
-ARRAYS = [
-    *({"coefficients": packed(np.zeros(5, "<f2"))}, {"coefficients": packed(np.zeros(10**6, "<f2"))}),
-    *({"coefficients": "not base85"}, {"coefficients": "0" * 20}, {"coefficients": "9" * 20}),
-    *({"inflation_v_per_mm": (0.01, 0.02, 0.03)}, {"inflation_v_per_mm": (0.01, float("nan"))}),
+DAMAGED, OTHER_SIZE = "numbers of a map are damaged", "does not hold the 5832 numbers"
+REFUSED = [
+    ({"knots": 3}, "knots 3: out of range"),
+    ({"scale_v": 0.0}, "0.0 is no number above 0"),
+    ({"half_mm": float("nan")}, "nan is no number above 0"),
+    ({"noise_v": (1e-3,)}, "does not hold the 2916 numbers"),
+    ({"coefficients": packed(np.zeros(5, "<f2"))}, OTHER_SIZE),
+    ({"coefficients": packed(np.zeros(10**6, "<f2"))}, OTHER_SIZE),
+    ({"coefficients": "not base85"}, "bad base85"),
+    ({"coefficients": "0" * 20}, DAMAGED),
+    ({"coefficients": "9" * 20}, DAMAGED),
+    ({"inflation_v_per_mm": (0.01, 0.02, 0.03)}, "3 inflation_v_per_mm, not 2"),
+    ({"inflation_v_per_mm": (0.01, float("nan"))}, "inflation_v_per_mm nan: out of range"),
 ]
 
 
-@pytest.mark.parametrize("change", [*NUMBERS, *ARRAYS])
-def test_a_calibration_that_does_not_fit_is_refused(change: dict[str, object]) -> None:
+@pytest.mark.parametrize(("change", "words"), REFUSED)
+def test_a_calibration_that_does_not_fit_is_refused(change: dict[str, object], words: str) -> None:
     whole = asdict(contact_calibration(noisy_map()))
-    with pytest.raises(ValueError, match=r".+"):
+    with pytest.raises(ValueError, match=words):
         ContactCalibration(**{**whole, **change})
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_a_slow_lift_is_not_a_turn(seed: int) -> None:
     """What a contact shows that is lifted while it goes straight on fits a bent path too: no turn may be seen then."""
     response, speed = noisy_map(), 2.0
@@ -254,21 +262,20 @@ def test_a_slide_is_valid_and_a_wave_seldom() -> None:
 
     waves = []
     for frequency_hz, along_y in ((0.1, 0.5), (0.2, 0.5), (0.2, -0.3), (0.4, 1.0)):
-        phase = 2 * np.pi * frequency_hz * BLOCK_S * np.arange(800)
+        phase = 2 * np.pi * frequency_hz * BLOCK_S * np.arange(500)
         wave = 0.15 * np.stack([np.sin(phase), along_y * np.sin(phase)], axis=1)
         wave = wave + np.random.default_rng(3).normal(0.0, 1e-3, wave.shape)
         tracked = tracker(response)
         waves.append(share_valid([tracked.push(v, n > 10, BOTH) for n, v in enumerate(wave)]))
-    slide = followed(response, line(3.0))
+    slide = followed(response, line(6.0))
     assert np.median([t.evidence.log_odds for t in slide if t is not None]) > 2.0
     assert share_valid(slide) > 0.6
     assert np.mean(waves) < 0.1
 
 
-@pytest.mark.parametrize("seed", range(2))
-def test_no_signal_makes_the_tracker_fail(seed: int) -> None:
+def test_no_signal_makes_the_tracker_fail() -> None:
     """Jumps, walks and steps far beyond any contact: every track is finite."""
-    generator = np.random.default_rng(seed)
+    generator = np.random.default_rng(0)
     tracked = tracker(noisy_map())
     walk = np.cumsum(generator.normal(0.0, 0.05, (400, 2)), axis=0)
     for volts in walk + (generator.random((400, 1)) < 0.02) * 2.0:
