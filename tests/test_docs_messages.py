@@ -6,6 +6,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 ROOT = Path(__file__).parents[1]
 sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "worlds")]
@@ -99,8 +100,6 @@ def page(folder: Path) -> str:
     rows = []
     for number, (what, name, content, read) in enumerate(CASES):
         message = said(folder / str(number), name, content, read)
-        assert message.isprintable()
-        assert name == "standard input" or Path(name).name in message
         rows.append((what, f"{name}: {message}" if name == "standard input" else message))
     part = read_sensor(SAMPLE / "sensor.toml").accelerometers[0]
     rows += [(what, f"{part.name}: {impossible_output(rest, asdict(part))}") for what, rest in UNITS.items()]
@@ -109,6 +108,14 @@ def page(folder: Path) -> str:
 
 def test_the_page_is_what_the_code_says(tmp_path: Path) -> None:
     assert PAGE.read_text(encoding="utf-8") == page(tmp_path)
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda case: case[0])
+def test_wrong_input_is_one_line_with_its_file(tmp_path: Path, case) -> None:  # type: ignore[no-untyped-def]
+    message = said(tmp_path, *case[1:])
+    assert message
+    assert message.isprintable()
+    assert case[1] == "standard input" or Path(case[1]).name in message
 
 
 if __name__ == "__main__":

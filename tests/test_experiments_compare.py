@@ -30,9 +30,9 @@ AXES, OFFSETS = (0.0, 90.0, 180.0, 270.0), (-9.0, -6.0, -3.0, 3.0, 6.0, 9.0)
 @pytest.fixture(scope="module")
 def lab(tmp_path_factory: pytest.TempPathFactory) -> Folder:
     splits = {
-        "calibration": lines(AXES, OFFSETS, (12.0, 20.0)),
-        "test": lines(AXES, (-4.5, 4.5), (15.0, 18.0)),
-        "test-diagonal": lines((45.0,), (2.0,), (15.0,)),
+        "calibration": lines(AXES, OFFSETS, (6.0, 12.0)),
+        "test": lines(AXES, (-4.5, 4.5), (8.0, 12.0)),
+        "test-diagonal": lines((45.0,), (2.0,), (8.0,)),
     }
     return bump_folder(tmp_path_factory.mktemp("labs") / "lab", bump_sensor(1), splits)
 

@@ -1,20 +1,17 @@
 """`softslide record`: a second process sends; cables are pulled; the folder is whole at any time."""
 
-import io
 import os
 import pty
-import queue
 import signal
 import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,7 +19,6 @@ from sender import PLAN, SENDER, TIMES, UDP, free_port, sending
 from streams import a_sensor
 
 import softslide
-from softslide.experiments.acquisition import record as module
 from softslide.experiments.acquisition.capture import Phases, remarks
 from softslide.experiments.acquisition.record import read_plan
 from softslide.features.errors import InputError
@@ -46,53 +42,40 @@ def lab(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def words(lab: Path, source: str, *more: str) -> list[str]:
+def command(lab: Path, source: str, *more: str) -> list[str]:
     files = {"--plan": "plan.csv", "--sensor": "sensor.toml", "--out": "out"}
     options = [word for name, file in files.items() for word in (name, str(lab / file))]
-    return ["record", "--source", source, *options, *TIMES, *more]
+    return [sys.executable, "-m", "softslide", "record", "--source", source, *options, *TIMES, *more]
 
 
-class Lines(io.StringIO):
-    """A text whose lines are read as another thread writes them."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self._lines, self._begun = queue.SimpleQueue[str](), ""
-
-    def write(self, text: str) -> int:
-        *lines, self._begun = f"{self._begun}{text}".split("\n")
-        for line in lines:
-            self._lines.put(line)
-        return super().write(text)
-
-    def until(self, text: str) -> list[str]:
-        """Reads up to a line with this text."""
-        said: list[str] = []
-        while not said or text not in said[-1]:
-            said.append(self._lines.get(timeout=60))
-        return said
+def ran(lab: Path, port: int, *more: str, **options: Any) -> subprocess.CompletedProcess[str]:
+    """The command to its end, of what a port hears."""
+    words = command(lab, f"udp://:{port}", *more)
+    return subprocess.run(words, capture_output=True, text=True, timeout=240, **options)
 
 
-@contextmanager
-def running(
-    lab: Path, source: str, *more: str, answers: str = ""
-) -> Iterator[tuple[Future[int], io.StringIO, Lines]]:
-    """The command in a thread of this process, until it ends: its exit status, and what it says."""
-    out, err = io.StringIO(), Lines()
-    with pytest.MonkeyPatch.context() as patch, ThreadPoolExecutor(1) as thread:
-        patch.setattr(module, "RAMP_S", 0.2)
-        for name, stream in (("stdin", io.StringIO(answers)), ("stdout", out), ("stderr", err)):
-            patch.setattr(sys, name, stream)
-        yield thread.submit(softslide.main, words(lab, source, *more)), out, err
+def started(lab: Path, source: str, *more: str) -> subprocess.Popen[str]:
+    pipe = subprocess.PIPE
+    return subprocess.Popen(command(lab, source, *more), stderr=pipe, stdout=pipe, text=True)
+
+
+def until(running: subprocess.Popen[str], text: str) -> list[str]:
+    """Reads what it says up to a line with this text."""
+    assert running.stderr is not None
+    said: list[str] = []
+    while not said or text not in said[-1]:
+        said.append(running.stderr.readline())
+        assert said[-1], said
+    return said
 
 
 def test_a_second_process_sends_and_the_folder_passes_the_check(
     lab: Path, capsys: pytest.CaptureFixture
 ) -> None:
     port = free_port()
-    with sending(port), running(lab, f"udp://:{port}", "--yes") as (status, out, _err):
-        assert status.result() == 0
-    assert out.getvalue() == f"{lab / 'out'}: 3 recordings\n"
+    with sending(port):
+        done = ran(lab, port, "--yes", check=True)
+    assert done.stdout == f"{lab / 'out'}: 3 recordings\n"
     folder = read_folder(lab / "out")
     assert list(folder.manifest.index) == ["one", "two", "three"]
     assert list(folder.manifest["split"]) == ["calibration", "calibration", "test"]
@@ -100,7 +83,7 @@ def test_a_second_process_sends_and_the_folder_passes_the_check(
     for name in folder.manifest.index:
         recording = folder.load(name)
         # Rest twice, the time to start in, way over speed, and the ramps.
-        assert recording.time_s[-1] == pytest.approx(0.6 + 0.2 + 0.2 + 0.2 + 0.6 - 1 / RATE_HZ, abs=1e-9)
+        assert recording.time_s[-1] == pytest.approx(0.6 + 0.2 + 0.2 + 1.0 + 0.6 - 1 / RATE_HZ, abs=1e-9)
         assert recording.time_s[0] == 0.0
     # The play is no skin: what is asked here is that the folder itself is in order.
     assert softslide.main(["check", str(lab / "out"), "--json"]) == 0
@@ -111,40 +94,40 @@ def test_answers_skip_repeat_and_stop_and_a_second_run_goes_on(lab: Path) -> Non
     port = free_port()
     with sending(port):
         answers = "\na\n\n\ns\nq\n"  # one: record, again, record, keep; two: skip; three: stop
-        with running(lab, f"udp://:{port}", answers=answers) as (status, out, err):
-            assert status.result() == 0
-        assert out.getvalue() == f"{lab / 'out'}: 1 recordings, 2 of the plan are left\n"
-        assert err.getvalue().count("Keep it?") == 2
+        first = ran(lab, port, input=answers, check=True)
+        assert first.stdout == f"{lab / 'out'}: 1 recordings, 2 of the plan are left\n"
+        assert first.stderr.count("Keep it?") == 2
         kept = (lab / "out" / "slides" / "one.parquet").read_bytes()
-        with running(lab, f"udp://:{port}", "--yes") as (status, out, err):
-            assert status.result() == 0
-    assert "1 of 3 slides are recorded" in err.getvalue()
+        second = ran(lab, port, "--yes", check=True)
+    assert "1 of 3 slides are recorded" in second.stderr
     assert list(read_folder(lab / "out").manifest.index) == ["one", "two", "three"]
     assert (lab / "out" / "slides" / "one.parquet").read_bytes() == kept
 
 
 def test_a_source_that_falls_silent_in_a_slide_is_waited_for(lab: Path) -> None:
     port = free_port()
-    with running(lab, f"udp://:{port}", "--yes") as (status, out, err):
+    with started(lab, f"udp://:{port}", "--yes") as running:
         with sending(port):
-            err.until("[2/3]")
-            err.until("rest: hands off")
-        err.until("two is not kept: nothing has come for 0.5 s")
-        err.until("waiting for")
+            until(running, "[2/3]")
+            until(running, "rest: hands off")
+        until(running, "two is not kept: nothing has come for 0.5 s")
+        until(running, "waiting for")
         assert list(read_folder(lab / "out").manifest.index) == ["one"]
         with sending(port, seed=1):
-            assert status.result() == 0
-    assert "3 recordings" in out.getvalue()
+            out, _ = running.communicate(timeout=240)
+    assert running.returncode == 0
+    assert "3 recordings" in out
     assert len(read_folder(lab / "out")) == 3
 
 
 def test_a_source_that_stays_away_is_an_error_and_what_is_recorded_stays(lab: Path) -> None:
     port = free_port()
-    with running(lab, f"udp://:{port}", "--yes", "--wait", "1") as (status, _out, err):
+    with started(lab, f"udp://:{port}", "--yes", "--wait", "1") as running:
         with sending(port):
-            err.until("[2/3]")
-        assert status.result() == 2
-    assert "run the same command to go on" in err.getvalue().splitlines()[-1]
+            until(running, "[2/3]")
+        _, error = running.communicate(timeout=240)
+    assert running.returncode == 2
+    assert "run the same command to go on" in error.splitlines()[-1]
     assert list(read_folder(lab / "out").manifest.index) == ["one"]
 
 
@@ -184,55 +167,55 @@ def test_a_serial_cable_pulled_in_mid_slide_costs_that_slide_alone(lab: Path) ->
     pytest.importorskip("serial")
     link = lab / "port"
     cable = Cable(link, seed=0)
-    with running(lab, f"serial://{link}?115200", "--yes") as (status, out, err):
+    with started(lab, f"serial://{link}?115200", "--yes") as running:
         try:
-            err.until("[2/3]")
-            err.until("rest: hands off")
+            until(running, "[2/3]")
+            until(running, "rest: hands off")
         finally:
             cable.pull()
-        said = err.until("waiting for")
+        said = until(running, "waiting for")
         time.sleep(0.7)
         cable = Cable(link, seed=1)
         try:
-            assert status.result() == 0
+            out, _ = running.communicate(timeout=240)
         finally:
             cable.pull()
     assert any("two is not kept" in line for line in said)
-    assert "3 recordings" in out.getvalue()
+    assert running.returncode == 0
+    assert "3 recordings" in out
     assert len(read_folder(lab / "out")) == 3
 
 
 def test_an_interrupted_run_leaves_a_whole_folder(lab: Path) -> None:
-    """A process of its own."""
     port = free_port()
-    command = [sys.executable, "-m", "softslide", *words(lab, f"udp://:{port}", "--yes")]
     # What is started in the background is deaf to Ctrl-C, and hands that on.
     heard = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)
     with (
         sending(port),
-        subprocess.Popen(command, stderr=subprocess.PIPE, text=True, preexec_fn=heard) as process,
+        subprocess.Popen(
+            command(lab, f"udp://:{port}", "--yes"), stderr=subprocess.PIPE, text=True, preexec_fn=heard
+        ) as running,
     ):
-        assert process.stderr is not None
-        while "[2/3]" not in process.stderr.readline():
-            assert process.poll() is None
-        process.send_signal(signal.SIGINT)
-        assert process.wait(120) == 130
-        process.stderr.read()
+        assert running.stderr is not None
+        while "[2/3]" not in running.stderr.readline():
+            assert running.poll() is None
+        running.send_signal(signal.SIGINT)
+        assert running.wait(120) == 130
+        running.stderr.read()
     assert list(read_folder(lab / "out").manifest.index) == ["one"]
     assert not list((lab / "out").rglob("*.partial"))
 
 
-def test_lost_samples_are_found_by_the_rate(lab: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "ATTEMPTS", 2)
+def test_lost_samples_are_found_by_the_rate(lab: Path) -> None:
     port = free_port()
     # At half the rate without times every second sample is missing.
     slow = UDP.replace("lines(seed", "lines(rate_hz=500, seed").replace('f"{n / rate_hz:.4f}," + ', "")
     with subprocess.Popen([sys.executable, "-c", slow, str(port), "0", "3"]) as sender:
-        with running(lab, f"udp://:{port}", "--yes") as (status, _out, err):
-            assert status.result() == 1
+        done = ran(lab, port, "--yes")
         sender.kill()
-    assert "failed 2 times" in err.getvalue().splitlines()[-1]
-    assert "1000 Hz" in err.getvalue()
+    assert done.returncode == 1
+    assert "failed 3 times" in done.stderr.splitlines()[-1]
+    assert "1000 Hz" in done.stderr
     assert not (lab / "out" / "manifest.csv").exists()
 
 
@@ -327,9 +310,9 @@ def test_a_robot_that_moves_is_a_row_of_the_plan(tmp_path: Path) -> None:
     write_sensor(tmp_path / "sensor.toml", sensor)
     (tmp_path / "plan.csv").write_text(f"{PLAN}one,calibration,0,40,-5,-29,-5,8,0.5\nmoves,base,,40,,,,8,\n")
     port = free_port()
-    with sending(port, columns=6), running(tmp_path, f"udp://:{port}", "--yes") as (status, _out, err):
-        assert status.result() == 0
-    assert "moves: lean the robot over in all directions for 0.4 s, nothing touches" in err.getvalue()
+    with sending(port, columns=6):
+        done = ran(tmp_path, port, "--yes", check=True)
+    assert "moves: lean the robot over in all directions for 1.2 s, nothing touches" in done.stderr
     folder = read_folder(tmp_path / "out")
     assert list(folder.manifest["split"]) == ["calibration", "base"]
     for name in folder.manifest.index:

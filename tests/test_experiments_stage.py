@@ -44,8 +44,7 @@ SLIDES = "one,calibration,0,39,-5,-29,-5,58,0.5\ntwo,test,90,39,0,0,-29,58,0.4\n
 @pytest.fixture(autouse=True)
 def awake(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "WAKE_S", 0.05)
-    monkeypatch.setattr(module, "DOWN_MM_S", 400.0)
-    monkeypatch.setattr(recording, "RAMP_S", 0.5)
+    monkeypatch.setattr(module, "DOWN_MM_S", 20.0)
 
 
 @pytest.fixture
@@ -147,9 +146,8 @@ WAYS = {
 }
 
 
-@pytest.mark.parametrize(
-    ("way", "firmware"), [("bends", "marlin"), ("rests", "marlin"), ("rests", "grbl"), ("presses", "grbl")]
-)
+@pytest.mark.parametrize("firmware", ["marlin", "grbl"])
+@pytest.mark.parametrize("way", WAYS)
 def test_the_truth_of_a_path_is_where_the_stage_was(lab: Path, firmware: str, way: str) -> None:
     """At each moment, to the way within a packet and a wait, though the stage goes faster than planned."""
     (lab / "sensor.toml").write_bytes(DEFAULT_SENSOR.read_bytes())  # its atlas is at hand
@@ -160,17 +158,16 @@ def test_the_truth_of_a_path_is_where_the_stage_was(lab: Path, firmware: str, wa
     check_truth(lab, printer)
 
 
-def test_a_slow_acceleration_is_in_the_truth(lab: Path) -> None:
-    """GRBL's machines begin with 10 mm/s2: ramps of 2.5 mm at 7 mm/s. Marlin says it in other words."""
+@pytest.mark.parametrize("firmware", ["marlin", "grbl"])
+def test_a_slow_acceleration_is_in_the_truth(lab: Path, firmware: str) -> None:
+    """GRBL's machines begin with 10 mm/s2: ramps of 2.5 mm at 7 mm/s."""
     (lab / "sensor.toml").write_bytes(DEFAULT_SENSOR.read_bytes())
     way = [(0, -30, 0, 0.5), (2, -16, 0, 0.5), (3, -16, 0, 0.5), (5, -16, 14, 0.5)]
     write_waypoints(lab / "way.csv", np.array(way, float))
     (lab / "plan.csv").write_text("recording,split,waypoints\nw,track-way,way.csv\n")
-    with Printer("grbl", haste=1.0, acceleration=10.0) as printer, skin(printer) as source:
+    with Printer(firmware, haste=1.0, acceleration=10.0) as printer, skin(printer) as source:
         assert recorded(lab, source, printer) == 0
     check_truth(lab, printer)
-    with Printer("marlin", acceleration=10.0) as printer, Stage(printer.url, ORIGIN) as stage:
-        assert stage.lost_s(np.array(way)) == pytest.approx(2 * 0.7)
 
 
 def check_truth(lab: Path, printer: Printer) -> None:
@@ -270,7 +267,7 @@ def test_what_goes_wrong_stops_the_stage(
     lab: Path, monkeypatch: pytest.MonkeyPatch, printer: Printer, touched_v: float, says: str
 ) -> None:
     monkeypatch.setattr(module, "REPLY_S", 0.5)
-    monkeypatch.setattr(module, "MOTION_S", 2.0)
+    monkeypatch.setattr(module, "MOTION_S", 8.0)
     with printer, skin(printer, touched_v) as source:
         with pytest.raises(InputError, match=says):
             recorded(lab, source, printer)
@@ -307,7 +304,7 @@ def test_nothing_is_sent_after_a_stop_in_the_middle_of_a_path(lab: Path, firmwar
 def test_a_slide_whose_samples_come_late_is_not_kept(lab: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Its contact would lie in the next recording, with another slide's labels."""
     monkeypatch.setattr(recording, "ATTEMPTS", 1)
-    with Printer() as printer, skin(printer, late_s=2.4) as source:
+    with Printer() as printer, skin(printer, late_s=3.0) as source:
         with pytest.raises(CheckFailed, match="its samples come late"):
             recorded(lab, source, printer)
         assert printer.place[2] == ORIGIN[2] + CLEAR_MM
@@ -326,7 +323,7 @@ def test_a_stage_that_is_slower_than_the_plan_is_said(lab: Path, monkeypatch: py
 
 def test_a_slow_approach_finds_the_height(lab: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "stdin", io.StringIO("\n\nq\n"))
-    above_mm = 0.22
+    above_mm = 1.02
     with Printer() as printer, skin(printer, still=True) as source:
         too_high = (*ORIGIN[:2], ORIGIN[2] + above_mm)
         assert recorded(lab, source, printer, yes=False, origin_mm=too_high, approach_mm=2.0) == 2
@@ -342,8 +339,8 @@ def test_an_approach_that_finds_nothing_ends_and_goes_no_deeper(
     with Printer() as printer, skin(printer) as source:
         high = (*ORIGIN[:2], ORIGIN[2] + 3.0)
         with pytest.raises(InputError, match="no output changes"):
-            recorded(lab, source, printer, yes=False, origin_mm=high, approach_mm=0.1)
-        assert min(end[2] for _, end, _ in printer.moves[1:]) == pytest.approx(high[2] - 0.1)
+            recorded(lab, source, printer, yes=False, origin_mm=high, approach_mm=0.5)
+        assert min(end[2] for _, end, _ in printer.moves[1:]) == pytest.approx(high[2] - 0.5)
         assert printer.stopped.wait(ARRIVES_S)
     wrong = (
         ({"yes": True}, "needs an origin"),

@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import optuna
 import pytest
-from sample_folder import sample_folder
 from small_bundle import write_small_bundle
 from streams import RATE_HZ, a_sensor, pass_over, still, stream
 from touched_bundle import write_touched_bundle
@@ -118,8 +117,7 @@ def test_a_number_that_is_too_small_is_refused(capsys: pytest.CaptureFixture[str
 
 def test_changes_that_keep_the_signal_keep_the_estimates(bundle: Path, tmp_path: Path) -> None:
     """The small bundle's direction and speed are constants, so that errors are those of the sample's labels."""
-    words = ["--model", bundle, "--recordings", sample_folder(tmp_path / "fast", "split == 'test-fast'")]
-    words += ["--every", 3, "--jobs", 1]
+    words = ["--model", bundle, "--recordings", SAMPLE, "--every", 18, "--jobs", 1]
     words += ["--json", tmp_path / "found.json"]
     assert changed_slides.main([str(word) for word in words]) == 0
     figures = json.loads((tmp_path / "found.json").read_text())
@@ -170,10 +168,10 @@ def test_of_a_skin_without_accelerometers_the_outputs_are_disturbed_and_none_is_
     tmp_path: Path,
 ) -> None:
     folder, bundle = write_skin(tmp_path / "skin", 1, 0), write_touched_bundle(tmp_path / "bundle")
-    figures = dict(false_alarms.false_alarms(bundle, folder, streams=1, seconds=8.0))
+    figures = dict(false_alarms.false_alarms(bundle, folder, streams=3, seconds=8.0))
     assert list(figures) == [kind for kind in SIGNALS if kind not in OF_ACCELEROMETERS]
     tracked_s = [found["tracked_s"] for found in figures.values()]
-    assert sum(tracked_s) > 30.0
+    assert sum(tracked_s) > 60.0
     valid_percent = np.nan_to_num([found["valid_percent"] for found in figures.values()])
     assert valid_percent @ tracked_s <= 0.5 * sum(tracked_s)
 

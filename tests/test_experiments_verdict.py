@@ -8,7 +8,6 @@ from sender import PLAN, free_port, sending
 from streams import a_sensor
 
 from softslide.experiments.acquisition import error_so_far, verdict
-from softslide.experiments.acquisition import record as recording
 from softslide.experiments.acquisition.error_so_far import ErrorSoFar, errors, read_goal
 from softslide.experiments.acquisition.record import record
 from softslide.experiments.acquisition.verdict import Verdict
@@ -95,7 +94,6 @@ def test_what_is_enough_leaves_the_slides_to_learn_from_and_goes_on_with_others(
     (tmp_path / "plan.csv").write_text(PLAN + "".join(f"{row},40,-5,-29,-5,8,0.5\n" for row in rows))
     monkeypatch.setattr(Verdict, "is_enough", lambda self, folder, say: len(folder) > 0)
     monkeypatch.setattr(error_so_far, "atlas_to_calibrate", lambda sensor: None)  # a solver's minutes
-    monkeypatch.setattr(recording, "RAMP_S", 0.2)
     port = free_port()
     with sending(port):
         times = {"rest_s": 0.6, "start_s": 0.2, "timeout_s": 0.5}

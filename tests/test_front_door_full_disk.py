@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 from forked import Commands, commands
-from long_commands import SYNTHESIZE, a_simulation, a_training, an_evaluation, an_import
+from long_commands import SYNTHESIZE, TRAIN, a_simulation, an_evaluation, an_import
 from sender import PLAN, TIMES, free_port, sending
 from streams import a_sensor
 
@@ -122,14 +122,14 @@ def test_evaluate(disk: Disk, tmp_path: Path) -> None:
 
 @pytest.mark.long
 def test_train(disk: Disk, tmp_path: Path) -> None:
-    check(disk, a_training(tmp_path), tmp_path / "work", tenths=(6,))
+    check(disk, TRAIN, tmp_path / "work", tenths=(6,))
 
 
 def test_a_full_store_costs_no_training(disk: Disk, tmp_path: Path) -> None:
     """It costs the run, in one line."""
     (tmp_path / "work.store").symlink_to(disk.place)
     disk.leave(0)
-    said = ran(disk, [*a_training(tmp_path), "--out", str(tmp_path / "bundle")], tmp_path / "work")
+    said = ran(disk, [*TRAIN, "--out", str(tmp_path / "bundle")], tmp_path / "work")
     assert disk.softslide.status == 0, said
     (line,) = [line for line in said if "run not logged" in line]
     assert "no space left on device" in line.lower()

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 from forked import Commands, commands
-from long_commands import SYNTHESIZE, a_simulation, a_training, an_evaluation, an_import, contents
+from long_commands import SYNTHESIZE, TRAIN, a_simulation, an_evaluation, an_import, contents
 
 from softslide.pipeline.atlas.atlas import read_atlas
 
@@ -87,7 +87,7 @@ def test_evaluate(softslide: Commands, tmp_path: Path) -> None:
 
 @pytest.mark.long
 def test_train(softslide: Commands, tmp_path: Path) -> None:
-    check(softslide, Case(a_training(tmp_path), "out"), tmp_path, KILLS)
+    check(softslide, Case(TRAIN, "out"), tmp_path, KILLS)
 
 
 def solved(place: Path) -> dict[str, str]:

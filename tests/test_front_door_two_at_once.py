@@ -7,7 +7,7 @@ from pathlib import Path
 import mlflow
 import pytest
 from forked import LOADED, Commands, commands
-from long_commands import SYNTHESIZE, a_training, an_evaluation, an_import, contents
+from long_commands import SYNTHESIZE, TRAIN, an_evaluation, an_import, contents
 
 pytestmark = pytest.mark.long
 AT_WORK = "another call is at work on it; wait for it, or name another folder"
@@ -54,7 +54,7 @@ def test_synthesize(two: tuple[Commands, Commands], tmp_path: Path) -> None:
 
 def test_train(two: tuple[Commands, Commands], tmp_path: Path) -> None:
     """Each is a run that has finished."""
-    assert statuses(two, a_training(tmp_path), tmp_path / "w") == [0, 0, 0, 0]
+    assert statuses(two, TRAIN, tmp_path / "w") == [0, 0, 0, 0]
     store = f"sqlite:///{tmp_path / 'w' / 'store' / 'mlflow.db'}"
     runs = mlflow.MlflowClient(store, store).search_runs(["1"])
     assert [run.info.status for run in runs] == 5 * ["FINISHED"]

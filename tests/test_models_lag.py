@@ -56,7 +56,7 @@ def slides_with(tau_s: float, speeds: np.ndarray) -> list[CalibrationSlide]:
     ]
 
 
-@pytest.mark.parametrize("tau_s", [TAUS[0], TAUS[-1]])
+@pytest.mark.parametrize("tau_s", TAUS)
 def test_fast_slides_tell_how_the_lag_is_spread(tau_s):
     slides = slides_with(tau_s, np.geomspace(1.0, 12.0, 40))
     lag_s = DELAYED * tau_s

@@ -237,7 +237,8 @@ def test_a_folder_of_slides_and_paths(tmp_path: Path, capsys) -> None:
         assert np.diff(truth["time_s"]) == pytest.approx(0.01)
         assert truth["time_s"].iloc[-1] == pytest.approx(recording.time_s[-1], abs=0.011)
     assert folder.load("s00000").truth is None
-    refused(capsys, "synthesize", "--slides", 3, "--solved", "--out", tmp_path / "none")
+    for bad in ("--slides 0", "--slides 3 --paths -1", "--slides 3 --solved"):
+        refused(capsys, "synthesize", *bad.split(), "--out", tmp_path / "none")
     assert not (tmp_path / "none").exists()
 
 

@@ -296,6 +296,8 @@ def test_bad_arguments_are_one_line(tmp_path, capsys):
     write_atlas(two_boards(), other)
     file.write_text("")
     for arguments, words in (
+        (f"--slides 0 --out {out}", "--slides 0: at least one"),
+        (f"--slides 1 --seed -1 --out {out}", "--seed -1"),
         (f"--slides 1 --atlas no.npz --out {out}", "no.npz: no such file"),
         (f"--slides 1 --sensor no.toml --out {out}", "no.toml: no such file or folder"),
         (f"--slides 1 --atlas {other} --sensor {DEFAULT_SENSOR.resolve()} --out {out}", "another design"),

@@ -134,14 +134,15 @@ def test_a_broken_pipe_is_not_a_failure(bundle: Path) -> None:
     assert b"Traceback" not in error
 
 
-def test_ctrl_c_ends_a_silent_stream(bundle: Path) -> None:
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_a_silent_stream(bundle: Path, number: signal.Signals) -> None:
     with started(bundle, "-") as running:
         assert running.stdin is not None
         assert running.stdout is not None
         running.stdin.write(CSV[:4000].encode())
         running.stdin.flush()
         running.stdout.readline()
-        running.send_signal(signal.SIGINT)
+        running.send_signal(number)
         assert running.wait(30) == 0
 
 

@@ -3,25 +3,20 @@
 import hashlib
 from pathlib import Path
 
-from bump_slides import bump_folder, bump_sensor, lines
 from lab_files import FORMATS, write_lab
 from small_bundle import write_small_bundle
 from trial_folder import SENSOR, a_folder
 
 from softslide.pipeline.atlas.atlas import DEFAULT_SENSOR
+from softslide.pipeline.recordings.folder import SAMPLE
 
 SYNTHESIZE = ["synthesize", "--slides", "3", "--seed", "4"]
+TRAIN = ["train", "--recordings", str(SAMPLE), "--model", "interpolation"]
 
 
 def an_import(root: Path, names: tuple[str, ...]) -> list[str]:
     write_lab(root / "lab", FORMATS["csv"], names)
     return ["import", str(root / "lab" / "lab"), "--map", str(root / "lab" / "map.toml")]
-
-
-def a_training(root: Path) -> list[str]:
-    slides = lines((0.0, 90.0, 180.0, 270.0), (-9.0, -6.0, -3.0, 3.0, 6.0, 9.0), (12.0, 20.0))
-    lab = bump_folder(root / "lab", bump_sensor(1), {"calibration": slides}).root
-    return ["train", "--recordings", str(lab), "--model", "interpolation"]
 
 
 def an_evaluation(root: Path, recordings: int) -> list[str]:

@@ -17,8 +17,7 @@ import numpy as np
 class Printer:
     """firmware: marlin or grbl. haste: times real time. damaged: numbers of lines that arrive damaged once. fails: the
     line that it answers with an error; highest_mm: soft limit of x; pulled: after so many lines nothing is answered.
-    acceleration: mm/s2, to and from a stop in each move along x and y. home: mm, where homing ends: clear of
-    the skin, near to where the tests' slides begin.
+    acceleration: mm/s2, to and from a stop in each move.
 
     moves: (from, to) mm and mm/s of each; log: s of the monotonic clock, and the place; stopped: set by an emergency
     stop, once it has arrived; after: lines that came after it.
@@ -32,7 +31,6 @@ class Printer:
     pulled: float = np.inf
     moves: list[tuple[np.ndarray, np.ndarray, float]] = field(default_factory=list)
     acceleration: float = np.inf
-    home: tuple[float, float, float] = (81.0, 95.0, 51.0)
     log: list[tuple[float, ...]] = field(default_factory=list)
     stopped: threading.Event = field(default_factory=threading.Event)
     after: list[str] = field(default_factory=list)
@@ -104,7 +102,7 @@ class Printer:
             return
         words = {key: float(value) for key, value in re.findall(r"([A-Z])(-?[\d.]+)", line)}
         if line.startswith(("G92", "G28", "$H")):
-            self.place = np.zeros(3) if line.startswith("G92") else np.array(self.home)
+            self.place = np.zeros(3)
         elif line.startswith("G1 "):
             self._move(words)
         elif line.startswith(("M400", "G4 ")):
@@ -129,21 +127,21 @@ class Printer:
         self.moves.append((begin, to, speed))
         way = float(np.linalg.norm(to - begin))
         self.moving = True
-        acceleration = self.acceleration if (begin != to)[:2].any() else np.inf
-        speed = min(speed, (way * acceleration) ** 0.5)
-        self._motion = threading.Thread(target=self._carry, args=(begin, to, way, speed, acceleration))
+        self._motion = threading.Thread(
+            target=self._carry, args=(begin, to, way, min(speed, (way * self.acceleration) ** 0.5))
+        )
         self._motion.start()
 
-    def _carry(
-        self, begin: np.ndarray, to: np.ndarray, way: float, speed: float, acceleration: float
-    ) -> None:
-        ramp_s = speed / acceleration
+    def _carry(self, begin: np.ndarray, to: np.ndarray, way: float, speed: float) -> None:
+        ramp_s = speed / self.acceleration
         seconds = way / speed + ramp_s if way else 0.0
         begun_s = time.monotonic()
         while (at_s := (time.monotonic() - begun_s) * self.haste) < seconds:
             from_end_s = min(at_s, seconds - at_s)
             gone = (
-                speed * (from_end_s - ramp_s / 2) if from_end_s > ramp_s else acceleration * from_end_s**2 / 2
+                speed * (from_end_s - ramp_s / 2)
+                if from_end_s > ramp_s
+                else self.acceleration * from_end_s**2 / 2
             )
             self.place = begin + (gone if at_s < seconds / 2 else way - gone) / way * (to - begin)
             self.log.append((time.monotonic(), *self.place))
