@@ -2,17 +2,15 @@
 
 import math
 import os
-import re
 import subprocess
 import sys
 from pathlib import Path
 
 import mlflow
 import pytest
-from linked import ROOMS
 from small_bundle import write_small_bundle
 
-from softslide.experiments import provenance, tracking
+from softslide.experiments import provenance
 from softslide.experiments.code_hash import code_hash
 from softslide.experiments.flattened import flattened
 from softslide.experiments.provenance import code_revision, data_hashes
@@ -112,24 +110,20 @@ def test_a_store_that_is_down_costs_one_line(tmp_path: Path, capsys: pytest.Capt
     assert run.place == "no run"
 
 
-def test_runs_are_logged_where_files_have_no_locks(store: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """As on Windows, which has no fcntl: no module asks for it before it is needed."""
-    asks = re.compile(r"^(import|from) fcntl\b", re.M)
-    assert not [p for room in ROOMS for p in (HERE / room).rglob("*.py") if asks.search(p.read_text("utf-8"))]
-    monkeypatch.setitem(sys.modules, "fcntl", None)
-    with tracked("train", "no locks", {}, tags={"locks": "none"}, store=store) as run:
-        run.metrics({"a": 1.0})
-    found = find_run(client_of(store), {"locks": "none"}, "FINISHED")
-    assert found is not None
-    assert found.data.metrics == {"a": 1.0}
-
-
-def test_nothing_is_sent(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The module says so before it imports MLflow."""
-    monkeypatch.delenv("MLFLOW_DISABLE_TELEMETRY")
-    text = Path(tracking.__file__).read_text("utf-8")
-    exec(compile(text.partition("\nimport mlflow\n")[0], "tracking.py", "exec"), {})
-    assert os.environ["MLFLOW_DISABLE_TELEMETRY"] == "true"
+def test_runs_are_logged_where_files_have_no_locks_and_nothing_is_sent(tmp_path: Path) -> None:
+    """As on Windows, which has no fcntl."""
+    program = (
+        "import os, sys; sys.modules['fcntl'] = None\n"
+        "import experiments.train; from experiments.tracking import tracked\n"
+        "with tracked('train', 'x', {}, store='sqlite:///mlflow.db') as run: run.metrics({'a': 1.0})\n"
+        "assert os.environ['MLFLOW_DISABLE_TELEMETRY'] == 'true'"
+    )
+    environment = {**os.environ, "PYTHONPATH": str(HERE)}
+    del environment["MLFLOW_DISABLE_TELEMETRY"]
+    subprocess.run([sys.executable, "-c", program], cwd=tmp_path, env=environment, check=True, timeout=300)
+    run = find_run(client_of(f"sqlite:///{tmp_path / 'mlflow.db'}"), {"command": "train"}, "FINISHED")
+    assert run is not None
+    assert run.data.metrics == {"a": 1.0}
 
 
 def test_hashes_differ_with_data_and_not_with_places(folder: Folder, tmp_path: Path) -> None:

@@ -178,7 +178,7 @@ def test_noise_alone_starts_nothing() -> None:
 
 def test_two_accelerometers_are_sharper_than_one_and_do_without_one() -> None:
     places = ((5.0, 0.0), (-8.0, 3.0))
-    path = line(6.0)
+    path = line(3.0)
     both = noisy_map(places=places)
     inside = np.flatnonzero(np.abs(path[:, 0]) < 15)
 
@@ -215,7 +215,7 @@ def test_a_calibration_that_does_not_fit_is_refused(change: dict[str, object], w
         ContactCalibration(**{**whole, **change})
 
 
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", range(3))
 def test_a_slow_lift_is_not_a_turn(seed: int) -> None:
     """What a contact shows that is lifted while it goes straight on fits a bent path too: no turn may be seen then."""
     response, speed = noisy_map(), 2.0
@@ -262,20 +262,21 @@ def test_a_slide_is_valid_and_a_wave_seldom() -> None:
 
     waves = []
     for frequency_hz, along_y in ((0.1, 0.5), (0.2, 0.5), (0.2, -0.3), (0.4, 1.0)):
-        phase = 2 * np.pi * frequency_hz * BLOCK_S * np.arange(500)
+        phase = 2 * np.pi * frequency_hz * BLOCK_S * np.arange(800)
         wave = 0.15 * np.stack([np.sin(phase), along_y * np.sin(phase)], axis=1)
         wave = wave + np.random.default_rng(3).normal(0.0, 1e-3, wave.shape)
         tracked = tracker(response)
         waves.append(share_valid([tracked.push(v, n > 10, BOTH) for n, v in enumerate(wave)]))
-    slide = followed(response, line(6.0))
+    slide = followed(response, line(3.0))
     assert np.median([t.evidence.log_odds for t in slide if t is not None]) > 2.0
     assert share_valid(slide) > 0.6
     assert np.mean(waves) < 0.1
 
 
-def test_no_signal_makes_the_tracker_fail() -> None:
+@pytest.mark.parametrize("seed", range(2))
+def test_no_signal_makes_the_tracker_fail(seed: int) -> None:
     """Jumps, walks and steps far beyond any contact: every track is finite."""
-    generator = np.random.default_rng(0)
+    generator = np.random.default_rng(seed)
     tracked = tracker(noisy_map())
     walk = np.cumsum(generator.normal(0.0, 0.05, (400, 2)), axis=0)
     for volts in walk + (generator.random((400, 1)) < 0.02) * 2.0:
