@@ -4,22 +4,35 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from tracked_map import BLOCK_S, INFLATION, TWO_BOARDS, noisy_map, pressed, tracks_of
+from tracked_map import (
+    BLOCK_S,
+    INFLATION,
+    TWO_BOARDS,
+    bank_of,
+    noisy_map,
+    pressed,
+    tracker,
+    tracks_of,
+    volts_along,
+)
 
 from softslide.features.contact.evidence import PRESS_ON_S, PRESS_S
+from softslide.features.contact.hypotheses import GAIN, RISE, Y
+from softslide.features.contact.touch import Onset, at_rest
 from softslide.features.contact.track import Track
 from softslide.features.contact.whole_device import beyond_device
 from softslide.features.estimate import Contact, Estimate, Reason
 from softslide.features.stream.tracker import SlideState
 from softslide.features.track_estimate import TrackLimits, judged
+from softslide.models.response_map.card import contact_calibration
 
 ON_S, HELD_S = 0.4, 1.5
 RESPONSE = noisy_map(places=TWO_BOARDS)
 
 
-def grown(level_v: np.ndarray) -> np.ndarray:
-    """Blocks (m, C) V that grow to a level within ON_S and keep it, with noise of 1 mV."""
-    share = np.clip(np.arange(round((0.3 + ON_S + HELD_S) / BLOCK_S)) * BLOCK_S / ON_S - 0.3 / ON_S, 0.0, 1.0)
+def grown(level_v: np.ndarray, on_s: float = ON_S) -> np.ndarray:
+    """Blocks (m, C) V that grow to a level within on_s and keep it, with noise of 1 mV."""
+    share = np.clip(np.arange(round((0.3 + on_s + HELD_S) / BLOCK_S)) * BLOCK_S / on_s - 0.3 / on_s, 0.0, 1.0)
     noise = np.random.default_rng(0).normal(0.0, 1e-3, (len(share), len(level_v)))
     return share[:, None] * level_v + noise
 
@@ -122,3 +135,53 @@ def test_a_press_that_still_grows_after_two_seconds_is_not_valid_before_it_rests
     assert len(of_press[grows]) > 20
     assert not any(of_press[grows])
     assert any(of_press[-round(1.0 / BLOCK_S) :])
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_where_a_contact_rests_is_found_closer_than_a_cell_of_the_grid(seed: int) -> None:
+    """The true place is among the likely ones, with the gain of a whole contact, although the map bends over a cell."""
+    response = noisy_map()
+    place = np.random.default_rng(seed).uniform(-15.0, 15.0, 2)
+    level, sd = pressed(response, tuple(place)), np.full(2, 4e-4)
+    surface = contact_calibration(response).surface()
+    bank = at_rest(Onset(level, np.zeros(2), sd, sd), surface, (25.0, 25.0), 1e-3, 0.02, 0.02)
+    assert bank is not None
+    likely = bank.log_weight > bank.log_weight.max() - 6.0
+    off_mm = np.hypot(*(bank.state[:, : Y + 1] - place).T)
+    best = int(np.where(likely, off_mm, np.inf).argmin())
+    assert off_mm[best] < 0.4
+    assert abs(bank.state[best, GAIN] - 1.0) < 0.02
+
+
+@pytest.mark.parametrize(
+    ("place", "heading_deg"), [((2.4, 3.5), 0.0), ((9.0, 0.4), 90.0), ((0.0, 12.0), -90.0)]
+)
+def test_a_contact_that_is_pressed_on_and_slides_off_is_followed(
+    place: tuple[float, float], heading_deg: float
+) -> None:
+    """Its friction builds up late: not in the first 0.1 mm, then within 0.25 mm."""
+    response, heading = noisy_map(), np.radians(heading_deg)
+    way_mm = 2.0 * BLOCK_S * np.arange(1.0, 350.0)
+    path = np.array(place) + way_mm[:, None] * [np.cos(heading), np.sin(heading)]
+    press = grown(pressed(response, place), 2 * ON_S)
+    share = np.clip((way_mm - 0.1) / 0.25, 0.0, 1.0)[:, None]
+    noise = np.random.default_rng(5).normal(0.0, response.noise_v, (len(path), response.channels))
+    frictionless = np.array([pressed(response, tuple(each)) for each in path]) + noise
+    slide = share * volts_along(response, path) + (1.0 - share) * frictionless
+    tracks = tracks_of(response, np.concatenate([press, slide]))[len(press) :]
+    pairs = zip(tracks, path, strict=True)
+    off_mm = np.array([np.inf if t is None else np.hypot(*(t.mean[:2] - at)) for t, at in pairs])
+    assert np.median(off_mm) < 0.5
+    assert off_mm[-100:].max() < 1.0
+
+
+def test_what_is_pressed_on_does_not_stand_still() -> None:
+    tracked, bank = tracker(RESPONSE), bank_of(RESPONSE, 3)
+    bank.state[:, GAIN] = 0.8
+    bank.state[:, RISE] = 0.7, 0.0, 0.0
+    bank.partial[:2] = True
+    tracked._bank = bank
+    tracked._doubt()
+    rising, held, whole = bank.log_weight
+    assert rising == pytest.approx(whole)
+    assert held < whole

@@ -148,13 +148,14 @@ def test_a_track_that_changes_its_speed_does_not_overrule_a_slide_that_fits(loca
 
 def test_a_misfit_that_grows_for_a_while_does_not_give_up_the_line(localizer: Localizer) -> None:
     """Two slides by the board, where the map's residual takes the misfit of a fit that is right over the limit: the
-    track there is off by 0.7 and 2.3 % of the speed."""
+    track there is off by 0.7 deg and 2.3 % of the speed, and for moments it takes over (experiments/LOG.md)."""
     faster = replace(STOPPING, stopping=0.0, speed_mm_s=(4.0, 13.0), rest_s=(1.0, 1.5))
     drawn = [drawn_slide(number, faster) for number in (304, 317)]
     limit = localizer.card.validity.misfit
     off = np.concatenate([valid_errors(localizer, each, 0.3, (limit, 2 * limit)) for each in drawn])
     assert len(off) > 40
-    assert (off.mean(axis=0) < [0.2, 0.5, 0.02]).all(), off.mean(axis=0)
+    middle = np.median(off, axis=0)
+    assert (middle < [0.1, 0.3, 0.01]).all(), middle
 
 
 @pytest.mark.parametrize(("kind", "number"), [("tilt", 7), ("drift", 7)])

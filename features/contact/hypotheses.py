@@ -38,7 +38,9 @@ class MotionNoise:
     """Standard deviations that a hypothesis grows by over 1 mm of way between manoeuvres.
 
     place: mm. heading: rad. speed, acceleration: shares (of the speed; of its square). curvature: 1/mm. gain: 1.
-    depth: mm. friction: 1. rise: 1/s, over 1 s, while the contact is pressed on or lifted.
+    depth: mm. friction: 1; turned: a share of its way towards the motion's direction, which it takes late and then at
+    once, from a rest or after a turn (paths solved step by step, experiments/LOG.md). rise: 1/s, over 1 s, while the
+    contact is pressed on or lifted.
     """
 
     place: float = 0.01
@@ -49,6 +51,7 @@ class MotionNoise:
     gain: float = 0.003
     depth: float = 0.005
     friction: float = 0.05
+    turned: float = 0.5
     rise: float = 0.2
 
 
@@ -200,7 +203,8 @@ def predict(bank: Hypotheses, elapsed_s: float, floor_v: float, partial_v: float
     motion, turning = _motion(state), 1.0 - kept[:, 2]
     slope[:, FRICTION_X, HEADING] = -turning * motion[:, 1]
     slope[:, FRICTION_Y, HEADING] = turning * motion[:, 0]
-    state[:, FRICTION] += turning[:, None] * (motion - state[:, FRICTION])
+    turned = turning[:, None] * (motion - state[:, FRICTION])
+    state[:, FRICTION] += turned
     state[:, X] += step * cos
     state[:, Y] += step * sin
     state[:, HEADING] += curvature * step
@@ -218,7 +222,7 @@ def predict(bank: Hypotheses, elapsed_s: float, floor_v: float, partial_v: float
     grown[:, GAIN] += noise.gain**2 * way
     grown[:, RISE] += np.where(bank.partial, noise.rise**2 * elapsed_s, 0.0)
     grown[:, DEPTH] += noise.depth**2 * way
-    grown[:, FRICTION] += (noise.friction**2 * way)[:, None]
+    grown[:, FRICTION] += (noise.friction**2 * way)[:, None] + (noise.turned * turned) ** 2
     grown[:, RESIDUAL:] += (floor_v**2 * (1.0 - kept[:, 1] ** 2))[:, None]
     grown[:, RESIDUAL:] += np.where(bank.partial, partial_v**2 * elapsed_s, 0.0)[:, None]
     bank.covariance = covariance

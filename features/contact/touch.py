@@ -20,6 +20,7 @@ from softslide.features.contact.hypotheses import (
     Hypotheses,
     X,
     Y,
+    expected,
     joined,
     started,
 )
@@ -35,6 +36,7 @@ PRESSED_SHARE = 0.08  # of the present output, by which a partial contact's shap
 # Standard deviation of the friction along x and y where a contact was pressed on, 1: as large as where it slides
 # (root mean square of 23 presses of the solver; most of it points outwards).
 PRESSED_FRICTION = 0.2
+SETTLING = 5  # iterations
 PRESSED = 0.3  # prior probability that a touch is pressed on inside the skin
 
 
@@ -95,8 +97,11 @@ def at_rest(
     gain_sd: float,
     depth_sd_mm: float,
 ) -> Hypotheses | None:
-    """Whole contacts that rest where they were pressed on: wherever the map answers as the level; None if nowhere."""
-    x, y = _grid(half_mm)
+    """Whole contacts that rest where they were pressed on: where the map inside answers as the level; None if nowhere.
+
+    floor_v: V, what the map leaves of an output as large as the level.
+    """
+    x, y = _inner_grid(half_mm)
     response = surface.at(x, y)
     shown, slopes = response[:, 0, 0], response[:, 1:, 0]
     variance = seen.level_sd**2 + floor_v**2 + (slopes**2).sum(1) * (GRID_MM / 2) ** 2
@@ -109,13 +114,38 @@ def at_rest(
     sd = np.full(state.shape, floor_v)
     sd[:, :FRICTION_X] = GRID_MM / 2, GRID_MM / 2, 3.0, 0.05, 0.01, 0.01, gain_sd, depth_sd_mm, 0.0
     sd[:, FRICTION] = PRESSED_FRICTION
-    return started(state, sd, -0.5 * misfit[n] - np.log(len(n)), partial=False)
+    bank = started(state, sd, np.full(len(n), -np.log(len(n))), partial=False)
+    _settle(bank, seen.level, seen.level_sd**2, surface)
+    return bank
+
+
+def _settle(bank: Hypotheses, level: np.ndarray, variance: np.ndarray, surface: ResponseSurface) -> None:
+    """Corrects and weighs hypotheses by a level (C,) V of that variance (C,) V^2, each linearized where it ends: an
+    iterated extended Kalman filter (Bell and Cathey, IEEE Trans. Autom. Control 38, 1993). Over a cell of the grid the
+    map bends."""
+    first = bank.state
+    for _ in range(SETTLING):
+        shown, by_state = expected(bank, surface)
+        crossed = bank.covariance @ by_state.transpose(0, 2, 1)
+        spread = by_state @ crossed + np.diag(variance)
+        gap = (level - shown)[:, :, None] + by_state @ (bank.state - first)[:, :, None]
+        pull = np.linalg.solve(spread, gap)
+        bank.state = first + (crossed @ pull)[:, :, 0]
+    bank.log_weight -= 0.5 * ((gap * pull).sum((1, 2)) + np.linalg.slogdet(spread)[1])
+    bank.covariance -= crossed @ np.linalg.solve(spread, crossed.transpose(0, 2, 1))
 
 
 def _grid(half_mm: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
     axes = [np.arange(-h - RIM_MM[0], h + RIM_MM[0] + 1e-6, GRID_MM) for h in half_mm]
     x, y = np.meshgrid(*axes, indexing="ij")
     return x.ravel(), y.ravel()
+
+
+def _inner_grid(half_mm: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
+    """Where a contact may be pressed on: off the chamber's edge."""
+    x, y = _grid(half_mm)
+    inner = (np.abs(x) < half_mm[0] - GRID_MM) & (np.abs(y) < half_mm[1] - GRID_MM)
+    return x[inner], y[inner]
 
 
 def _over_rim(
@@ -176,9 +206,7 @@ def _pressed_on(
     scale: np.ndarray,
 ) -> Hypotheses:
     """Contacts that are still being pressed on: the gain from the level, no motion yet."""
-    x, y = _grid(half_mm)
-    inner = (np.abs(x) < half_mm[0] - GRID_MM) & (np.abs(y) < half_mm[1] - GRID_MM)
-    x, y = x[inner], y[inner]
+    x, y = _inner_grid(half_mm)
     shown = surface.at(x, y)[:, 0, 0]
     use = np.isfinite(seen.level_sd)
     size = (shown[:, use] ** 2).sum(1) + 1e-12

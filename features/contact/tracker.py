@@ -246,7 +246,7 @@ class ContactTracker:
             self._bank, log_density = self._bank.take(sound), math.nan
         way_mm = elapsed_s * self._bank.best_speed
         self.gained = self._evidence.add(volts, usable, log_density, misfit, way_mm)
-        self._leave_skin()
+        self._doubt()
         self._steps += 1
         if self._steps <= config.first_steps:
             self._bank = self._bank.likeliest(config.touch_most)
@@ -358,18 +358,22 @@ class ContactTracker:
             return
         self._rested = True
         config = self._config
-        resting = at_rest(seen, self._surface, self._half, self._floor_v, self._gain_sd, config.depth_sd_mm)
+        floor_v, _ = self._residual_v(float(np.abs(seen.level).max()))
+        resting = at_rest(seen, self._surface, self._half, floor_v, self._gain_sd, config.depth_sd_mm)
         if resting is not None:
             resting.log_weight += config.rest - np.logaddexp.reduce(resting.log_weight)
             likeliest = remembering(resting.likeliest(config.touch_most), config.remembered)
             self._bank = joined([self._bank, likeliest])
 
-    def _leave_skin(self) -> None:
-        """A place far off the chamber, or a gain beyond reason, is unlikely."""
+    def _doubt(self) -> None:
+        """A place far off the chamber, a gain beyond reason, or a press that stands still is unlikely."""
         assert self._bank is not None
         config, gain = self._config, self._bank.state[:, GAIN]
         beyond_mm = np.maximum(self._bank.beyond_mm(self._half) - config.edge_mm, 0.0)
         unlikely = config.edge_cost * beyond_mm**config.edge_power
         unlikely += 10.0 * np.maximum(gain - config.most_gain, 0.0) ** 2 + 0.5 * (gain < 0.0)
+        # What is pressed on or lifted is on its way to a whole contact, or off the skin.
+        held = np.exp(-0.5 * (self._bank.state[:, RISE] / config.held_rise) ** 2)
+        unlikely += self._bank.partial * config.held_cost * self._step_s * held
         self._bank.log_weight -= unlikely
         self._bank.log_weight -= self._bank.log_weight.max()

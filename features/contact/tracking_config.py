@@ -20,7 +20,8 @@ class TrackingConfig:
     young_s: after the touch, in which an output that comes to rest may have been pressed on there, with log odds `rest`
     to the other hypotheses. depth_sd_mm: contact depth about the calibration's. lost: misfit of a track that is lost.
     edge_mm: a place further off the chamber is unlikely, by edge_cost for the first mm, which grows with the power
-    edge_power; most_gain: and so is a gain beyond it.
+    edge_power; most_gain: and so is a gain beyond it. held_cost: in 1 s, of a contact that is pressed on or
+    lifted whose gain changes by less than held_rise, 1/s.
     least_log_odds: of a contact, that a step adds. prior_steps: as many steps count as what the calibration says of
     the residual's size; None: nothing else counts. remembered: steps of the past that the track can be read at."""
 
@@ -44,6 +45,8 @@ class TrackingConfig:
     edge_cost: float = 0.3
     edge_power: float = 1.0
     most_gain: float = 1.15
+    held_cost: float = 2.0
+    held_rise: float = 0.05
     least_log_odds: float = -math.inf
     prior_steps: float | None = None
     remembered: int = 0
@@ -95,6 +98,7 @@ TOUCH_DOWN = TrackingConfig(
     edge_cost=2.0,
     edge_power=2.0,
     most_gain=math.inf,
+    held_cost=0.0,
     least_log_odds=-2.0,
     prior_steps=0.1,
 )
