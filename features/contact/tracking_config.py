@@ -21,7 +21,7 @@ class TrackingConfig:
     to the other hypotheses. depth_sd_mm: contact depth about the calibration's. lost: misfit of a track that is lost.
     edge_mm: a place further off the chamber is unlikely, by edge_cost for the first mm, which grows with the power
     edge_power; most_gain: and so is a gain beyond it. held_cost: in 1 s, of a contact that is pressed on or
-    lifted whose gain changes by less than held_rise, 1/s.
+    lifted whose gain changes by less than held_rise, 1/s (paths solved step by step, experiments/LOG.md).
     least_log_odds: of a contact, that a step adds. prior_steps: as many steps count as what the calibration says of
     the residual's size; None: nothing else counts. remembered: steps of the past that the track can be read at."""
 
