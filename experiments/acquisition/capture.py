@@ -3,6 +3,7 @@
 import math
 import threading
 import time
+from collections import deque
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass
@@ -20,7 +21,7 @@ from softslide.pipeline.recordings.folder import Recording
 from softslide.pipeline.recordings.successive_means import successive_means
 from softslide.pipeline.sensor import Sensor
 from softslide.serve.stream.framing import Chunk
-from softslide.serve.stream.sources import Source
+from softslide.serve.stream.sources import Source, open_live
 
 AGAIN_S = 0.5  # between two attempts to open a source that is gone
 POLL_S = 0.05
@@ -34,39 +35,61 @@ NOT_BACK = 0.3  # share of the peak that the output is off its rest by at the en
 
 
 class Listener:
-    """Collects the samples of a source; `close` ends it.
+    """Collects the samples of a sensor's live source; `close` ends it.
 
+    source, form: as of `open_live`. timeout_s: silence that counts as a pulled cable.
     opened: how often the source was opened; a recording that spans two of them has a hole.
     trouble: why nothing comes, as the source says it; empty while it is open.
     """
 
-    def __init__(self, reopen: Callable[[], Source]) -> None:
+    def __init__(self, source: str, sensor: Sensor, form: str, timeout_s: float) -> None:
+        self.source, self.sensor, self._form, self._timeout_s = source, sensor, form, timeout_s
         self.opened, self.trouble = 0, ""
-        self._reopen, self._chunks, self._lock = reopen, list[Chunk](), threading.Lock()
+        self._chunks = deque[Chunk]()
         self._heard_s, self._closed = -math.inf, threading.Event()
-        self._thread = threading.Thread(target=self._run, args=(reopen(),), daemon=True)
+        self._thread = threading.Thread(target=self._run, args=(self._open(),), daemon=True)
         self._thread.start()
 
     def take(self) -> list[Chunk]:
         """The chunks that have come since the last call."""
-        with self._lock:
-            chunks, self._chunks = self._chunks, []
-        return chunks
+        return [self._chunks.popleft() for _ in range(len(self._chunks))]
 
-    def why_silent(self, timeout_s: float) -> str:
+    def why_silent(self) -> str:
         """Why nothing comes, or has come for so long; empty where samples come."""
-        silent = time.monotonic() - self._heard_s > timeout_s
-        return self.trouble or (f"nothing has come for {timeout_s:g} s" if silent else "")
+        silent = time.monotonic() - self._heard_s > self._timeout_s
+        return self.trouble or (f"nothing has come for {self._timeout_s:g} s" if silent else "")
+
+    def wait(self, longest_s: float, say: Callable[[str], None]) -> None:
+        """Returns once samples come; says meanwhile why they do not.
+
+        Raises:
+            InputError: none came for so long.
+        """
+        begun_s, said = time.monotonic(), ""
+        while self.why_silent():
+            reason = self.trouble or "nothing comes"
+            if reason != said:
+                say(f"waiting for {self.source}: {reason}")
+                said = reason
+            if time.monotonic() - begun_s > longest_s:
+                raise InputError(
+                    f"{self.source}: nothing came for {longest_s:g} s; what is recorded is kept, run the same command "
+                    "to go on"
+                )
+            time.sleep(POLL_S)
 
     def close(self) -> None:
         """Stops listening and closes the source."""
         self._closed.set()
         self._thread.join()
 
+    def _open(self) -> Source:
+        return open_live(self.source, len(self.sensor.columns), self._form)
+
     def _run(self, source: Source | None) -> None:
         while not self._closed.is_set():
             try:
-                self._listen(self._reopen() if source is None else source)
+                self._listen(self._open() if source is None else source)
                 self.trouble = "it has ended"
             except InputError as error:
                 self.trouble = str(error)
@@ -80,16 +103,8 @@ class Listener:
                 if self._closed.is_set():
                     return
                 if chunk:
-                    with self._lock:
-                        self._chunks.append(chunk)
+                    self._chunks.append(chunk)
                     self._heard_s = time.monotonic()
-
-
-def joined(chunks: list[Chunk], channels: int) -> tuple[np.ndarray, np.ndarray | None]:
-    """Chunks as one: volts (n, channels) V, and time_s (n,) s where every one has it."""
-    volts = np.concatenate([np.empty((0, channels)), *[volts for volts, _ in chunks]])
-    times = [time_s for _, time_s in chunks if time_s is not None]
-    return volts, np.concatenate(times) if chunks and len(times) == len(chunks) else None
 
 
 class Lost(Exception):
@@ -111,58 +126,72 @@ class Phases:
 
 
 def capture(
-    listener: Listener,
-    sensor: Sensor,
-    name: str,
-    phases: Phases,
-    timeout_s: float,
-    show: Callable[[float, float], None],
+    listener: Listener, name: str, phases: Phases, show: Callable[[float, float], None]
 ) -> tuple[Recording, np.ndarray]:
     """Records for `phases.whole_s` from now on. Returns the recording, and its clock's line over the monotonic one:
     slope and intercept (2,), s, by the samples that came most promptly.
 
-    timeout_s: silence that counts as a pulled cable. show: is given the s recorded and the present level (V).
+    show: is given the s recorded and the present level (V).
 
     Raises:
         Lost: the source went silent or was opened anew, samples are missing or no numbers, or their rate is wrong.
     """
+    sensor = listener.sensor
+    wanted, begun_s = round(phases.whole_s * sensor.sample_rate_hz), time.monotonic()
+    chunks, arrived = _heard(listener, wanted, phases.rest_s, show)
+    time_s = _sampled_s(name, chunks, sensor.sample_rate_hz, time.monotonic() - begun_s)
+    line = clock_line(np.array([at for at, _ in arrived]), time_s[[n - 1 for _, n in arrived]])
+    volts = np.concatenate([volts for volts, _ in chunks])[:wanted]
+    if not np.isfinite(volts).all():
+        raise Lost("a sample is no finite number; see what the source sends")
+    volts, base_v = np.split(volts, [len(sensor.channels)], axis=1)
+    return Recording(name, time_s[:wanted], volts, base_v=None if sensor.base is None else base_v), line
+
+
+def _heard(
+    listener: Listener, wanted: int, rest_s: float, show: Callable[[float, float], None]
+) -> tuple[list[Chunk], list[tuple[float, int]]]:
+    """The chunks of so many samples from now on; and as they came, s of the monotonic clock and samples so far."""
     listener.take()
-    begun_s, opened, chunks, count = time.monotonic(), listener.opened, list[Chunk](), 0
-    rate, level = sensor.sample_rate_hz, Level(phases.rest_s * sensor.sample_rate_hz)
-    arrived = list[tuple[float, int]]()
-    wanted = round(phases.whole_s * rate)
+    opened, chunks, arrived, count = listener.opened, list[Chunk](), list[tuple[float, int]](), 0
+    rate = listener.sensor.sample_rate_hz
+    level = Level(rest_s * rate)
     while count < wanted:
         time.sleep(POLL_S)
         new = listener.take()
-        if reason := listener.why_silent(timeout_s):
+        if reason := listener.why_silent():
             raise Lost(reason)
         if listener.opened != opened:
             raise Lost("the source was opened anew; samples are missing")
-        chunks += new
-        count += sum(len(volts) for volts, _ in new)
         if new:
+            chunks += new
+            count += sum(len(volts) for volts, _ in new)
             arrived.append((time.monotonic(), count))
         show(count / rate, level.of(new))
-    took_s = time.monotonic() - begun_s
-    volts, time_s = joined(chunks, len(sensor.columns))
-    if not np.isfinite(volts).all():
-        raise Lost("a sample is no finite number; see what the source sends")
-    if time_s is None:
-        if abs(count / rate - took_s) > ARRIVAL_S + RATE_TOLERANCE * took_s:
+    return chunks, arrived
+
+
+def _sampled_s(name: str, chunks: list[Chunk], rate_hz: float, took_s: float) -> np.ndarray:
+    """When samples were taken (n,) s, from the first on; by their number where not every chunk has times.
+
+    took_s: of the monotonic clock, for all of them.
+    """
+    times = [time_s for _, time_s in chunks if time_s is not None]
+    if len(times) < len(chunks):
+        count = sum(len(volts) for volts, _ in chunks)
+        if abs(count / rate_hz - took_s) > ARRIVAL_S + RATE_TOLERANCE * took_s:
             raise Lost(
-                f"{count} samples came in {took_s:.1f} s, sensor.toml says {rate:g} Hz; samples were lost, or the "
+                f"{count} samples came in {took_s:.1f} s, sensor.toml says {rate_hz:g} Hz; samples were lost, or the "
                 "rate is another"
             )
-        time_s = np.arange(count) / rate
-    else:
-        time_s = time_s - time_s[0]
-        try:
-            check_clock(Path(name), time_s, rate)
-        except InputError as error:
-            raise Lost(str(error).removeprefix(f"{name}: ")) from None
-    line = clock_line(np.array([at for at, _ in arrived]), time_s[[n - 1 for _, n in arrived]])
-    volts, base_v = np.split(volts[:wanted], [len(sensor.channels)], axis=1)
-    return Recording(name, time_s[:wanted], volts, base_v=None if sensor.base is None else base_v), line
+        return np.arange(count) / rate_hz
+    time_s = np.concatenate(times)
+    time_s = time_s - time_s[0]
+    try:
+        check_clock(Path(name), time_s, rate_hz)
+    except InputError as error:
+        raise Lost(str(error).removeprefix(f"{name}: ")) from None
+    return time_s
 
 
 def clock_line(arrived_s: np.ndarray, sampled_s: np.ndarray) -> np.ndarray:
@@ -185,7 +214,7 @@ class Level:
         self._samples, self._count, self._mean = samples, 0, np.zeros(1)
 
     def of(self, chunks: list[Chunk]) -> float:
-        """The largest deviation (V) of these chunks' means; 0 where there are none."""
+        """The largest deviation (V) of the last chunk's means; 0 where there is none."""
         for volts, _ in chunks:
             tilt = volts[:, tilt_channels(volts.shape[1])]
             if self._count < self._samples:

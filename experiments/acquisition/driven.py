@@ -11,7 +11,6 @@ from softslide.experiments.acquisition.stage import Stage
 from softslide.experiments.acquisition.waypoints import speeds_mm_s
 from softslide.features.errors import InputError
 from softslide.pipeline.recordings.folder import Recording
-from softslide.pipeline.sensor import Sensor
 
 # A skin is never tilted so far, by 49 degrees: a stage is stopped there.
 LARGEST_TILT_G = 0.75
@@ -25,19 +24,17 @@ def driven(
     phases: Phases,
     stage: Stage,
     listener: Listener,
-    sensor: Sensor,
-    timeout_s: float,
     show: Callable[[float, float], None],
 ) -> tuple[Recording, np.ndarray]:
     """The recording, and moments (m, 2) s of the waypoints' time and of the recording's; the ball is lifted after it.
 
-    waypoints: (n, 4), as in waypoints.py. timeout_s, show: as of `capture`.
+    waypoints: (n, 4), as in waypoints.py. show: as of `capture`.
 
     Raises:
         Lost: as `capture`, or the output is not of the stage's motion, or this takes longer than planned.
         InputError: as the methods of `Stage`, or the output left its range: the stage was stopped.
     """
-    most_v = LARGEST_TILT_G * max(each.sensitivity_v_per_g for each in sensor.accelerometers)
+    most_v = LARGEST_TILT_G * max(each.sensitivity_v_per_g for each in listener.sensor.accelerometers)
     motion = list[Future[tuple[np.ndarray, float]]]()
 
     def show_and_drive(recorded_s: float, level_v: float) -> None:
@@ -56,7 +53,7 @@ def driven(
     try:
         with ThreadPoolExecutor(1) as driver:
             try:
-                slide, clock = capture(listener, sensor, name, phases, timeout_s, show_and_drive)
+                slide, clock = capture(listener, name, phases, show_and_drive)
             except Lost:
                 raise
             except BaseException:
@@ -68,7 +65,7 @@ def driven(
             raise Lost(
                 f"the stage took {longer_s:.1f} s longer than planned; see its limits of speed and acceleration"
             )
-        if reason := stray(slide, sensor, phases):
+        if reason := stray(slide, listener.sensor, phases):
             raise Lost(reason)
     except Lost:
         stage.lift()

@@ -5,26 +5,17 @@ earlier one stopped. A slide during which the source was gone or lost samples is
 """
 
 import math
-import time
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack, closing
-from dataclasses import dataclass, fields, replace
+from contextlib import ExitStack, closing, suppress
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
 import pandas as pd
 
 from softslide.experiments.acquisition.approach import MOST_MM, approach
-from softslide.experiments.acquisition.capture import (
-    POLL_S,
-    Level,
-    Listener,
-    Lost,
-    Phases,
-    capture,
-    remarks,
-)
-from softslide.experiments.acquisition.dialogue import Operator, level_bar
+from softslide.experiments.acquisition.capture import Level, Listener, Lost, Phases, capture, remarks
+from softslide.experiments.acquisition.dialogue import Operator, Stopped, level_bar
 from softslide.experiments.acquisition.driven import drive_in_the_air, driven
 from softslide.experiments.acquisition.gcode import CLEAR_MM, NEEDED
 from softslide.experiments.acquisition.stage import Stage, check_slides
@@ -38,50 +29,28 @@ from softslide.pipeline.recordings.growing_folder import add_recording, open_gro
 from softslide.pipeline.recordings.learned import CALIBRATION
 from softslide.pipeline.recordings.manifest import LABELS, check_manifest, read_table
 from softslide.pipeline.sensor import Sensor, read_sensor
-from softslide.serve.stream.sources import open_live
 
 LIVE = ("serial://", "udp://", "ros2://")
 BASE_S = 60.0  # of a robot that moves while nothing touches, where the plan gives no travel and speed
 ATTEMPTS = 3  # at a slide that fails with nobody to ask
 RAMP_S = 1.0  # a stage's ramps come on top of way over speed; `softslide check` allows as much
-ON_THE_MIDDLE = (
-    "Pressure off: put the ball over the chamber's middle, just touching the skin. Enter lifts it, q stops:"
-)
-ABOVE = "Pressure off. Enter lowers the ball over the chamber's middle until an output changes, q stops:"
-INFLATED = "Turn the pressure on and let it settle. Enter begins, q stops:"
-
-
-@dataclass(frozen=True)
-class Times:
-    """In s. rest: before and after each motion. start: to start the stage in. timeout: silence that counts as a pulled
-    cable. wait: for the source to come back."""
-
-    rest: float
-    start: float
-    timeout: float
-    wait: float
-
-    def __post_init__(self) -> None:
-        for field in fields(self):
-            if not getattr(self, field.name) > 0:
-                raise InputError(f"{getattr(self, field.name):g}: give a positive time in s", field.name)
-
-
-class _Stopped(Exception):
-    """The operator stops."""
+ON_THE_MIDDLE = "Pressure off: put the ball over the chamber's middle, just touching the skin. Enter lifts it"
+ABOVE = "Pressure off. Enter lowers the ball over the chamber's middle until an output changes"
+INFLATED = "Turn the pressure on and let it settle. Enter begins"
 
 
 @dataclass(frozen=True)
 class Bench:
-    """What a slide is recorded with. atlas: of the design, where the plan has paths: by it the skin is touched."""
+    """What a slide is recorded with. rest_s, start_s: as in `Phases`. wait_s: for the source to come back. atlas: of
+    the design, where the plan has paths: by it the skin is touched."""
 
     listener: Listener
-    sensor: Sensor
     operator: Operator
-    times: Times
-    source: str
-    stage: Stage | None = None
-    atlas: Atlas | None = None
+    rest_s: float
+    start_s: float
+    wait_s: float
+    stage: Stage | None
+    atlas: Atlas | None
 
 
 def record(
@@ -105,7 +74,8 @@ def record(
     """Records the slides of a plan that the folder `out` does not hold yet. Returns the folder, and how many are left.
 
     source: serial://, udp:// or ros2://, as in serve/stream/sources.py. sensor: a sensor.toml; None: the folder's own.
-    format: csv or f32, of the bytes that come in. rest_s, start_s, timeout_s, wait_s: as in `Times`. yes: asks nothing.
+    format: csv or f32, of the bytes that come in. rest_s: before and after each motion; start_s: to start the stage in;
+    timeout_s: silence that counts as a pulled cable; wait_s: for the source to come back. yes: asks nothing.
     stage: what moves the ball, and origin_mm, as in `Stage`; None: a person does. dry_run: drives the slides above the
     skin, and records nothing. approach_mm: the stage is above the skin at first, and finds its height by going down so
     far at most (approach.py). until: errors ("0.3deg", "0.7%", "0.09mm") from which on no more slides to learn from are
@@ -118,39 +88,38 @@ def record(
     """
     if not source.startswith(LIVE):
         raise InputError(f"{source}: name a live one, {', '.join(f'{kind}...' for kind in LIVE)}", "source")
-    out, times = Path(out), Times(rest_s, start_s, timeout_s, wait_s)
-    folder = open_growing(out, None if sensor is None else read_sensor(sensor))
+    for option, time_s in {"rest": rest_s, "start": start_s, "timeout": timeout_s, "wait": wait_s}.items():
+        if not time_s > 0:
+            raise InputError(f"{time_s:g}: give a positive time in s", option)
+    folder = open_growing(Path(out), None if sensor is None else read_sensor(sensor))
     slides = read_plan(Path(plan), folder.sensor)
     operator = Operator(yes)
     is_enough = _goal(until, page, slides, folder.sensor, operator.say)
     _check_options(stage, origin_mm, approach_mm, dry_run, yes)
-    paths = slides["waypoints"].notna()
+    paths = slides.index[slides["waypoints"].notna()]
     if stage is not None:
         check_slides(slides, folder.sensor)
-    elif paths.any():
-        raise InputError(
-            f"{plan}: {slides.index[paths][0]} follows waypoints, which takes a stage; name one", "stage"
-        )
-    atlas = atlas_of(folder.sensor) if paths.any() else None
-    if done := int(slides.index.isin(folder.manifest.index).sum()):
-        operator.say(f"{out}: {done} of {len(slides)} slides are recorded; going on")
-    enough, columns = is_enough(folder), len(folder.sensor.columns)
-    with ExitStack() as stack:
-        listener = stack.enter_context(closing(Listener(lambda: open_live(source, columns, format))))
-        bench = Bench(listener, folder.sensor, operator, times, source, atlas=atlas)
+    elif len(paths):
+        raise InputError(f"{plan}: {paths[0]} follows waypoints, which takes a stage; name one", "stage")
+    atlas = atlas_of(folder.sensor) if len(paths) else None
+    if done := slides.index.isin(folder.manifest.index).sum():
+        operator.say(f"{folder.root}: {done} of {len(slides)} slides are recorded; going on")
+    enough = is_enough(folder)
+    with ExitStack() as stack, suppress(Stopped):
+        listener = stack.enter_context(closing(Listener(source, folder.sensor, format, timeout_s)))
+        mover = None
         if stage is not None:
-            if origin_mm is None and operator.ask(ON_THE_MIDDLE, str) == "q":
-                return folder, len(slides) - done
-            driven = stack.enter_context(Stage(stage, origin_mm))
-            if not _is_set_up(driven, bench, origin_mm is None, approach_mm):
-                return folder, len(slides) - done
-            bench = replace(bench, stage=driven)
-        if dry_run and bench.stage:
+            if origin_mm is None:
+                operator.ask(ON_THE_MIDDLE)
+            mover = stack.enter_context(Stage(stage, origin_mm))
+            _set_up(mover, listener, operator, origin_mm is None, approach_mm)
+        if mover is not None and dry_run:
             for name, labels in slides.iterrows():
                 operator.say(f"{name}: {CLEAR_MM:g} mm above the flat skin's face")
-                drive_in_the_air(bench.stage, waypoints_of(labels))
-            return folder, len(slides) - done
-        folder = _all_slides(slides, folder, bench, is_enough, enough)
+                drive_in_the_air(mover, waypoints_of(labels))
+        else:
+            bench = Bench(listener, operator, rest_s, start_s, wait_s, mover, atlas)
+            folder = _all_slides(slides, folder, bench, is_enough, enough)
     return folder, int((~slides.index.isin(folder.manifest.index)).sum())
 
 
@@ -158,11 +127,9 @@ def _check_options(
     stage: str | None, origin_mm: Sequence[float] | None, approach_mm: float | None, dry_run: bool, yes: bool
 ) -> None:
     """Raises InputError where options of `record` do not go together."""
-    given = {"dry_run": dry_run, "origin": origin_mm is not None, "approach_mm": approach_mm is not None}
-    if stage is None and any(given.values()):
-        raise InputError(
-            "is for a stage; name one", next(name for name, is_given in given.items() if is_given)
-        )
+    given = {"dry_run": dry_run or None, "origin": origin_mm, "approach_mm": approach_mm}
+    if stage is None and (of_stage := [name for name, value in given.items() if value is not None]):
+        raise InputError("is for a stage; name one", of_stage[0])
     if stage is not None and origin_mm is None and yes:
         raise InputError("is needed where nobody is there to put the ball on the skin's middle", "origin")
     if approach_mm is None:
@@ -171,6 +138,23 @@ def _check_options(
         raise InputError(f"{approach_mm:g} mm; the ball is lowered by at most {MOST_MM:g}", "approach_mm")
     if yes or origin_mm is None:
         raise InputError("needs an origin, and somebody who turns the pressure on after it", "approach_mm")
+
+
+def _set_up(
+    stage: Stage, listener: Listener, operator: Operator, by_hand: bool, approach_mm: float | None
+) -> None:
+    """Lifts the ball, after its height was found if that is asked for. by_hand: the ball was put on the skin.
+
+    Raises:
+        Stopped: the operator stops.
+    """
+    if approach_mm is not None:
+        operator.ask(ABOVE)
+        found_mm = approach(stage, listener, approach_mm)
+        operator.say(f"the flat skin's face is {found_mm:g} mm below the origin")
+    stage.lift()
+    if by_hand or approach_mm is not None:
+        operator.ask(INFLATED)
 
 
 def _all_slides(
@@ -187,7 +171,7 @@ def _all_slides(
         say(f"[{place}/{len(slides)}] {name}: {_described(labels)}")
         try:
             slide = _slide(str(name), labels, bench)
-        except _Stopped:
+        except Stopped:
             break
         if slide is not None:
             recording, moved = slide
@@ -196,18 +180,6 @@ def _all_slides(
             say(f"kept: {folder.root}, {len(folder)} recordings")
             enough = is_enough(folder)
     return folder
-
-
-def _is_set_up(stage: Stage, bench: Bench, by_hand: bool, approach_mm: float | None) -> bool:
-    """Lifts the ball, after its height was found if that is asked for; whether the operator goes on."""
-    operator = bench.operator
-    if approach_mm is not None:
-        if operator.ask(ABOVE, str) == "q":
-            return False
-        found_mm = approach(stage, bench.listener, bench.sensor, approach_mm, bench.times.timeout)
-        operator.say(f"the flat skin's face is {found_mm:g} mm below the origin")
-    stage.lift()
-    return (not by_hand and approach_mm is None) or operator.ask(INFLATED, str) != "q"
 
 
 def _goal(
@@ -252,19 +224,19 @@ def _slide(name: str, labels: pd.Series, bench: Bench) -> tuple[Recording, dict[
     """One slide that the operator keeps, and its moments of motion where a stage knows them; None if it is skipped.
 
     Raises:
-        _Stopped: the operator stops.
+        Stopped: the operator stops.
         InputError, CheckFailed: as `record`.
     """
-    operator, times, sensor = bench.operator, bench.times, bench.sensor
+    listener, operator = bench.listener, bench.operator
     lost_s = 0.0 if bench.stage is None else bench.stage.lost_s(waypoints_of(labels))
-    phases = Phases(times.rest, times.start, _motion_s(labels) + lost_s)
+    phases = Phases(bench.rest_s, bench.start_s, _motion_s(labels) + lost_s)
     of_base, failed = labels["split"] == BASE_SPLIT, 0
     begin = (
         "Let the robot begin" if of_base else "Set the stage" if bench.stage is None else "The stage is set"
     )
     while True:
-        _wait(bench)
-        if _answer(bench, f"{begin}. Enter records, s skips, q stops:") == "s":
+        listener.wait(bench.wait_s, operator.say)
+        if _answer(bench, f"{begin}. Enter records, s skips") == "s":
             return None
         try:
             slide, moved = _captured(name, labels, phases, bench)
@@ -274,11 +246,17 @@ def _slide(name: str, labels: pd.Series, bench: Bench) -> tuple[Recording, dict[
             if operator.absent and failed == ATTEMPTS:
                 raise CheckFailed(f"{name} failed {ATTEMPTS} times: {reason}; what is kept stays") from None
             continue
-        for remark in remarks(slide, sensor, phases, touched=not of_base):
+        for remark in remarks(slide, listener.sensor, phases, touched=not of_base):
             operator.say(f"  {remark}")
-        answer = _answer(bench, "Keep it? Enter keeps, a records again, s skips, q stops:")
+        answer = _answer(bench, "Keep it? Enter keeps, a records again, s skips")
         if answer != "a":
             return None if answer == "s" else (slide, moved)
+
+
+def _answer(bench: Bench, question: str) -> str:
+    """As `Operator.ask`, with the level next to the question."""
+    level = Level(bench.listener.sensor.sample_rate_hz)
+    return bench.operator.ask(question, lambda: level_bar(level.of(bench.listener.take())))
 
 
 def _captured(
@@ -289,64 +267,15 @@ def _captured(
     Raises:
         Lost, InputError: as `capture`, or as `driven`.
     """
-    show, timeout_s = _shower(bench.operator, phases, bench.stage is not None), bench.times.timeout
+    show = bench.operator.guide(phases, bench.stage is not None)
     if bench.stage is None:
-        return capture(bench.listener, bench.sensor, name, phases, timeout_s, show)[0], {}
+        return capture(bench.listener, name, phases, show)[0], {}
     way = waypoints_of(labels)
-    slide, moments_s = driven(name, way, phases, bench.stage, bench.listener, bench.sensor, timeout_s, show)
+    slide, moments_s = driven(name, way, phases, bench.stage, bench.listener, show)
     if labels["waypoints"] is not None and bench.atlas is not None:
         slide = replace(slide, truth=truth_of(way, moments_s, slide.time_s[-1], bench.atlas))
     start_s, end_s = moments_s[[0, -1], 1].round(4).tolist()
     return slide, {"motion_start_s": start_s, "motion_end_s": end_s}
-
-
-def _answer(bench: Bench, question: str) -> str:
-    level = Level(bench.sensor.sample_rate_hz)
-    answer = bench.operator.ask(question, lambda: level_bar(level.of(bench.listener.take())))
-    if answer == "q":
-        raise _Stopped
-    return answer
-
-
-def _wait(bench: Bench) -> None:
-    """Returns once samples come.
-
-    Raises:
-        InputError: none came within times.wait.
-    """
-    listener, source, times = bench.listener, bench.source, bench.times
-    begun_s, said = time.monotonic(), ""
-    while listener.why_silent(times.timeout):
-        reason = listener.trouble or "nothing comes"
-        if reason != said:
-            bench.operator.say(f"waiting for {source}: {reason}")
-            said = reason
-        if time.monotonic() - begun_s > times.wait:
-            raise InputError(
-                f"{source}: nothing came for {times.wait:g} s; what is recorded is kept, run the same command to go on"
-            )
-        time.sleep(POLL_S)
-
-
-def _shower(operator: Operator, phases: Phases, driven: bool) -> Callable[[float, float], None]:
-    """Says to the operator what to do as a recording goes on, with the level. driven: a stage does it."""
-    ends = (
-        (phases.rest_s, "rest: hands off"),
-        (phases.rest_s + phases.start_s, "the stage goes" if driven else "go: start the stage now"),
-        (phases.whole_s - phases.rest_s, "motion"),
-        (math.inf, "rest: hands off until the end"),
-    )
-    said: list[str] = []
-
-    def show(recorded_s: float, level_v: float) -> None:
-        end, phase = next((end, phase) for end, phase in ends if recorded_s < end)
-        if phase not in said:
-            said.append(phase)
-            operator.say(f"  {phase}")
-        left_s = min(end, phases.whole_s) - recorded_s
-        operator.show(f"  {level_bar(level_v)}  {max(left_s, 0.0):4.0f} s")
-
-    return show
 
 
 def read_plan(path: Path, sensor: Sensor) -> pd.DataFrame:

@@ -7,10 +7,9 @@ damaged one is sent again. Places are in mm from the chamber's middle; the stage
 import re
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import reduce
 from operator import xor
-from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
 import numpy as np
@@ -62,11 +61,11 @@ class Stage:
         if parts.scheme != "serial" or self.firmware not in FIRMWARE or given or not baud.isdecimal():
             form = "serial:///dev/ttyUSB0?firmware=marlin&baud=115200 (or firmware=grbl)"
             raise InputError(f"{url}: write {form}", "stage")
-        self.name, self._number, self._errors = parts.path, 0, (serial.SerialException, OSError)
+        self.name, self._number = parts.path, 0
         self._stopped, self._writing = False, threading.Lock()
         try:
             self._port = serial.Serial(parts.path, int(baud), timeout=0.1)
-        except self._errors as error:
+        except OSError as error:
             raise InputError(f"{self.name}: {error}; name the stage's port", "stage") from None
         try:
             self._begin(origin_mm)
@@ -92,11 +91,10 @@ class Stage:
         """
         self._to(TRAVEL_MM_S, z=CLEAR_MM)
         self._to(TRAVEL_MM_S, *start)
-        self._to(DOWN_MM_S, z=-depth_mm)
-        self.finish()
+        self.lower(depth_mm)
 
     def lower(self, by_mm: float) -> None:
-        """Carries the ball to so far below the flat skin's face, where it is; waits for it."""
+        """Lowers the ball where it is to so far below the flat skin's face, or lifts it above it; waits for it."""
         self._to(DOWN_MM_S, z=-by_mm)
         self.finish()
 
@@ -136,8 +134,7 @@ class Stage:
     def lift(self) -> None:
         """Waits for the end of all motion, and lifts the ball clear of the skin."""
         self.finish()
-        self._to(DOWN_MM_S, z=CLEAR_MM)
-        self.finish()
+        self.lower(-CLEAR_MM)
 
     def finish(self) -> None:
         """Waits until nothing moves, and sees that the stage is where it was sent: it may have limits of its own."""
@@ -164,7 +161,7 @@ class Stage:
         try:
             self._port.write(b"M112\n" if self.firmware == "marlin" else b"!\x18")
             self._port.flush()
-        except self._errors:
+        except OSError:
             pass
         finally:
             if free:
@@ -176,11 +173,7 @@ class Stage:
         data = numbered(line, self._number) if self.firmware == "marlin" else f"{line}\n"
         replies, damaged, again = list[str](), False, 0
         self._write(data)
-        until = time.monotonic() + patience_s
-        while time.monotonic() < until:
-            reply = self._read()
-            if self._stopped:
-                raise self._halted()
+        for reply in self._replies(line, patience_s):
             if reply.startswith("ok"):
                 if not damaged:
                     return [*replies, reply]
@@ -196,13 +189,9 @@ class Stage:
                 raise InputError(
                     f"{self.name}: the stage answers '{line}' with '{reply}'; see to it and begin again"
                 )
-            elif "busy" in reply.lower():
-                until = time.monotonic() + patience_s
-            elif reply:
+            else:
                 replies.append(reply)
-        raise InputError(
-            f"{self.name}: no answer to '{line}' in {patience_s:g} s; see firmware, baud rate and cable"
-        )
+        raise AssertionError
 
     def _begin(self, origin_mm: Sequence[float] | None) -> None:
         time.sleep(WAKE_S)
@@ -249,13 +238,10 @@ class Stage:
     def _status(self) -> str:
         """GRBL's report, <State|...>."""
         self._write("?")
-        until = time.monotonic() + REPLY_S
-        while time.monotonic() < until:
-            if (reply := self._read()).startswith("<"):
-                if reply.startswith(("<Alarm", "<Door")):
-                    raise InputError(f"{self.name}: the stage says '{reply}'; see to it and begin again")
-                return reply
-        raise InputError(f"{self.name}: no answer to '?' in {REPLY_S:g} s; see firmware, baud rate and cable")
+        report = next(reply for reply in self._replies("?", REPLY_S) if reply.startswith("<"))
+        if report.startswith(("<Alarm", "<Door")):
+            raise InputError(f"{self.name}: the stage says '{report}'; see to it and begin again")
+        return report
 
     def _write(self, data: str) -> None:
         with self._writing:
@@ -263,20 +249,35 @@ class Stage:
                 raise self._halted()
             try:
                 self._port.write(data.encode("ascii"))
-            except self._errors as error:
+            except OSError as error:
                 raise self._gone(error) from None
 
-    def _read(self) -> str:
-        """The next line; empty if none came in a tenth of a second."""
-        try:
-            return self._port.readline().decode("ascii", "replace").strip()
-        except self._errors as error:
-            raise self._gone(error) from None
+    def _replies(self, line: str, patience_s: float) -> Iterator[str]:
+        """What the stage says to a line, for so long; and anew each time that it says that it is busy.
+
+        Raises:
+            InputError: the time is over.
+        """
+        until = time.monotonic() + patience_s
+        while time.monotonic() < until:
+            try:
+                reply = self._port.readline().decode("ascii", "replace").strip()
+            except OSError as error:
+                raise self._gone(error) from None
+            if self._stopped:
+                raise self._halted()
+            if "busy" in reply.lower():
+                until = time.monotonic() + patience_s
+            if reply:
+                yield reply
+        raise InputError(
+            f"{self.name}: no answer to '{line}' in {patience_s:g} s; see firmware, baud rate and cable"
+        )
 
     def _halted(self) -> InputError:
         return InputError(f"{self.name}: the stage was stopped; see to it and begin again")
 
-    def _gone(self, error: Any) -> InputError:
+    def _gone(self, error: OSError) -> InputError:
         return InputError(
             f"{self.name}: {error}; what is recorded is kept, see the cable and run the same command again"
         )

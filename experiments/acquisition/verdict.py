@@ -4,15 +4,11 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 
-from softslide.experiments.acquisition.error_so_far import (
-    COLUMNS,
-    NEWEST,
-    ErrorSoFar,
-    read_goal,
-)
+from softslide.experiments.acquisition.error_so_far import COLUMNS, NEWEST, ErrorSoFar, read_goal
 from softslide.experiments.acquisition.waypoints import waypoints_of
 from softslide.experiments.pages.figures import COLOURS, EDGE, Panel, chart, on_skin
 from softslide.experiments.pages.page import panels_page
@@ -65,20 +61,21 @@ class Verdict:
         return enough
 
     def _write(self, page: Path, folder: Folder, text: str) -> None:
-        done = int(self._slides.index.isin(folder.manifest.index).sum())
+        done = self._slides.index.isin(folder.manifest.index)
         lines = [
-            f"{done} of {len(self._slides)} slides are recorded.",
+            f"{done.sum()} of {len(self._slides)} slides are recorded.",
             text.capitalize() or "The error so far is not known yet.",
         ]
-        panels = [self._skin(folder), *(self._course(name) for name in TITLES if len(self._errors.rows))]
+        panels = [
+            self._skin(folder, done),
+            *(self._course(name) for name in TITLES if len(self._errors.rows)),
+        ]
         html = panels_page(f"Recording {folder.root.name}", lines, [("Plan and error so far", panels)])
         again = f'<head>\n<meta http-equiv="refresh" content="{REFRESH_S}">'
         with writing(page, "name another file"):
             page.write_text(html.replace("<head>", again, 1), encoding="utf-8")
 
-    def _skin(self, folder: Folder) -> Panel:
-        done = self._slides.index.isin(folder.manifest.index)
-
+    def _skin(self, folder: Folder, done: np.ndarray) -> Panel:
         def draw(ax: Axes) -> None:
             for chosen, colour, name in ((~done, EDGE, "to come"), (done, COLOURS[2], "done")):
                 for _, row in self._slides[chosen].iterrows():
