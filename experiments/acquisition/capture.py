@@ -142,8 +142,6 @@ def capture(
     time_s = _sampled_s(name, chunks, sensor.sample_rate_hz, time.monotonic() - begun_s)
     line = clock_line(np.array([at for at, _ in arrived]), time_s[[n - 1 for _, n in arrived]])
     volts = np.concatenate([volts for volts, _ in chunks])[:wanted]
-    if not np.isfinite(volts).all():
-        raise Lost("a sample is no finite number; see what the source sends")
     volts, base_v = np.split(volts, [len(sensor.channels)], axis=1)
     return Recording(name, time_s[:wanted], volts, base_v=None if sensor.base is None else base_v), line
 
@@ -163,6 +161,8 @@ def _heard(
             raise Lost(reason)
         if listener.opened != opened:
             raise Lost("the source was opened anew; samples are missing")
+        if not all(np.isfinite(volts).all() for volts, _ in new):
+            raise Lost("a sample is no finite number; see what the source sends")
         if new:
             chunks += new
             count += sum(len(volts) for volts, _ in new)
@@ -214,13 +214,18 @@ class Level:
         self._samples, self._count, self._mean = samples, 0, np.zeros(1)
 
     def of(self, chunks: list[Chunk]) -> float:
-        """The largest deviation (V) of the last chunk's means; 0 where there is none."""
+        """The largest deviation (V) of the last chunk's means; 0 where there is none. Samples that are no numbers are
+        left out."""
+        off_v = 0.0
         for volts, _ in chunks:
             tilt = volts[:, tilt_channels(volts.shape[1])]
+            if not np.isfinite(tilt).all():
+                continue
             if self._count < self._samples:
                 self._mean = (self._mean * self._count + tilt.sum(axis=0)) / (self._count + len(tilt))
                 self._count += len(tilt)
-        return float(np.abs(tilt.mean(axis=0) - self._mean).max()) if chunks else 0.0
+            off_v = float(np.abs(tilt.mean(axis=0) - self._mean).max())
+        return off_v
 
 
 def deviation_v(volts: np.ndarray, rate_hz: float, rest_s: float) -> tuple[np.ndarray, np.ndarray]:

@@ -125,7 +125,7 @@ class Stage:
             moments.append(np.column_stack([own_s, np.maximum(s, begun_s)]))
         if at < len(waypoints) - 1:
             self.send(pause(self.firmware, waypoints[-1, 0] - waypoints[at, 0]), MOTION_S)
-        return np.concatenate(moments), longer_s
+        return np.concatenate([np.empty((0, 2)), *moments]), longer_s
 
     def lost_s(self, waypoints: np.ndarray) -> float:
         """How much longer its ramps make a way along waypoints."""
