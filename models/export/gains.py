@@ -59,20 +59,18 @@ def fit_gains(response: ResponseMap, slides: list[CalibrationSlide], presses: li
     """The gains that slides and presses show. One of them at least."""
     channels = response.channels
     prior = COMMON_SD**2 * np.ones((channels, channels)) + CHANNEL_SD**2 * np.eye(channels)
-    gain, covariance = np.ones(channels), prior
-    noise_v = max(response.floor_v, 1e-6)
-    before = _evidence(response, np.ones(channels), slides, presses)
+    gain, noise_v, left_v = np.ones(channels), max(response.floor_v, 1e-6), list[float]()
     for _ in range(GAIN_ROUNDS):
         shown, volts, weight = _evidence(response, gain, slides, presses)
+        left_v.append(_rms(volts - gain * shown))
         information = (weight[:, None] * shown**2).sum(axis=0) / noise_v**2
         covariance = np.linalg.inv(np.linalg.inv(prior) + np.diag(information))
         gain = 1.0 + covariance @ ((weight[:, None] * shown * (volts - shown)).sum(axis=0) / noise_v**2)
-    return Gains(
-        gain,
-        np.sqrt(np.diag(covariance)),
-        float(np.sqrt(np.mean((volts - gain * shown) ** 2))),
-        float(np.sqrt(np.mean((before[1] - before[0]) ** 2))),
-    )
+    return Gains(gain, np.sqrt(np.diag(covariance)), _rms(volts - gain * shown), left_v[0])
+
+
+def _rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
 
 
 def _evidence(
@@ -85,17 +83,14 @@ def _evidence(
     scaled, config = response.scaled(gain), CalibrationConfig()
     parts = []
     for slide in slides:
-        own, shift_mm = (
-            response.at(slide.depth_mm, slide.height_mm),
-            fit_slide(slide, scaled, config).shift_mm,
-        )
-        parts.append((slide.shown(own, shift_mm), slide.volts, np.full(len(slide.volts), 1.0 / ALIKE)))
+        own = response.at(slide.depth_mm, slide.height_mm)
+        shown = slide.shown(own, fit_slide(slide, scaled, config).shift_mm)
+        parts.append((shown, slide.volts, np.full(len(slide.volts), 1.0 / ALIKE)))
     for press in presses:
+        own = response.at(press.depth_mm, press.height_mm)
         x, y = (np.array([place]) for place in press.place_mm)
         # Opposite directions: what a contact that stands shows has no friction.
-        own = response.at(press.depth_mm, press.height_mm)
-        there, back = (own.response(x, y, a) for a in (0.0, np.pi))
-        shown = (there + back) / 2
+        shown = (own.response(x, y, 0.0) + own.response(x, y, np.pi)) / 2
         parts.append((shown, press.volts[None], np.ones(1)))
     shown, volts, weight = (np.concatenate(column) for column in zip(*parts, strict=True))
     return shown, volts, weight
