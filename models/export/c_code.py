@@ -7,6 +7,7 @@ arrays, and two that are never alive together share their place: 20 kB in place 
 import re
 import textwrap
 from collections import Counter
+from collections.abc import Callable
 from math import prod
 from typing import Any, NamedTuple
 
@@ -14,6 +15,15 @@ import numpy as np
 import onnx
 from emx_onnx_cgen import CodegenError, Compiler, ShapeInferenceError, UnsupportedOpError
 from emx_onnx_cgen.compiler import CompilerOptions
+from onnx.helper import (
+    get_attribute_value,
+    make_attribute,
+    make_graph,
+    make_model,
+    make_node,
+    make_tensor_value_info,
+)
+from onnx.numpy_helper import from_array, to_array
 
 from softslide.features.card import UNITS, Card
 from softslide.features.vector.feature_vector import feature_names
@@ -21,7 +31,7 @@ from softslide.features.vector.feature_vector import feature_names
 INDENT = "    "
 PER_LINE = 8  # numbers
 FUNCTION = re.compile(r"^void graph\((.*?)\) \{\n(.*?)^\}", re.MULTILINE | re.DOTALL)
-LOCAL = re.compile(r"^    (\w+) (tmp\w+)((?:\[\d+\])+);$")
+LOCAL = re.compile(r"^    (\w+) (tmp\w+)(\[\d+\])((?:\[\d+\])*);$")
 PLAIN = re.compile(rb"[\w\s.,>-]*")  # cannot end a comment
 SIZES = {"float": 4, "double": 8, "int64_t": 8, "int32_t": 4}  # bytes; all else is counted as 1
 # GCC 12 at -O2 drops calls whose arrays share memory, once it has put their addresses into the functions.
@@ -33,17 +43,14 @@ EACH_BY_ITSELF = """\
 
 
 class Local(NamedTuple):
-    """A value between two operators: its type in C, its shape as C writes it, and the calls that it is alive in."""
+    """A value between two operators: its type in C, how many numbers it holds, all of its sizes but the first as C
+    writes them, and the calls that it is alive in."""
 
     kind: str
-    shape: str
+    size: int
+    inner: str
     first: int
     last: int
-
-    @property
-    def size(self) -> int:
-        """Numbers that it holds."""
-        return prod(map(int, re.findall(r"\d+", self.shape)))
 
 
 def sources(model: onnx.ModelProto, card: Card) -> tuple[dict[str, str], dict[str, Any]]:
@@ -69,7 +76,7 @@ def sources(model: onnx.ModelProto, card: Card) -> tuple[dict[str, str], dict[st
         "model.h": _header(signature, card),
         "check.c": _check(inputs, card),
     }
-    constants = (onnx.numpy_helper.to_array(item).nbytes for item in model.graph.initializer)
+    constants = (to_array(item).nbytes for item in model.graph.initializer)
     figures = {
         "constants_kb": sum(constants) / 1e3,
         "static_ram_kb": static_bytes / 1e3,
@@ -85,37 +92,36 @@ def _without_texts(model: onnx.ModelProto) -> onnx.ModelProto:
     Raises:
         ValueError: an operator's attribute has a text that is not plain.
     """
-    old = model.graph
-    kept = {"", *(value.name for value in (*old.input, *old.output))}
+    graph = model.graph
+    kept = {"", *(value.name for value in (*graph.input, *graph.output))}
     names: dict[str, str] = {}
 
     def short(name: str) -> str:
         return name if name in kept else names.setdefault(name, f"v{len(names)}")
 
-    graph = onnx.GraphProto(name="graph")
-    for given, values in ((old.input, graph.input), (old.output, graph.output)):
-        for value in given:
-            kind = value.type.tensor_type.elem_type
-            values.append(onnx.helper.make_tensor_value_info(value.name, kind, _shape(value)))
-    for item in old.initializer:
-        graph.initializer.append(
-            onnx.numpy_helper.from_array(onnx.numpy_helper.to_array(item), short(item.name))
-        )
-    for node in old.node:
-        inputs, outputs = ([short(name) for name in given] for given in (node.input, node.output))
-        plain = onnx.helper.make_node(node.op_type, inputs, outputs, domain=node.domain)
-        for attribute in node.attribute:
-            texts = (attribute.name.encode(), attribute.s, *attribute.strings)
-            if not all(map(PLAIN.fullmatch, texts)):
-                raise ValueError(f"{node.op_type} with the text {b' '.join(texts)!r}")
-            value = onnx.helper.get_attribute_value(attribute)
-            if isinstance(value, onnx.TensorProto):
-                value = onnx.numpy_helper.from_array(onnx.numpy_helper.to_array(value))
-            plain.attribute.append(
-                onnx.helper.make_attribute(attribute.name, value, attr_type=attribute.type)
-            )
-        graph.node.append(plain)
-    return onnx.helper.make_model(graph, opset_imports=model.opset_import, ir_version=model.ir_version)
+    inputs, outputs = (
+        [make_tensor_value_info(v.name, v.type.tensor_type.elem_type, _shape(v)) for v in values]
+        for values in (graph.input, graph.output)
+    )
+    constants = [from_array(to_array(item), short(item.name)) for item in graph.initializer]
+    nodes = [_plain(node, short) for node in graph.node]
+    plain = make_graph(nodes, "graph", inputs, outputs, constants)
+    return make_model(plain, opset_imports=model.opset_import, ir_version=model.ir_version)
+
+
+def _plain(node: onnx.NodeProto, short: Callable[[str], str]) -> onnx.NodeProto:
+    """The operator with short names for its values."""
+    inputs, outputs = (list(map(short, given)) for given in (node.input, node.output))
+    plain = make_node(node.op_type, inputs, outputs, domain=node.domain)
+    for attribute in node.attribute:
+        texts = (attribute.name.encode(), attribute.s, *attribute.strings)
+        if not all(map(PLAIN.fullmatch, texts)):
+            raise ValueError(f"{node.op_type} with the text {b' '.join(texts)!r}")
+        value = get_attribute_value(attribute)
+        if isinstance(value, onnx.TensorProto):
+            value = from_array(to_array(value))
+        plain.attribute.append(make_attribute(attribute.name, value, attr_type=attribute.type))
+    return plain
 
 
 def _sharing_memory(text: str, inputs: list[str]) -> tuple[str, int]:
@@ -126,24 +132,24 @@ def _sharing_memory(text: str, inputs: list[str]) -> tuple[str, int]:
     calls = [line for line in lines if not LOCAL.match(line)]
     named = [set(re.findall(r"\btmp\w+", call)) for call in calls]
     local = {}
-    for kind, name, shape in (match.groups() for match in map(LOCAL.match, lines) if match):
+    for kind, name, outer, inner in (match.groups() for match in map(LOCAL.match, lines) if match):
         alive = [n for n, names in enumerate(named) if name in names]
-        local[name] = Local(kind, shape, alive[0], alive[-1])
-    offsets, sizes = layout(local)
+        size = prod(map(int, re.findall(r"\d+", outer + inner)))
+        local[name] = Local(kind, size, inner, alive[0], alive[-1])
+    offsets, sizes = _layout(local)
     static = [f"static {kind} work_{kind}[{size}];" for kind, size in sizes.items()]
     places = [
-        f"{INDENT}{v.kind} (*{name}){v.shape[v.shape.index(']') + 1 :]} = (void *)(work_{v.kind} + {offsets[name]});"
+        f"{INDENT}{v.kind} (*{name}){v.inner} = (void *)(work_{v.kind} + {offsets[name]});"
         for name, v in local.items()
     ]
     used = [f"{INDENT}(void){name};" for name in inputs]
     function = "\n".join(["static " + found[0].split("\n", 1)[0], *places, *used, *calls, "}"])
     before = text[: found.start()].replace("_Bool model_load", "static inline _Bool model_load")
-    return "\n".join([before, *static, function, text[found.end() :]]), sum(
-        size * SIZES.get(kind, 1) for kind, size in sizes.items()
-    )
+    static_bytes = sum(size * SIZES.get(kind, 1) for kind, size in sizes.items())
+    return "\n".join([before, *static, function, text[found.end() :]]), static_bytes
 
 
-def layout(local: dict[str, Local]) -> tuple[dict[str, int], dict[str, int]]:
+def _layout(local: dict[str, Local]) -> tuple[dict[str, int], dict[str, int]]:
     """Where each value begins in its type's array, the largest placed first, and each array's size: in numbers."""
     offsets: dict[str, int] = {}
     sizes: dict[str, int] = {}
@@ -227,11 +233,7 @@ def _inputs(card: Card) -> str:
     if card.input == "features":
         names = textwrap.fill(", ".join(feature_names(boards)), 100, subsequent_indent="  ")
         return f"features: of the slide so far, in this order (suffixes: _v V, _s s)\n  {names}"
-    base = (
-        "  What base in model.json says of the base's motion is taken out first.\n"
-        if card.base is not None
-        else ""
-    )
+    base = "  What base in model.json says of the base's motion is taken out first.\n" if card.base else ""
     return (
         f"volts: the slide so far in 64 equal bins of time, V less the static output: 64 of {card.channels[0]}, then\n"
         f"  64 of {card.channels[1]}, and so on in the card's order.\n"
