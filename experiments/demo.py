@@ -35,8 +35,7 @@ def demo(out: str | Path) -> str:
     for model in DEMO_MODELS:
         print(f"softslide demo: training and evaluating {model}", file=sys.stderr)
         done = train(SAMPLE, out / model / "bundle", model, change=shortened, store=store)
-        evaluation = evaluate(done.bundle, SAMPLE, None, out / model / "evaluation", store=store)
-        evaluations[model] = evaluation
+        evaluations[model] = evaluate(done.bundle, SAMPLE, None, out / model / "evaluation", store=store)
     rows = _rows(evaluations)
     page = render(HERE / "pages" / "demo.html.j2", rows=rows, models=DEMO_MODELS, out=out)
     with whole(out / "summary.html") as scratch:
@@ -58,8 +57,8 @@ def _rows(evaluations: dict[str, Evaluation]) -> list[tuple[str, list[str]]]:
     rows: list[tuple[str, list[str]]] = [
         ("Emulated bench recordings, never measured on hardware.", []),
         ("", []),
+        ("largest error", columns),
     ]
-    rows.append(("largest error", columns))
     for verdicts in zip(*(e.verdicts for e in evaluations.values()), strict=True):
         bound = verdicts[0].bound
         unit = QUANTITIES[bound.quantity]
@@ -67,14 +66,12 @@ def _rows(evaluations: dict[str, Evaluation]) -> list[tuple[str, list[str]]]:
         rows.append((f"{bound.name}, {unit}", [f"< {bound.limit:g}", *cells]))
     note = "! beyond the article's bound, or without a valid estimate; - not tested: see the report"
     rows += [(note, []), ("", []), ("mean valid error at the end", columns)]
-    splits = next(iter(evaluations.values())).metrics["splits"]
-    for split in splits:
+    for split in next(iter(evaluations.values())).metrics["splits"]:
+        ends = [e.metrics["splits"][split]["1.0"] for e in evaluations.values()]
         for quantity, title in WORDS.items():
-            ends = [e.metrics["splits"][split]["1.0"][quantity] for e in evaluations.values()]
-            cells = [number(end.get("mean")) for end in ends]
+            cells = [number(end[quantity].get("mean")) for end in ends]
             rows.append((f"{split}: {title}, {QUANTITIES[quantity]}", ["", *cells]))
-        shares = [e.metrics["splits"][split]["1.0"]["valid_share"] for e in evaluations.values()]
-        rows.append((f"{split}: valid, %", ["", *(f"{100 * share:.0f}" for share in shares)]))
+        rows.append((f"{split}: valid, %", ["", *(f"{100 * end['valid_share']:.0f}" for end in ends)]))
     return rows
 
 

@@ -13,7 +13,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -113,19 +113,16 @@ def simulated(given: argparse.Namespace) -> Iterator[tuple[str, str]]:
     to_printer = [str(given.printer), str(HERE / "printer.py"), str(given.out), haste, *errors]
     to_skin = [sys.executable, "-m", f"{__package__}.skin", "--port", str(port), "--haste", haste]
     to_skin += ["--origin", *map(str, ORIGIN_MM), "--seed", str(given.seed), *wrong]
-    # Unbuffered: the first line is read here, the others by the skin.
-    with subprocess.Popen(to_printer, stdout=subprocess.PIPE, bufsize=0) as printer:
-        try:
-            assert printer.stdout is not None
-            if not (terminal := printer.stdout.readline().decode().strip()):
-                raise InputError(f"{given.printer}: has no OctoPrint; see the Makefile", "printer")
-            with subprocess.Popen(to_skin, stdin=printer.stdout) as skin:
-                try:
-                    yield f"udp://:{port}", f"serial://{terminal}?firmware=marlin"
-                finally:
-                    skin.kill()
-        finally:
-            printer.kill()
+    with ExitStack() as running:
+        # Unbuffered: the first line is read here, the others by the skin.
+        printer = running.enter_context(subprocess.Popen(to_printer, stdout=subprocess.PIPE, bufsize=0))
+        running.callback(printer.kill)
+        assert printer.stdout is not None
+        if not (terminal := printer.stdout.readline().decode().strip()):
+            raise InputError(f"{given.printer}: has no OctoPrint; see the Makefile", "printer")
+        skin = running.enter_context(subprocess.Popen(to_skin, stdin=printer.stdout))
+        running.callback(skin.kill)
+        yield f"udp://:{port}", f"serial://{terminal}?firmware=marlin"
 
 
 def by_hand(plan: pd.DataFrame, paths: Sequence[ContactPath], sensor: Sensor, out: Path, seed: int) -> None:
