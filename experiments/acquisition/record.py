@@ -174,9 +174,7 @@ def _all_slides(
         except Stopped:
             break
         if slide is not None:
-            recording, moved = slide
-            known = {str(k): v for k, v in labels.drop("waypoints").items()}
-            folder = add_recording(folder, recording, known | moved)
+            folder = add_recording(folder, *slide)
             say(f"kept: {folder.root}, {len(folder)} recordings")
             enough = is_enough(folder)
     return folder
@@ -220,8 +218,8 @@ def _motion_s(labels: pd.Series) -> float:
     return BASE_S if labels["split"] == BASE_SPLIT and math.isnan(moves_s) else moves_s
 
 
-def _slide(name: str, labels: pd.Series, bench: Bench) -> tuple[Recording, dict[str, float]] | None:
-    """One slide that the operator keeps, and its moments of motion where a stage knows them; None if it is skipped.
+def _slide(name: str, labels: pd.Series, bench: Bench) -> tuple[Recording, dict[str, object]] | None:
+    """One slide that the operator keeps, and its labels for the manifest; None if it is skipped.
 
     Raises:
         Stopped: the operator stops.
@@ -239,7 +237,7 @@ def _slide(name: str, labels: pd.Series, bench: Bench) -> tuple[Recording, dict[
         if _answer(bench, f"{begin}. Enter records, s skips") == "s":
             return None
         try:
-            slide, moved = _captured(name, labels, phases, bench)
+            slide, known = _captured(name, labels, phases, bench)
         except Lost as reason:
             failed += 1
             operator.say(f"{name} is not kept: {reason}")
@@ -250,7 +248,7 @@ def _slide(name: str, labels: pd.Series, bench: Bench) -> tuple[Recording, dict[
             operator.say(f"  {remark}")
         answer = _answer(bench, "Keep it? Enter keeps, a records again, s skips")
         if answer != "a":
-            return None if answer == "s" else (slide, moved)
+            return None if answer == "s" else (slide, known)
 
 
 def _answer(bench: Bench, question: str) -> str:
@@ -261,21 +259,22 @@ def _answer(bench: Bench, question: str) -> str:
 
 def _captured(
     name: str, labels: pd.Series, phases: Phases, bench: Bench
-) -> tuple[Recording, dict[str, float]]:
-    """The slide, driven by the stage if there is one, which then knows its moments of motion.
+) -> tuple[Recording, dict[str, object]]:
+    """The slide and its labels, with the moments of motion where a stage drives it, which knows them.
 
     Raises:
         Lost, InputError: as `capture`, or as `driven`.
     """
     show = bench.operator.guide(phases, bench.stage is not None)
+    known = {str(k): v for k, v in labels.drop("waypoints").items()}
     if bench.stage is None:
-        return capture(bench.listener, name, phases, show)[0], {}
+        return capture(bench.listener, name, phases, show)[0], known
     way = waypoints_of(labels)
     slide, moments_s = driven(name, way, phases, bench.stage, bench.listener, show)
     if labels["waypoints"] is not None and bench.atlas is not None:
         slide = replace(slide, truth=truth_of(way, moments_s, slide.time_s[-1], bench.atlas))
     start_s, end_s = moments_s[[0, -1], 1].round(4).tolist()
-    return slide, {"motion_start_s": start_s, "motion_end_s": end_s}
+    return slide, known | {"motion_start_s": start_s, "motion_end_s": end_s}
 
 
 def read_plan(path: Path, sensor: Sensor) -> pd.DataFrame:

@@ -152,19 +152,16 @@ def by_hand(plan: pd.DataFrame, paths: Sequence[ContactPath], sensor: Sensor, ou
 def main() -> int:
     """The study."""
     options = parser("lab", __doc__)
-    options.add_argument(
-        "--printer", type=Path, required=True, metavar="PYTHON", help="that has OctoPrint 1.11"
-    )
-    options.add_argument(
-        "--out", type=Path, default=Path("lab"), metavar="DIR", help="(default: %(default)s)"
-    )
+    add = options.add_argument
+    add("--printer", type=Path, required=True, metavar="PYTHON", help="that has OctoPrint 1.11")
+    add("--out", type=Path, default=Path("lab"), metavar="DIR", help="(default: %(default)s)")
     count(options, "--slides", 24, "to calibrate with")
     count(options, "--tests", 12, "kept apart")
     count(options, "--paths", 9, "that bend, stop, press, are put down or lifted", least=0)
     count(options, "--seed", 0, "of the skin", least=0)
-    options.add_argument("--haste", type=float, default=6.0, metavar="X", help="times real time (default: 6)")
-    options.add_argument("--until", nargs="+", default=[], metavar="ERROR", help="as of 'record'")
-    options.add_argument("--fault", choices=FAULTS, default="none", help="what is wrong (default: none)")
+    add("--haste", type=float, default=6.0, metavar="X", help="times real time (default: 6)")
+    add("--until", nargs="+", default=[], metavar="ERROR", help="as of 'record'")
+    add("--fault", choices=FAULTS, default="none", help="what is wrong (default: none)")
     try:
         return run(options, lab)
     except CheckFailed as error:
