@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 
 from softslide.pipeline.importers.import_map import Map
-from softslide.pipeline.importers.units import nominal
 
 # Mean agreement below which the labelled slides show an output to be inverted; correctly wired ones reach +0.9.
 INVERTED = -0.4
@@ -30,7 +29,7 @@ def inverted(entries: Sequence[dict[str, Any]], mapping: Map) -> tuple[dict[int,
                 f"(agreement with the article's zones {known.mean():+.2f}; inverted below {INVERTED:+.2f})"
             )
             if mapping.signs == "zones":
-                flips[3 * k + i] = float(nominal(part).offset_v[i])
+                flips[3 * k + i] = part.zero_g_v
                 notes.append(f"flipped {why}")
             else:
                 notes.append(f'not flipped {why}; set signs = "zones" to flip it')
