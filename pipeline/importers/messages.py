@@ -38,12 +38,12 @@ def inverted(entries: Sequence[dict[str, Any]], mapping: Map) -> tuple[dict[int,
 
 def clock_notes(entries: Sequence[dict[str, Any]], mapping: Map) -> list[str]:
     notes = []
-    widest = max(entries, key=lambda entry: entry["clock"]["largest_gap_s"])
-    resampled = sum(entry["clock"]["resampled"] for entry in entries)
+    widest = max(entries, key=lambda entry: entry["largest_gap_s"])
+    resampled = sum(entry["resampled"] for entry in entries)
     if resampled:
         notes.append(
             f"resampled {resampled} of {len(entries)} recordings onto {mapping.sensor.sample_rate_hz:g} Hz; "
-            f"largest gap {widest['clock']['largest_gap_s']:.6g} s, in {widest['recording']}"
+            f"largest gap {widest['largest_gap_s']:.6g} s, in {widest['recording']}"
         )
     shifts = np.array([entry["shift_s"] for entry in entries if entry["shift_s"] is not None])
     if len(shifts):

@@ -41,6 +41,8 @@ from softslide.pipeline.toml_tables import read_toml
 
 # Signs and onsets look at a slide as a whole; a longer one than this (half an hour at 1 kHz) is left out.
 WHOLE_SAMPLES = 2_000_000
+# What import.json says of each recording.
+REPORTED = ("recording", "sources", "samples", "largest_gap_s", "resampled", "shift_s")
 
 
 @dataclass(frozen=True)
@@ -108,8 +110,8 @@ def import_files(sources: Sequence[Path], mapping: Map, out: Path) -> Imported:
                 entry = journal.find(job)
                 resumed += entry is not None
                 if entry is None:
-                    slide = journal.slide(job.name)
-                    entry = journal.add(job, _import_one(job, mapping, sheet, to_volts, slide, progress))
+                    found = _import_one(job, mapping, sheet, to_volts, journal.slide(job.name), progress)
+                    entry = journal.add(job, found)
                 entries.append(entry)
             notes = _finish(entries, mapping, journal, out)
         except InputError:
@@ -142,8 +144,7 @@ def _import_one(
         reading = write_even(job, mapping, to_volts, slide, progress)
         row = label_row(mapping, job, sheet, reading.cells)
         labels = _checked_row(row, mapping.sensor, job.path)
-        entry: dict[str, Any] = {"row": row, "clock": asdict(reading.clock)}
-        entry |= {"agreement": None, "shift_s": None}
+        entry = {"row": row, **asdict(reading.clock), "shift_s": None, "agreement": None}
         if pq.read_metadata(slide).num_rows > WHOLE_SAMPLES:
             return entry
         recording = Recording(job.name, *read_slide(slide, mapping.sensor.channels))
@@ -212,20 +213,11 @@ def _finish(entries: Sequence[dict[str, Any]], mapping: Map, journal: Journal, o
                 os.replace(slide, scratch / file)
         write_sensor(scratch / "sensor.toml", sensor)
         write_manifest(scratch / "manifest.csv", manifest)
-        report = {
-            "kind": mapping.kind,
-            "map": journal.map,
-            "notes": notes,
-            "recordings": [
-                {
-                    "recording": entry["recording"],
-                    "sources": [Path(path).name for path, _, _ in entry["sources"]],
-                    **entry["clock"],
-                    "shift_s": entry["shift_s"],
-                }
-                for entry in entries
-            ],
-        }
+        recordings = []
+        for entry in entries:
+            names = [Path(path).name for path, _, _ in entry["sources"]]
+            recordings.append({key: entry[key] for key in REPORTED} | {"sources": names})
+        report = {"kind": mapping.kind, "map": journal.map, "notes": notes, "recordings": recordings}
         (scratch / "import.json").write_text(json.dumps(report, indent=1) + "\n")
     return notes
 
