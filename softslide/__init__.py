@@ -31,7 +31,7 @@ OFFERED = {
     "evaluate": "experiments.evaluate",
     "export": "models.export.formats",
     "export_recordings": "experiments.export_recordings",
-    "import_recordings": "pipeline.importers.importer",
+    "import_recordings": "pipeline.importers.run",
     "plan": "experiments.acquisition.plan",
     "predict": "serve.predict",
     "recalibrate": "experiments.recalibrate",

@@ -17,7 +17,6 @@ from lab_files import FORMATS, RATE_HZ, a_sensor, slide, write_lab
 
 from softslide.features.errors import InputError
 from softslide.pipeline.importers.import_map import Board, Clock, Map, Signal, read_map
-from softslide.pipeline.importers.importer import import_recordings
 from softslide.pipeline.importers.readers.delimited import CsvLayout, read_delimited
 from softslide.pipeline.importers.resampling import (
     ClockReport,
@@ -28,6 +27,7 @@ from softslide.pipeline.importers.resampling import (
     seconds,
     whole,
 )
+from softslide.pipeline.importers.run import import_recordings
 from softslide.pipeline.importers.units import POSITIONS, converter, read_calibration
 from softslide.pipeline.recordings.folder import read_folder
 
@@ -244,7 +244,7 @@ LARGE = """
 import sys
 from pathlib import Path
 from softslide.pipeline.importers.import_map import read_map
-from softslide.pipeline.importers.importer import import_recordings
+from softslide.pipeline.importers.run import import_recordings
 
 root = Path(sys.argv[1])
 import_recordings([root / "lab"], root / "map.toml", root / "out")

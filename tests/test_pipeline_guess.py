@@ -11,7 +11,7 @@ import softslide
 from softslide.features.errors import InputError
 from softslide.features.units import STANDARD_GRAVITY
 from softslide.pipeline.importers.guess import guess_map
-from softslide.pipeline.importers.importer import import_recordings
+from softslide.pipeline.importers.run import import_recordings
 from softslide.pipeline.recordings.folder import SAMPLE, read_folder
 from softslide.pipeline.sensor import write_sensor
 

@@ -19,7 +19,7 @@ from softslide.models.registry import model_named
 from softslide.pipeline.atlas import atlas as atlases
 from softslide.pipeline.atlas.atlas import read_atlas, write_atlas
 from softslide.pipeline.importers.import_map import read_map
-from softslide.pipeline.importers.run import find_sources
+from softslide.pipeline.importers.sources import find_sources
 from softslide.pipeline.recordings.folder import SAMPLE, read_folder
 from softslide.pipeline.recordings.slide_file import write_slide
 from softslide.pipeline.recordings.truth import read_truth

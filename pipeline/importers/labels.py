@@ -1,6 +1,5 @@
 """Labels of a recording: from a fixed value, a column, the file's name or a sheet."""
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -8,13 +7,15 @@ import numpy as np
 import pandas as pd
 
 from softslide.features.errors import InputError
-from softslide.pipeline.importers.import_map import Label, Map
+from softslide.pipeline.importers.import_map import Map
+from softslide.pipeline.importers.sources import Source
 from softslide.pipeline.recordings.text_table import read_text_table
 
 Row = dict[str, str | float]
+SheetRows = dict[str, dict[Any, str]]
 
 
-def read_sheet(mapping: Map) -> dict[str, dict[Any, str]]:
+def read_sheet(mapping: Map) -> SheetRows:
     """The sheet's rows by their key; empty where the map has none.
 
     Raises:
@@ -36,49 +37,40 @@ def read_sheet(mapping: Map) -> dict[str, dict[Any, str]]:
     return dict(zip(keys, table.to_dict("records"), strict=True))
 
 
-def recording_name(mapping: Map, path: Path, groups: Mapping[str, str]) -> str:
-    """The recording that a file belongs to: its label, the pattern's `recording`, where _ stands for /, or its name."""
-    label = mapping.labels.get("recording", Label(name="recording"))
-    name = groups.get(label.name, "").replace("/", "_") or path.stem
-    return str(label.values.get(name, name))
-
-
-def label_row(
-    mapping: Map, name: str, source: Path, groups: Mapping[str, str], sheet: dict, cells: dict
-) -> Row:
+def label_row(mapping: Map, source: Source, sheet: SheetRows, cells: dict[str, Any]) -> Row:
     """The manifest's row of one recording; labels that its sources leave empty are left out.
 
-    groups: of the file name's pattern. sheet: `read_sheet`. cells: the one value of each label's column.
+    cells: the one value of each label's column.
 
     Raises:
         InputError: the sheet has no such row, or a text is not a number.
     """
-    row: Row = {"recording": name, "split": ""}
+    row: Row = {"recording": source.name, "split": ""}
     for target, label in mapping.labels.items():
         if target == "recording":
             continue
-        text: Any = label.value
+        text, decimal = label.value, "."
         if label.column:
             text = cells[label.column]
         elif label.name:
-            text = groups.get(label.name) or ""
-        elif label.sheet and mapping.sheet is not None:
-            if name not in sheet:
-                place = mapping.path.parent / mapping.sheet.file
+            text = source.groups.get(label.name) or ""
+        elif label.sheet and mapping.sheet:
+            decimal = mapping.sheet.decimal
+            if source.name not in sheet:
                 raise InputError(
-                    f"{place}: no row '{name}' in column '{mapping.sheet.key}' for {source}; add it"
+                    f"{mapping.path.parent / mapping.sheet.file}: no row '{source.name}' in column "
+                    f"'{mapping.sheet.key}' for {source.path}; add it"
                 )
-            text = sheet[name][label.sheet].strip()
+            text = sheet[source.name][label.sheet].strip()
         text = label.values.get(str(text), text)
         if target == "split":
             row[target] = str(text)
         elif not (text == "" or (isinstance(text, float) and np.isnan(text))):
-            decimal = mapping.sheet.decimal if label.sheet and mapping.sheet else "."
             try:
                 row[target] = float(str(text).replace(decimal, ".")) * label.scale
             except ValueError:
                 raise InputError(
-                    f"{source}: {target} is '{text}', no number; correct it or give it a value in the map"
+                    f"{source.path}: {target} is '{text}', no number; correct it or give it a value in the map"
                 ) from None
     return row
 

@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 
 from softslide.pipeline.importers.import_map import Map
-from softslide.pipeline.importers.units import nominal
 
 # Mean agreement below which the labelled slides show an output to be inverted; correctly wired ones reach +0.9.
 INVERTED = -0.4
@@ -30,7 +29,7 @@ def inverted(entries: Sequence[dict[str, Any]], mapping: Map) -> tuple[dict[int,
                 f"(agreement with the article's zones {known.mean():+.2f}; inverted below {INVERTED:+.2f})"
             )
             if mapping.signs == "zones":
-                flips[3 * k + i] = float(nominal(part).offset_v[i])
+                flips[3 * k + i] = part.zero_g_v
                 notes.append(f"flipped {why}")
             else:
                 notes.append(f'not flipped {why}; set signs = "zones" to flip it')
@@ -39,12 +38,12 @@ def inverted(entries: Sequence[dict[str, Any]], mapping: Map) -> tuple[dict[int,
 
 def clock_notes(entries: Sequence[dict[str, Any]], mapping: Map) -> list[str]:
     notes = []
-    widest = max(entries, key=lambda entry: entry["clock"]["largest_gap_s"])
-    resampled = sum(entry["clock"]["resampled"] for entry in entries)
+    widest = max(entries, key=lambda entry: entry["largest_gap_s"])
+    resampled = sum(entry["resampled"] for entry in entries)
     if resampled:
         notes.append(
             f"resampled {resampled} of {len(entries)} recordings onto {mapping.sensor.sample_rate_hz:g} Hz; "
-            f"largest gap {widest['clock']['largest_gap_s']:.6g} s, in {widest['recording']}"
+            f"largest gap {widest['largest_gap_s']:.6g} s, in {widest['recording']}"
         )
     shifts = np.array([entry["shift_s"] for entry in entries if entry["shift_s"] is not None])
     if len(shifts):

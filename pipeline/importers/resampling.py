@@ -102,34 +102,26 @@ def kept(streams: Sequence[Iterator[Samples]], rate_hz: float) -> Iterator[Sampl
     Raises:
         Uneven: they do not.
     """
-    first, last = None, None
-    count = 0
+    first, last, count = np.nan, np.nan, 0
     for time_s, values in _side_by_side(streams, rate_hz):
-        steps = np.diff(time_s, prepend=last) if last is not None else np.diff(time_s)
-        if (np.abs(steps * rate_hz - 1) > EVEN).any():
+        if (np.abs(np.diff(time_s, prepend=last) * rate_hz - 1) > EVEN).any():
             raise Uneven
-        first = time_s[0] if first is None else first
+        first = first if count else time_s[0]
         last, count = time_s[-1], count + len(time_s)
         yield time_s, values
     # Even steps that are all a little long still make another rate; jitter at the ends does not.
-    if first is not None and abs((count - 1) / (last - first) / rate_hz - 1) > RATE_TOLERANCE + EVEN / (
-        count - 1
-    ):
+    steps = count - 1
+    if count and abs(steps / (last - first) / rate_hz - 1) > RATE_TOLERANCE + EVEN / steps:
         raise Uneven
 
 
 def _side_by_side(streams: Sequence[Iterator[Samples]], rate_hz: float) -> Iterator[Samples]:
-    if len(streams) == 1:
-        yield from streams[0]
-        return
     held: list[Samples | None] = [None] * len(streams)
     while True:
-        for n, stream in enumerate(streams):
-            if held[n] is None:
-                held[n] = next(stream, None)
-        if all(part is None for part in held):
+        held = [part or next(stream, None) for part, stream in zip(held, streams, strict=True)]
+        parts = [part for part in held if part]
+        if not parts:
             return
-        parts = [part for part in held if part is not None]
         if len(parts) < len(streams):
             raise Uneven
         length = min(len(time_s) for time_s, _ in parts)
@@ -140,6 +132,41 @@ def _side_by_side(streams: Sequence[Iterator[Samples]], rate_hz: float) -> Itera
         held = [(t[length:], v[length:]) if len(t) > length else None for t, v in parts]
 
 
+class _Lane:
+    """A stream on its way onto the grid: the samples that the next ticks need, and how many there were."""
+
+    def __init__(self, stream: Iterator[Samples]) -> None:
+        self.stream = stream
+        self.time_s, self.values = next(stream)
+        self.start, self.count, self.is_over = self.time_s[0], len(self.time_s), False
+
+    def read(self) -> None:
+        """One more block behind those that are held."""
+        time_s, values = next(self.stream, (self.time_s[:0], self.values[:0]))
+        self.is_over = not len(time_s)
+        self.count += len(time_s)
+        self.time_s, self.values = np.append(self.time_s, time_s), np.concatenate([self.values, values])
+
+    def drop_before(self, moment: float) -> None:
+        """Drops the samples before the last one that comes before a moment."""
+        at = max(int(np.searchsorted(self.time_s, moment)) - 1, 0)
+        self.time_s, self.values = self.time_s[at:], self.values[at:]
+
+    def on_grid(self, grid: np.ndarray, rate_hz: float) -> np.ndarray:
+        """The values (n, c) at the grid's moments: a sample's own where one is near, else a straight line."""
+        time_s, values = self.time_s, self.values
+        # Of one sample alone both are that one.
+        after = np.clip(np.searchsorted(time_s, grid), 1, len(time_s) - 1)
+        before = np.maximum(after - 1, 0)
+        span = np.where(after > before, time_s[after] - time_s[before], 1.0)
+        weight = np.clip((grid - time_s[before]) / span, 0, 1)[:, None]
+        line = values[before] * (1 - weight) + values[after] * weight
+        for near in (before, after):
+            hit = np.abs(time_s[near] - grid) * rate_hz <= EVEN
+            line[hit] = values[near[hit]]
+        return line
+
+
 def resampled(
     streams: Sequence[Iterator[Samples]], path: Path, rate_hz: float, max_gap_s: float
 ) -> Iterator[Samples]:
@@ -148,67 +175,35 @@ def resampled(
     Raises:
         InputError: the rate is not the sensor's, or a stream starts or ends apart from the others.
     """
-    held = [next(stream) for stream in streams]
-    starts = [time_s[0] for time_s, _ in held]
-    ends: list[float] = [np.nan] * len(streams)
-    counts = [len(time_s) for time_s, _ in held]
-    start = max(starts)
-    if start - min(starts) > max_gap_s:
-        raise InputError(
-            f"{path}: its streams start {start - min(starts):.4g} s apart; align them or map them apart"
-        )
+    lanes = [_Lane(stream) for stream in streams]
+    start = max(lane.start for lane in lanes)
+    if (apart := start - min(lane.start for lane in lanes)) > max_gap_s:
+        raise InputError(f"{path}: its streams start {apart:.4g} s apart; align them or map them apart")
     tick = 0
     while True:
-        for n, stream in enumerate(streams):
-            # A stream that ends behind the others' grid is read on until it covers the next tick or is over.
-            while np.isnan(ends[n]) and held[n][0][-1] < start + (tick + 1) / rate_hz:
-                block = next(stream, None)
-                if block is None:
-                    ends[n] = held[n][0][-1]
-                else:
-                    counts[n] += len(block[0])
-                    held[n] = (np.concatenate([held[n][0], block[0]]), np.concatenate([held[n][1], block[1]]))
-        reach = min(time_s[-1] for time_s, _ in held)
+        for lane in lanes:
+            # One that ends behind the others' grid is read on until it covers the next tick or is over.
+            while not lane.is_over and lane.time_s[-1] < start + (tick + 1) / rate_hz:
+                lane.read()
+        reach = min(lane.time_s[-1] for lane in lanes)
         until = int(np.floor((reach - start) * rate_hz + EVEN)) + 1
         if until <= tick:
             break
         grid = start + np.arange(tick, until) / rate_hz
-        yield grid, np.hstack([_on_grid(grid, time_s, values, rate_hz) for time_s, values in held])
+        yield grid, np.hstack([lane.on_grid(grid, rate_hz) for lane in lanes])
         tick = until
-        held = [_from_before(part, grid[-1]) for part in held]
-    for n, stream in enumerate(streams):
-        for time_s, _ in stream:
-            counts[n], ends[n] = counts[n] + len(time_s), time_s[-1]
-        ends[n] = held[n][0][-1] if np.isnan(ends[n]) else ends[n]
-        rate = (counts[n] - 1) / (ends[n] - starts[n])
+        for lane in lanes:
+            lane.drop_before(grid[-1])
+    for lane in lanes:
+        while not lane.is_over:
+            lane.drop_before(lane.time_s[-1])
+            lane.read()
+        rate = (lane.count - 1) / (lane.time_s[-1] - lane.start)
         if not RATE_RANGE[0] <= rate / rate_hz <= RATE_RANGE[1]:
             raise InputError(
                 f"{path}: its samples come at {rate:.6g} Hz, the sensor says sample_rate_hz = {rate_hz:.6g}; "
                 "correct the sensor.toml that the map names, or the unit of time"
             )
-    if max(ends) - min(ends) > max_gap_s:
-        raise InputError(
-            f"{path}: its streams end {max(ends) - min(ends):.4g} s apart; a file may be cut short"
-        )
-
-
-def _from_before(part: Samples, moment: float) -> Samples:
-    at = max(int(np.searchsorted(part[0], moment)) - 1, 0)
-    return part[0][at:], part[1][at:]
-
-
-def _on_grid(grid: np.ndarray, time_s: np.ndarray, values: np.ndarray, rate_hz: float) -> np.ndarray:
-    """The values (n, c) at the grid's moments: a sample's own where one is near, else a straight line."""
-    after = (
-        np.clip(np.searchsorted(time_s, grid), 1, len(time_s) - 1)
-        if len(time_s) > 1
-        else np.zeros(len(grid), int)
-    )
-    before = np.maximum(after - 1, 0)
-    span = np.where(after > before, time_s[after] - time_s[before], 1.0)
-    weight = np.clip((grid - time_s[before]) / span, 0, 1)[:, None]
-    line = values[before] * (1 - weight) + values[after] * weight
-    for near in (before, after):
-        hit = np.abs(time_s[near] - grid) * rate_hz <= EVEN
-        line[hit] = values[near[hit]]
-    return line
+    ends = [lane.time_s[-1] for lane in lanes]
+    if (apart := max(ends) - min(ends)) > max_gap_s:
+        raise InputError(f"{path}: its streams end {apart:.4g} s apart; a file may be cut short")

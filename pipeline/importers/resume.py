@@ -1,50 +1,46 @@
-"""The journal of an import's finished recordings, from which an interrupted import resumes."""
+"""An import's finished recordings, from which an interrupted one resumes: each a slide, and a note of its sources."""
 
 import hashlib
 import json
-import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from softslide.pipeline.importers.import_map import Map
-from softslide.pipeline.importers.streams import Source
+from softslide.pipeline.importers.sources import Source
 from softslide.pipeline.staging import writing
 
 
 class Journal:
-    """What is finished: one JSON line a recording, after one line for the map."""
+    """What is finished: raw/NAME.parquet, and next to it NAME.json on the sources and the map that it is of."""
 
     def __init__(self, partial: Path, mapping: Map) -> None:
-        self.path = partial / "journal.jsonl"
-        self.entries: dict[str, dict[str, Any]] = {}
-        head = json.dumps({"map": fingerprint(mapping)})
-        lines = self.path.read_text().splitlines() if self.path.is_file() else []
-        resumes = lines[:1] == [head]
-        if resumes:
-            # A line that was being written when the import was interrupted does not end.
-            whole = [line for line in lines[1:] if line.endswith("}")]
-            self.entries = {entry["recording"]: entry for entry in map(json.loads, whole)}
-        else:
-            shutil.rmtree(partial / "raw", ignore_errors=True)
+        self.folder, self.map = partial / "raw", fingerprint(mapping)
         with writing(partial.parent):
-            # An import that was killed while it cleared up leaves a journal without the folder.
-            (partial / "raw").mkdir(parents=True, exist_ok=True)
-            if not resumes:
-                self.path.write_text(head + "\n")
+            self.folder.mkdir(parents=True, exist_ok=True)
 
-    def has(self, job: Source) -> bool:
-        slide = self.path.parent / "raw" / f"{job.name}.parquet"
-        return slide.is_file() and self.entries.get(job.name, {}).get("sources") == stamp(job)
+    def slide(self, name: str) -> Path:
+        """Where the recording's slide is."""
+        return self.folder / f"{name}.parquet"
 
-    def add(self, job: Source, entry: dict[str, Any]) -> None:
-        self.entries[job.name] = {"recording": job.name, "sources": stamp(job), **entry}
-        with self.path.open("a") as file:
-            file.write(json.dumps(self.entries[job.name]) + "\n")
+    def find(self, job: Source) -> dict[str, Any] | None:
+        """What was noted of these very files with this map; None: they have not been finished."""
+        note = self.folder / f"{job.name}.json"
+        try:
+            entry = json.loads(note.read_text())
+            if self.slide(job.name).is_file() and (entry["map"], entry["sources"]) == (self.map, job.stamp()):
+                return entry
+        except (FileNotFoundError, ValueError):  # none, or one that was being written
+            pass
+        # The slide will be written anew: what was noted of another one no longer holds.
+        note.unlink(missing_ok=True)
+        return None
 
-
-def stamp(job: Source) -> list[list[Any]]:
-    return [[str(path), size_bytes(path), path.stat().st_mtime_ns] for _, path in sorted(job.files.items())]
+    def add(self, job: Source, entry: dict[str, Any]) -> dict[str, Any]:
+        """Notes that the recording is finished; returns the entry, with its name, its sources and its map."""
+        entry = {"recording": job.name, "map": self.map, "sources": job.stamp(), **entry}
+        (self.folder / f"{job.name}.json").write_text(json.dumps(entry))
+        return entry
 
 
 def fingerprint(mapping: Map) -> str:
@@ -52,15 +48,6 @@ def fingerprint(mapping: Map) -> str:
     named = [board.calibration for board in mapping.boards.values() if board.calibration]
     named += [mapping.sheet.file] if mapping.sheet else []
     # Where the map lies does not change what it means.
-    texts = [
-        repr(replace(mapping, path=Path())),
-        *((mapping.path.parent / name).read_text(errors="replace") for name in named),
-    ]
+    texts = [repr(replace(mapping, path=Path()))]
+    texts += [(mapping.path.parent / name).read_text(errors="replace") for name in named]
     return hashlib.sha256("\0".join(texts).encode()).hexdigest()
-
-
-def size_bytes(path: Path) -> int:
-    """Of a file, or of the files in a ROS 2 bag's folder."""
-    if path.is_dir():
-        return sum(file.stat().st_size for file in path.iterdir())
-    return path.stat().st_size

@@ -32,6 +32,10 @@ POSITIONS = {
 }
 
 
+# From (n, outputs) in the map's units to (n, outputs) V.
+Converter = Callable[[np.ndarray], np.ndarray]
+
+
 @dataclass(frozen=True)
 class Calibration:
     """Offsets (3,) V and gains (3, 3) V/g of one board: u = offset + gain a."""
@@ -40,35 +44,33 @@ class Calibration:
     gain_v_per_g: np.ndarray
 
 
-def converter(mapping: Map) -> Callable[[np.ndarray], np.ndarray]:
+def converter(mapping: Map) -> Converter:
     """A function from (n, channels) in the map's units to (n, channels) V in `Sensor.columns` order.
 
     Raises:
         InputError: a calibration file is missing or bad.
     """
-    boards = []
-    for part in mapping.sensor.parts:
-        board = mapping.boards.get(part.name, Board())
-        signals = [mapping.channels[f"{part.name}_v{axis}"] for axis in "xyz"]
-        calibration = nominal(part)
-        if board.calibration:
-            calibration = read_calibration(mapping.path.parent / board.calibration, part.name)
-        boards.append((part, board, signals, calibration))
+    boards = [_board_converter(mapping, part) for part in mapping.sensor.parts]
+    return lambda raw: np.hstack([board(raw[:, 3 * k : 3 * k + 3]) for k, board in enumerate(boards)])
+
+
+def _board_converter(mapping: Map, part: Accelerometer | Base) -> Converter:
+    """Of one accelerometer's three outputs."""
+    board = mapping.boards.get(part.name, Board())
+    signals = [mapping.channels[f"{part.name}_v{axis}"] for axis in "xyz"]
+    # The figures of `sensor.toml`, alike on every axis.
+    calibration = Calibration(np.full(3, part.zero_g_v), np.eye(3) * part.sensitivity_v_per_g)
+    if board.calibration:
+        calibration = read_calibration(mapping.path.parent / board.calibration, part.name)
 
     def to_volts(raw: np.ndarray) -> np.ndarray:
-        return np.hstack([_board_volts(raw[:, 3 * k : 3 * k + 3], *board) for k, board in enumerate(boards)])
+        volts = np.column_stack([_as_volts(raw[:, i], signal, part) for i, signal in enumerate(signals)])
+        if not (board.calibration or board.flip or board.turn_deg):
+            return volts
+        measured = (volts - calibration.offset_v) @ np.linalg.inv(calibration.gain_v_per_g).T
+        return part.zero_g_v + part.sensitivity_v_per_g * (measured @ _board_to_skin(board).T)
 
     return to_volts
-
-
-def _board_volts(
-    raw: np.ndarray, part: Accelerometer | Base, board: Board, signals: list[Signal], calibration: Calibration
-) -> np.ndarray:
-    volts = np.column_stack([_as_volts(raw[:, i], signal, part) for i, signal in enumerate(signals)])
-    if not (board.calibration or board.flip or board.turn_deg):
-        return volts
-    measured = (volts - calibration.offset_v) @ np.linalg.inv(calibration.gain_v_per_g).T
-    return part.zero_g_v + part.sensitivity_v_per_g * (measured @ _board_to_skin(board).T)
 
 
 def _as_volts(raw: np.ndarray, signal: Signal, part: Accelerometer | Base) -> np.ndarray:
@@ -88,11 +90,6 @@ def _board_to_skin(board: Board) -> np.ndarray:
     angle = np.deg2rad(board.turn_deg)
     turn = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
     return turn @ np.diag([-1.0 if axis in board.flip else 1.0 for axis in "xyz"])
-
-
-def nominal(part: Accelerometer | Base) -> Calibration:
-    """The figures of `sensor.toml`, alike on every axis."""
-    return Calibration(np.full(3, part.zero_g_v), np.eye(3) * part.sensitivity_v_per_g)
 
 
 def read_calibration(path: Path, accelerometer: str) -> Calibration:

@@ -95,7 +95,7 @@ def import_(parser: Parser) -> Run:
                 "give SOURCE..., --map MAP.toml and --out DIR, or SOURCE... --guess, or --map-template KIND, or "
                 "--sensor-template"
             )
-        from softslide.pipeline.importers.importer import import_recordings
+        from softslide.pipeline.importers.run import import_recordings
 
         done = import_recordings(given.sources, given.map, given.out)
         print(*done.notes, sep="\n", end="\n" if done.notes else "", file=sys.stderr)

@@ -59,7 +59,7 @@ def predict(parser: Parser) -> Run:
         how = (given.track, bad.append, given.height_mm, given.whole_contact, given.unsigned)
         with ExitStack() as stack:
             if given.map:
-                from softslide.pipeline.importers.importer import volts_of
+                from softslide.pipeline.importers.run import volts_of
 
                 scratch = stack.enter_context(TemporaryDirectory(prefix="softslide-"))
                 given.files = volts_of(given.files, given.map, Path(scratch) / "volts")

@@ -72,14 +72,12 @@ def _lane(path: Path, dataset: h5py.Dataset, column: str, matlab: bool) -> Any:
                 f"{path}: '{column}' has {dataset.shape[1 - axis]} columns; add ':0' for the first"
             )
         axis = int(np.argmax(dataset.shape))
-    if not dataset.shape or dataset.shape[axis] == 1:
-        place = [0] * dataset.ndim
-        if dataset.ndim == 2:
-            place[1 - axis] = int(number or 0)
-        # The one value alone: the other axis may have any length.
-        value = np.asarray(dataset[tuple(place)]).reshape(-1)[0]
-        return np.array([value.decode() if isinstance(value, bytes) else value])
-    return _Lane(dataset, int(number or 0), axis) if dataset.ndim == 2 else dataset
+    lane = _Lane(dataset, int(number or 0), axis) if dataset.ndim == 2 else dataset
+    if dataset.ndim and len(lane) > 1:
+        return lane
+    # The one value alone: the other axis may have any length.
+    value = np.ravel(lane[:1] if dataset.ndim else dataset[()])[0]
+    return np.array([value.decode() if isinstance(value, bytes) else value])
 
 
 def _check_size(path: Path, dataset: h5py.Dataset, column: str) -> None:

@@ -1,9 +1,10 @@
 """MCAP of JSON messages, as `softslide serve --log` writes it: a topic's fields by their names."""
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import islice
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import lz4.frame
 import numpy as np
@@ -36,14 +37,37 @@ def read_mcap(path: Path, columns: Sequence[str]) -> Iterator[Chunk]:
         require(path, [TOPIC], [channel.topic for channel in summary.channels.values()], "topic")
         (channel,) = (n for n, each in summary.channels.items() if each.topic == TOPIC)
         total = summary.statistics.channel_message_counts[channel]
-        rows: list[list[float]] = []
-        for done, (_, _, message) in enumerate(reader.iter_messages(topics=[TOPIC]), 1):
-            fields = json.loads(message.data)
-            require(path, columns, fields, "field")
-            rows.append([np.nan if fields[column] is None else fields[column] for column in columns])
-            if len(rows) == CHUNK or done == total:
-                yield Chunk(dict(zip(columns, np.array(rows).T, strict=True)), done / total)
-                rows = []
+        messages = (json.loads(message.data) for _, _, message in reader.iter_messages(topics=[TOPIC]))
+        rows = (_cells(path, fields, columns) for fields in messages)
+        yield from chunks_of(path, TOPIC, columns, rows, total, CHUNK)
+
+
+def _cells(path: Path, fields: dict[str, Any], columns: Sequence[str]) -> list[Any]:
+    require(path, columns, fields, "field")
+    return [np.nan if fields[column] is None else fields[column] for column in columns]
+
+
+def chunks_of(
+    path: Path, topic: str, columns: Sequence[str], rows: Iterable[list[Any]], total: int, size: int
+) -> Iterator[Chunk]:
+    """Chunks of `size` messages, from a row of cells for each.
+
+    Raises:
+        InputError: there are not as many as the file says, or a cell is a list.
+    """
+    rows, done = iter(rows), 0
+    while block := list(islice(rows, size)):
+        done += len(block)
+        lanes = {name: np.array(lane) for name, lane in zip(columns, zip(*block, strict=True), strict=True)}
+        if lists := [name for name, lane in lanes.items() if lane.ndim > 1]:
+            raise InputError(
+                f"{path}: '{lists[0]}' holds many values a message; name one that holds a number"
+            )
+        yield Chunk(lanes, done / total)
+    if done != total:
+        raise InputError(
+            f"{path}: {done} of {total} messages on {topic}; the bag is cut short: copy it again"
+        )
 
 
 def check_chunks(path: Path, file: BinaryIO, summary: Summary | None) -> None:
@@ -72,10 +96,26 @@ def _chunks(file: BinaryIO, summary: Summary | None) -> Iterator[Packed]:
 
 
 def _unpacked_bytes(chunk: Packed) -> int:
-    """What a chunk unpacks to, or for LZ4 as much of it as is too much. What the chunk says need not be so."""
+    """The most that a chunk unpacks to. What the chunk says need not be so."""
     if chunk.compression == "zstd":
         # Unpacked to what the frame says, and where it says nothing (-1) to what the chunk says.
         return max(zstandard.frame_content_size(chunk.data), chunk.uncompressed_size)
-    if chunk.compression == "lz4":
-        return len(lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, MOST_CHUNK_BYTES + 1))
-    return len(chunk.data)
+    if chunk.compression != "lz4":
+        return len(chunk.data)
+    if (most := _lz4_bytes(chunk.data)) <= MOST_CHUNK_BYTES:
+        return most
+    # Many small blocks may be less: unpacked, as far as is too much.
+    return len(lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, MOST_CHUNK_BYTES + 1))
+
+
+def _lz4_bytes(frame: bytes) -> int:
+    """The most that an LZ4 frame unpacks to, by the number and the size of its blocks (LZ4 Frame Format 1.6.4)."""
+    flags, size = frame[4:6].ljust(2, b"\0")
+    at = (
+        7 + (8 if flags & 8 else 0) + (4 if flags & 1 else 0)
+    )  # behind the head: its size and a dictionary's number
+    blocks = 0
+    while length := int.from_bytes(frame[at : at + 4], "little"):
+        blocks += 1
+        at += 4 + (length & 0x7FFFFFFF) + (4 if flags & 16 else 0)  # the checksum
+    return blocks << (8 + 2 * (size >> 4 & 7))

@@ -4,14 +4,13 @@ import re
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
-import numpy as np
 from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
 from softslide.features.errors import InputError
 from softslide.pipeline.importers.readers.chunk import Chunk, require
-from softslide.pipeline.importers.readers.mcap_log import check_chunks
+from softslide.pipeline.importers.readers.mcap_log import check_chunks, chunks_of
 
 # Messages a chunk holds: they are Python objects while they are read.
 MESSAGES = 20_000
@@ -25,7 +24,7 @@ def read_ros(path: Path, columns: Sequence[str]) -> Iterator[Chunk]:
     path: a `.bag`, an `.mcap`, a `.db3`, or the folder of a ROS 2 bag.
     """
     topic = columns[0].partition(".")[0]  # a ROS name holds no dot
-    readers = {column: _field(path, column) for column in columns}
+    readers = [_field(path, column) for column in columns]
     for part in sorted(path.glob("*.mcap")) if path.is_dir() else [path] if path.suffix == ".mcap" else []:
         with part.open("rb") as file:
             check_chunks(part, file, make_reader(file).get_summary())
@@ -34,25 +33,12 @@ def read_ros(path: Path, columns: Sequence[str]) -> Iterator[Chunk]:
         require(path, [topic], sorted({connection.topic for connection in bag.connections}), "topic")
         connections = [connection for connection in bag.connections if connection.topic == topic]
         total = sum(connection.msgcount for connection in connections)
-        rows: list[list[float | int]] = []
-        count = 0
-        for connection, received, raw in bag.messages(connections):
-            message = bag.deserialize(raw, connection.msgtype)
-            rows.append([read(message, received) for read in readers.values()])
-            count += 1
-            if len(rows) == MESSAGES:
-                yield _chunk(rows, columns, count / total)
-                rows = []
-        if count != total:
-            raise InputError(
-                f"{path}: {count} of {total} messages on {topic}; the bag is cut short: copy it again"
-            )
-        if rows:
-            yield _chunk(rows, columns, 1.0)
-
-
-def _chunk(rows: list[list[float | int]], columns: Sequence[str], done: float) -> Chunk:
-    return Chunk({column: np.array([row[n] for row in rows]) for n, column in enumerate(columns)}, done)
+        messages = (
+            (bag.deserialize(raw, connection.msgtype), received)
+            for connection, received, raw in bag.messages(connections)
+        )
+        rows = ([read(message, received) for read in readers] for message, received in messages)
+        yield from chunks_of(path, topic, columns, rows, total, MESSAGES)
 
 
 def _field(path: Path, column: str) -> Callable[[object, int], float | int]:
