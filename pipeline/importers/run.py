@@ -122,7 +122,7 @@ def import_files(sources: Sequence[Path], mapping: Map, out: Path) -> Imported:
 
 
 def _with_progress(jobs: Sequence[Source]) -> Iterator[tuple[Source, Progress]]:
-    """Each job, and what is told the portion of it that is done, under a bar that counts bytes."""
+    """Each job, and a function that takes the portion of it that is done, under a bar that counts bytes."""
     sizes = [sum(size for _, size, _ in job.stamp()) for job in jobs]
     with progress_bar("import", "B", total=sum(sizes)) as bar:
         for job, size in zip(jobs, sizes, strict=True):
