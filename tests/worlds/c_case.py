@@ -4,12 +4,16 @@ import copy
 import shutil
 import subprocess
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 import onnx
 import onnxruntime as ort
 import pytest
+from emx_onnx_cgen.codegen import c_emitter
+from jinja2.bccache import Bucket, BytecodeCache
 from small_bundle import write_small_bundle
 from streams import a_sensor
 
@@ -17,6 +21,21 @@ from softslide.features.card import Card, read_card
 from softslide.models.export.c_code import sources
 from softslide.models.export.formats import of_one_window
 
+
+class _Templates(BytecodeCache):
+    """Compiled once: the generator parses all its templates anew for each graph, which takes a second or two."""
+
+    kept: ClassVar[dict[str, bytes]] = {}
+
+    def load_bytecode(self, bucket: Bucket) -> None:
+        if bucket.key in self.kept:
+            bucket.bytecode_from_string(self.kept[bucket.key])
+
+    def dump_bytecode(self, bucket: Bucket) -> None:
+        self.kept[bucket.key] = bucket.bytecode_to_string()
+
+
+c_emitter.Environment = partial(c_emitter.Environment, bytecode_cache=_Templates())
 NEEDS_COMPILER = pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler here")
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-O2")
 SANITIZED = (*STRICT, "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
