@@ -1,5 +1,6 @@
 """`softslide record`: a second process sends; cables are pulled; the folder is whole at any time."""
 
+import io
 import os
 import pty
 import signal
@@ -11,7 +12,6 @@ from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -42,16 +42,15 @@ def lab(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def command(lab: Path, source: str, *more: str) -> list[str]:
+def words(lab: Path, source: str, *more: str) -> list[str]:
     files = {"--plan": "plan.csv", "--sensor": "sensor.toml", "--out": "out"}
     options = [word for name, file in files.items() for word in (name, str(lab / file))]
-    return [sys.executable, "-m", "softslide", "record", "--source", source, *options, *TIMES, *more]
+    return ["record", "--source", source, *options, *TIMES, *more]
 
 
-def ran(lab: Path, port: int, *more: str, **options: Any) -> subprocess.CompletedProcess[str]:
-    """The command to its end, of what a port hears."""
-    words = command(lab, f"udp://:{port}", *more)
-    return subprocess.run(words, capture_output=True, text=True, timeout=240, **options)
+def command(lab: Path, source: str, *more: str) -> list[str]:
+    """It as a process of its own."""
+    return [sys.executable, "-m", "softslide", *words(lab, source, *more)]
 
 
 def started(lab: Path, source: str, *more: str) -> subprocess.Popen[str]:
@@ -74,8 +73,8 @@ def test_a_second_process_sends_and_the_folder_passes_the_check(
 ) -> None:
     port = free_port()
     with sending(port):
-        done = ran(lab, port, "--yes", check=True)
-    assert done.stdout == f"{lab / 'out'}: 3 recordings\n"
+        assert softslide.main(words(lab, f"udp://:{port}", "--yes")) == 0
+    assert capsys.readouterr().out == f"{lab / 'out'}: 3 recordings\n"
     folder = read_folder(lab / "out")
     assert list(folder.manifest.index) == ["one", "two", "three"]
     assert list(folder.manifest["split"]) == ["calibration", "calibration", "test"]
@@ -90,16 +89,20 @@ def test_a_second_process_sends_and_the_folder_passes_the_check(
     assert '"errors": 0' in capsys.readouterr().out
 
 
-def test_answers_skip_repeat_and_stop_and_a_second_run_goes_on(lab: Path) -> None:
+def test_answers_skip_repeat_and_stop_and_a_second_run_goes_on(
+    lab: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     port = free_port()
     with sending(port):
         answers = "\na\n\n\ns\nq\n"  # one: record, again, record, keep; two: skip; three: stop
-        first = ran(lab, port, input=answers, check=True)
-        assert first.stdout == f"{lab / 'out'}: 1 recordings, 2 of the plan are left\n"
-        assert first.stderr.count("Keep it?") == 2
+        monkeypatch.setattr(sys, "stdin", io.StringIO(answers))
+        assert softslide.main(words(lab, f"udp://:{port}")) == 0
+        first = capsys.readouterr()
+        assert first.out == f"{lab / 'out'}: 1 recordings, 2 of the plan are left\n"
+        assert first.err.count("Keep it?") == 2
         kept = (lab / "out" / "slides" / "one.parquet").read_bytes()
-        second = ran(lab, port, "--yes", check=True)
-    assert "1 of 3 slides are recorded" in second.stderr
+        assert softslide.main(words(lab, f"udp://:{port}", "--yes")) == 0
+    assert "1 of 3 slides are recorded" in capsys.readouterr().err
     assert list(read_folder(lab / "out").manifest.index) == ["one", "two", "three"]
     assert (lab / "out" / "slides" / "one.parquet").read_bytes() == kept
 
@@ -206,16 +209,17 @@ def test_an_interrupted_run_leaves_a_whole_folder(lab: Path) -> None:
     assert not list((lab / "out").rglob("*.partial"))
 
 
-def test_lost_samples_are_found_by_the_rate(lab: Path) -> None:
+def test_lost_samples_are_found_by_the_rate(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
     port = free_port()
-    # At half the rate without times every second sample is missing.
-    slow = UDP.replace("lines(seed", "lines(rate_hz=500, seed").replace('f"{n / rate_hz:.4f}," + ', "")
+    # At this rate without times three samples of ten are missing.
+    slow = UDP.replace("lines(seed", "lines(rate_hz=700, seed").replace('f"{n / rate_hz:.4f}," + ', "")
     with subprocess.Popen([sys.executable, "-c", slow, str(port), "0", "3"]) as sender:
-        done = ran(lab, port, "--yes")
+        status = softslide.main(words(lab, f"udp://:{port}", "--yes"))
         sender.kill()
-    assert done.returncode == 1
-    assert "failed 3 times" in done.stderr.splitlines()[-1]
-    assert "1000 Hz" in done.stderr
+    assert status == 1
+    error = capsys.readouterr().err
+    assert "failed 3 times" in error.splitlines()[-1]
+    assert "1000 Hz" in error
     assert not (lab / "out" / "manifest.csv").exists()
 
 
@@ -304,15 +308,16 @@ def test_the_operator_is_shown_what_looks_wrong() -> None:
     assert "a0_vx is clipped" in shown(np.minimum(1.65 + bump + noise, [1.7, 9.0, 9.0]))
 
 
-def test_a_robot_that_moves_is_a_row_of_the_plan(tmp_path: Path) -> None:
+def test_a_robot_that_moves_is_a_row_of_the_plan(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Of the split `base`: no label is needed, and nobody is asked whether anything touches."""
     sensor = replace(a_sensor(), base=Base())
     write_sensor(tmp_path / "sensor.toml", sensor)
     (tmp_path / "plan.csv").write_text(f"{PLAN}one,calibration,0,40,-5,-29,-5,8,0.5\nmoves,base,,40,,,,8,\n")
     port = free_port()
     with sending(port, columns=6):
-        done = ran(tmp_path, port, "--yes", check=True)
-    assert "moves: lean the robot over in all directions for 1.2 s, nothing touches" in done.stderr
+        assert softslide.main(words(tmp_path, f"udp://:{port}", "--yes")) == 0
+    said = capsys.readouterr().err
+    assert "moves: lean the robot over in all directions for 1.2 s, nothing touches" in said
     folder = read_folder(tmp_path / "out")
     assert list(folder.manifest["split"]) == ["calibration", "base"]
     for name in folder.manifest.index:
