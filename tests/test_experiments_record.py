@@ -12,6 +12,7 @@ from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -48,14 +49,9 @@ def words(lab: Path, source: str, *more: str) -> list[str]:
     return ["record", "--source", source, *options, *TIMES, *more]
 
 
-def command(lab: Path, source: str, *more: str) -> list[str]:
-    """It as a process of its own."""
-    return [sys.executable, "-m", "softslide", *words(lab, source, *more)]
-
-
-def started(lab: Path, source: str, *more: str) -> subprocess.Popen[str]:
-    pipe = subprocess.PIPE
-    return subprocess.Popen(command(lab, source, *more), stderr=pipe, stdout=pipe, text=True)
+def started(lab: Path, source: str, *more: str, **options: Any) -> subprocess.Popen[str]:
+    command, pipe = [sys.executable, "-m", "softslide", *words(lab, source, *more)], subprocess.PIPE
+    return subprocess.Popen(command, stderr=pipe, stdout=pipe, text=True, **options)
 
 
 def until(running: subprocess.Popen[str], text: str) -> list[str]:
@@ -193,18 +189,10 @@ def test_an_interrupted_run_leaves_a_whole_folder(lab: Path) -> None:
     port = free_port()
     # What is started in the background is deaf to Ctrl-C, and hands that on.
     heard = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)
-    with (
-        sending(port),
-        subprocess.Popen(
-            command(lab, f"udp://:{port}", "--yes"), stderr=subprocess.PIPE, text=True, preexec_fn=heard
-        ) as running,
-    ):
-        assert running.stderr is not None
-        while "[2/3]" not in running.stderr.readline():
-            assert running.poll() is None
+    with sending(port), started(lab, f"udp://:{port}", "--yes", preexec_fn=heard) as running:
+        until(running, "[2/3]")
         running.send_signal(signal.SIGINT)
         assert running.wait(120) == 130
-        running.stderr.read()
     assert list(read_folder(lab / "out").manifest.index) == ["one"]
     assert not list((lab / "out").rglob("*.partial"))
 

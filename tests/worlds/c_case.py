@@ -6,14 +6,13 @@ import subprocess
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import ClassVar
 
 import numpy as np
 import onnx
 import onnxruntime as ort
 import pytest
 from emx_onnx_cgen.codegen import c_emitter
-from jinja2.bccache import Bucket, BytecodeCache
+from jinja2 import MemcachedBytecodeCache
 from small_bundle import write_small_bundle
 from streams import a_sensor
 
@@ -22,20 +21,13 @@ from softslide.models.export.c_code import sources
 from softslide.models.export.formats import of_one_window
 
 
-class _Templates(BytecodeCache):
-    """Compiled once: the generator parses all its templates anew for each graph, which takes a second or two."""
+class _Parsed(dict):
+    """Templates: the generator parses all of its own anew for each graph, which takes a second or two."""
 
-    kept: ClassVar[dict[str, bytes]] = {}
-
-    def load_bytecode(self, bucket: Bucket) -> None:
-        if bucket.key in self.kept:
-            bucket.bytecode_from_string(self.kept[bucket.key])
-
-    def dump_bytecode(self, bucket: Bucket) -> None:
-        self.kept[bucket.key] = bucket.bytecode_to_string()
+    get, set = dict.__getitem__, dict.__setitem__
 
 
-c_emitter.Environment = partial(c_emitter.Environment, bytecode_cache=_Templates())
+c_emitter.Environment = partial(c_emitter.Environment, bytecode_cache=MemcachedBytecodeCache(_Parsed()))
 NEEDS_COMPILER = pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler here")
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-O2")
 SANITIZED = (*STRICT, "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
