@@ -8,6 +8,7 @@ import pandas as pd
 import pytest
 from front_door import refused
 from html_page import self_contained
+from sample_folder import sample_folder
 
 from softslide.experiments.article.answer_figures import PUBLISHED_CHI, published_minimum
 from softslide.experiments.article.article import Article, article
@@ -160,9 +161,7 @@ def test_what_is_known_not_to_hold_does_not(made: Article) -> None:
 
 def test_pressures_and_lasers_of_the_folder_are_read(tmp_path: Path) -> None:
     """Half of the slides at another pressure, a laser's reading 10 % below what the formula gives for each."""
-    for place in ("sensor.toml", "slides"):
-        (tmp_path / place).symlink_to(SAMPLE / place)
-    manifest = pd.read_csv(SAMPLE / "manifest.csv")
+    manifest = pd.read_csv(sample_folder(tmp_path, "speed_mm_s > 0") / "manifest.csv")
     manifest.loc[::2, "pressure_mpa"] = 0.028
     manifest.to_csv(tmp_path / "manifest.csv", index=False)
     atlas = read_atlas(DEFAULT_ATLAS)
@@ -196,12 +195,7 @@ def test_the_page_opens_without_a_network(made: Article) -> None:
 
 
 def test_a_folder_without_axis_slides_still_gives_the_skins_figures(tmp_path: Path) -> None:
-    for place in ("sensor.toml", "slides"):
-        (tmp_path / place).symlink_to(SAMPLE / place)
-    diagonal = pd.read_csv(SAMPLE / "manifest.csv")
-    diagonal = diagonal[diagonal["split"] == "test-diagonal"]
-    diagonal.to_csv(tmp_path / "manifest.csv", index=False)
-    made = article(tmp_path, tmp_path / "out")
+    made = article(sample_folder(tmp_path, "split == 'test-diagonal'"), tmp_path / "out")
     assert [s.figures for s in made.sections] == ["6", "9 to 11", "14 to 25", "26"]
     assert "No slide along x or y" in made.sections[2].missing
 

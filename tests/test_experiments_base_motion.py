@@ -12,6 +12,7 @@ import pandas as pd
 import pytest
 from front_door import call, refused
 from moving_robot import BASE, felt_g, on_a_robot, wandering
+from sample_folder import sample_folder
 
 import softslide
 from softslide.experiments.data_use import report_base
@@ -24,9 +25,14 @@ from softslide.serve.localizer import Localizer
 
 
 @pytest.fixture(scope="module")
-def lab(tmp_path_factory: pytest.TempPathFactory) -> Folder:
-    """The sample, its calibration slides on a table, its test slides on a robot that moves, and the robot alone."""
-    sample = read_folder(SAMPLE)
+def sample(tmp_path_factory: pytest.TempPathFactory) -> Folder:
+    """The sample's slides that take less than 30 s."""
+    return read_folder(sample_folder(tmp_path_factory.mktemp("sample"), "speed_mm_s >= 2"))
+
+
+@pytest.fixture(scope="module")
+def lab(sample: Folder, tmp_path_factory: pytest.TempPathFactory) -> Folder:
+    """Its calibration slides on a table, its test slides on a robot that moves, and the robot alone."""
     rate = sample.sensor.sample_rate_hz
     names = [str(name) for name in sample.manifest.index]
 
@@ -97,10 +103,12 @@ def test_a_base_that_comes_late_is_reported(
 
 
 @pytest.mark.long
-def test_estimates_on_a_moving_robot_are_those_on_a_table(bundle: Path, lab: Folder, tmp_path: Path) -> None:
+def test_estimates_on_a_moving_robot_are_those_on_a_table(
+    bundle: Path, sample: Folder, lab: Folder, tmp_path: Path
+) -> None:
     plain = tmp_path / "plain"
-    assert call("train", "--recordings", SAMPLE, "--model", "interpolation", "--out", plain) == 0
-    table = evaluated(plain, SAMPLE, tmp_path / "table")
+    assert call("train", "--recordings", sample.root, "--model", "interpolation", "--out", plain) == 0
+    table = evaluated(plain, sample.root, tmp_path / "table")
     robot = evaluated(bundle, lab.root, tmp_path / "robot")
     without = evaluated(plain, lab.root, tmp_path / "without")
     assert robot["valid_share"] == table["valid_share"]

@@ -74,18 +74,8 @@ def test_evaluate_tests_the_same_bounds(full: Folder, bare: Folder, tmp_path: Pa
     tested: dict[str, dict[str, int]] = {}
     for folder in (full, bare):
         out = tmp_path / folder.root.name
-        call(
-            "evaluate",
-            "--model",
-            bundle,
-            "--recordings",
-            folder.root,
-            "--out",
-            out,
-            "--no-report",
-            "--jobs",
-            1,
-        )
+        words = ("evaluate", "--model", bundle, "--recordings", folder.root, "--out", out)
+        call(*words, "--no-report", "--jobs", 1)
         bounds = json.loads((out / "metrics.json").read_text())["bounds"]
         tested[folder.root.name] = {
             bound["name"]: bound["recordings"] for bound in bounds if bound["pass"] is not None

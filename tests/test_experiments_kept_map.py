@@ -116,7 +116,10 @@ def test_a_map_over_heights_is_kept_too(
     assert second[1]
     assert_same(first[0], second[0])
     assert (first[0].heights is None) is apart
-    assert len(first[0].folder) == len(table) - 4 * apart
+    assert len(first[0].folder) == first[0].slides == first[0].summary["slides"] == len(table) - 4 * apart
+    assert len(first[0].left_out) == 4 * apart
+    assert all("map of each height" in why for why in first[0].left_out.values())
+    assert (first[0].static_heights_mm == {}) is apart
 
 
 def test_a_second_call_takes_what_the_first_kept(
@@ -167,29 +170,35 @@ def test_other_settings_and_other_code_are_noticed(
         found(lab)
 
 
-@pytest.mark.parametrize("damage", [b"", b"no map", None])
+@pytest.fixture
+def at_once(kept: tuple[Path, CalibratedMap], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every calibration ends at once, with that map."""
+    monkeypatch.setattr(module, "calibrated_map", lambda *given: kept[1])
+
+
 def test_a_damaged_file_is_made_anew(
-    lab: Folder, kept: tuple[Path, CalibratedMap], cache: Path, damage: bytes | None
+    lab: Folder, kept: tuple[Path, CalibratedMap], cache: Path, at_once: None
 ) -> None:
     (file,) = cache.iterdir()
     whole = bytearray(file.read_bytes())
     whole[len(whole) // 2] ^= 1
-    file.write_bytes(bytes(whole) if damage is None else damage)
-    again, taken = found(lab)
-    assert not taken
-    assert_same(kept[1], again)
-    assert found(lab)[1]
+    for damaged in (bytes(whole), b"", b"no map"):
+        file.write_bytes(damaged)
+        assert not found(lab)[1]
+        again, taken = found(lab)
+        assert taken
+        assert_same(kept[1], again)
 
 
 def test_a_cache_that_cannot_be_written_costs_nothing(
-    lab: Folder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    lab: Folder, at_once: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("SOFTSLIDE_CACHE", str(tmp_path / "file"))
     assert not found(lab)[1]
 
 
-def test_the_oldest_go(lab: Folder, cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_oldest_go(lab: Folder, cache: Path, at_once: None, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "MOST", 2)
     (oldest,) = cache.iterdir()
     for gain_sd in (0.02, 0.04):

@@ -1,5 +1,6 @@
 """`softslide record`: a second process sends; cables are pulled; the folder is whole at any time."""
 
+import io
 import os
 import pty
 import signal
@@ -42,21 +43,15 @@ def lab(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def command(lab: Path, source: str, *more: str) -> list[str]:
+def words(lab: Path, source: str, *more: str) -> list[str]:
     files = {"--plan": "plan.csv", "--sensor": "sensor.toml", "--out": "out"}
     options = [word for name, file in files.items() for word in (name, str(lab / file))]
-    return [sys.executable, "-m", "softslide", "record", "--source", source, *options, *TIMES, *more]
+    return ["record", "--source", source, *options, *TIMES, *more]
 
 
-def ran(lab: Path, port: int, *more: str, **options: Any) -> subprocess.CompletedProcess[str]:
-    """The command to its end, of what a port hears."""
-    words = command(lab, f"udp://:{port}", *more)
-    return subprocess.run(words, capture_output=True, text=True, timeout=240, **options)
-
-
-def started(lab: Path, source: str, *more: str) -> subprocess.Popen[str]:
-    pipe = subprocess.PIPE
-    return subprocess.Popen(command(lab, source, *more), stderr=pipe, stdout=pipe, text=True)
+def started(lab: Path, source: str, *more: str, **options: Any) -> subprocess.Popen[str]:
+    command, pipe = [sys.executable, "-m", "softslide", *words(lab, source, *more)], subprocess.PIPE
+    return subprocess.Popen(command, stderr=pipe, stdout=pipe, text=True, **options)
 
 
 def until(running: subprocess.Popen[str], text: str) -> list[str]:
@@ -74,8 +69,8 @@ def test_a_second_process_sends_and_the_folder_passes_the_check(
 ) -> None:
     port = free_port()
     with sending(port):
-        done = ran(lab, port, "--yes", check=True)
-    assert done.stdout == f"{lab / 'out'}: 3 recordings\n"
+        assert softslide.main(words(lab, f"udp://:{port}", "--yes")) == 0
+    assert capsys.readouterr().out == f"{lab / 'out'}: 3 recordings\n"
     folder = read_folder(lab / "out")
     assert list(folder.manifest.index) == ["one", "two", "three"]
     assert list(folder.manifest["split"]) == ["calibration", "calibration", "test"]
@@ -90,16 +85,20 @@ def test_a_second_process_sends_and_the_folder_passes_the_check(
     assert '"errors": 0' in capsys.readouterr().out
 
 
-def test_answers_skip_repeat_and_stop_and_a_second_run_goes_on(lab: Path) -> None:
+def test_answers_skip_repeat_and_stop_and_a_second_run_goes_on(
+    lab: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     port = free_port()
     with sending(port):
         answers = "\na\n\n\ns\nq\n"  # one: record, again, record, keep; two: skip; three: stop
-        first = ran(lab, port, input=answers, check=True)
-        assert first.stdout == f"{lab / 'out'}: 1 recordings, 2 of the plan are left\n"
-        assert first.stderr.count("Keep it?") == 2
+        monkeypatch.setattr(sys, "stdin", io.StringIO(answers))
+        assert softslide.main(words(lab, f"udp://:{port}")) == 0
+        first = capsys.readouterr()
+        assert first.out == f"{lab / 'out'}: 1 recordings, 2 of the plan are left\n"
+        assert first.err.count("Keep it?") == 2
         kept = (lab / "out" / "slides" / "one.parquet").read_bytes()
-        second = ran(lab, port, "--yes", check=True)
-    assert "1 of 3 slides are recorded" in second.stderr
+        assert softslide.main(words(lab, f"udp://:{port}", "--yes")) == 0
+    assert "1 of 3 slides are recorded" in capsys.readouterr().err
     assert list(read_folder(lab / "out").manifest.index) == ["one", "two", "three"]
     assert (lab / "out" / "slides" / "one.parquet").read_bytes() == kept
 
@@ -190,32 +189,25 @@ def test_an_interrupted_run_leaves_a_whole_folder(lab: Path) -> None:
     port = free_port()
     # What is started in the background is deaf to Ctrl-C, and hands that on.
     heard = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)
-    with (
-        sending(port),
-        subprocess.Popen(
-            command(lab, f"udp://:{port}", "--yes"), stderr=subprocess.PIPE, text=True, preexec_fn=heard
-        ) as running,
-    ):
-        assert running.stderr is not None
-        while "[2/3]" not in running.stderr.readline():
-            assert running.poll() is None
+    with sending(port), started(lab, f"udp://:{port}", "--yes", preexec_fn=heard) as running:
+        until(running, "[2/3]")
         running.send_signal(signal.SIGINT)
         assert running.wait(120) == 130
-        running.stderr.read()
     assert list(read_folder(lab / "out").manifest.index) == ["one"]
     assert not list((lab / "out").rglob("*.partial"))
 
 
-def test_lost_samples_are_found_by_the_rate(lab: Path) -> None:
+def test_lost_samples_are_found_by_the_rate(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
     port = free_port()
-    # At half the rate without times every second sample is missing.
-    slow = UDP.replace("lines(seed", "lines(rate_hz=500, seed").replace('f"{n / rate_hz:.4f}," + ', "")
+    # At this rate without times three samples of ten are missing.
+    slow = UDP.replace("lines(seed", "lines(rate_hz=700, seed").replace('f"{n / rate_hz:.4f}," + ', "")
     with subprocess.Popen([sys.executable, "-c", slow, str(port), "0", "3"]) as sender:
-        done = ran(lab, port, "--yes")
+        status = softslide.main(words(lab, f"udp://:{port}", "--yes"))
         sender.kill()
-    assert done.returncode == 1
-    assert "failed 3 times" in done.stderr.splitlines()[-1]
-    assert "1000 Hz" in done.stderr
+    assert status == 1
+    error = capsys.readouterr().err
+    assert "failed 3 times" in error.splitlines()[-1]
+    assert "1000 Hz" in error
     assert not (lab / "out" / "manifest.csv").exists()
 
 
@@ -304,15 +296,16 @@ def test_the_operator_is_shown_what_looks_wrong() -> None:
     assert "a0_vx is clipped" in shown(np.minimum(1.65 + bump + noise, [1.7, 9.0, 9.0]))
 
 
-def test_a_robot_that_moves_is_a_row_of_the_plan(tmp_path: Path) -> None:
+def test_a_robot_that_moves_is_a_row_of_the_plan(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Of the split `base`: no label is needed, and nobody is asked whether anything touches."""
     sensor = replace(a_sensor(), base=Base())
     write_sensor(tmp_path / "sensor.toml", sensor)
     (tmp_path / "plan.csv").write_text(f"{PLAN}one,calibration,0,40,-5,-29,-5,8,0.5\nmoves,base,,40,,,,8,\n")
     port = free_port()
     with sending(port, columns=6):
-        done = ran(tmp_path, port, "--yes", check=True)
-    assert "moves: lean the robot over in all directions for 1.2 s, nothing touches" in done.stderr
+        assert softslide.main(words(tmp_path, f"udp://:{port}", "--yes")) == 0
+    said = capsys.readouterr().err
+    assert "moves: lean the robot over in all directions for 1.2 s, nothing touches" in said
     folder = read_folder(tmp_path / "out")
     assert list(folder.manifest["split"]) == ["calibration", "base"]
     for name in folder.manifest.index:

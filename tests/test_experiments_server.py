@@ -4,6 +4,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Iterator
+from contextlib import ExitStack
 from pathlib import Path
 
 import mlflow
@@ -65,10 +66,10 @@ def database() -> Iterator[str]:
 def test_a_team_shares_a_server_that_may_die(
     database: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Two members at once; then a server dies in the middle of a run, which costs a line and no traceback."""
-    port, artifacts = free_port(), tmp_path / "artifacts"
+    """Two members at once; then the server dies in the middle of a run, which costs a line and no traceback."""
     bundle = write_small_bundle(tmp_path / "caught", SENSOR)
-    with mlflow_server(database, artifacts, port) as store:
+    with ExitStack() as stack:
+        store = stack.enter_context(mlflow_server(database, tmp_path / "artifacts", free_port()))
         monkeypatch.setenv("MLFLOW_TRACKING_URI", store)
         log_at_once(store, tmp_path, ["ada", "ben"])
         client = mlflow.MlflowClient(store, store)
@@ -76,10 +77,7 @@ def test_a_team_shares_a_server_that_may_die(
             assert_whole(client, name)
         again = fetched("models:/softslide/2", tmp_path / "fetched")
         assert Localizer.load(again).card.model == "small"
-        # From here on the server lives only until the run has begun.
-        dying = mlflow_server(database, artifacts, free_port())
-        short_lived = dying.__enter__()
         capsys.readouterr()
-        log_run(bundle, "caught", short_lived, midway=lambda: dying.__exit__(None, None, None))
+        log_run(bundle, "caught", store, midway=stack.close)
         (line,) = capsys.readouterr().err.splitlines()
-        assert line.startswith(f"run not logged: {short_lived} does not take it")
+        assert line.startswith(f"run not logged: {store} does not take it")

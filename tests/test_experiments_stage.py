@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from printer import Printer
+from printer import ORIGIN, Printer
 from sender import PLAN, free_port
 from streams import a_sensor
 
@@ -34,7 +34,6 @@ from softslide.pipeline.synthesis.distribution import Distribution
 from softslide.pipeline.synthesis.paths.draw import KINDS
 from softslide.pipeline.synthesis.synthesize import path_plan
 
-ORIGIN = (110.0, 95.0, 31.5)
 REST_S = 0.6
 ARRIVES_S = 10.0  # what was sent, on a busy machine
 TIMES = {"rest_s": REST_S, "start_s": 0.2, "timeout_s": 0.5}
@@ -267,7 +266,7 @@ def test_what_goes_wrong_stops_the_stage(
     lab: Path, monkeypatch: pytest.MonkeyPatch, printer: Printer, touched_v: float, says: str
 ) -> None:
     monkeypatch.setattr(module, "REPLY_S", 0.5)
-    monkeypatch.setattr(module, "MOTION_S", 8.0)
+    monkeypatch.setattr(module, "MOTION_S", 2.0)
     with printer, skin(printer, touched_v) as source:
         with pytest.raises(InputError, match=says):
             recorded(lab, source, printer)
@@ -323,7 +322,7 @@ def test_a_stage_that_is_slower_than_the_plan_is_said(lab: Path, monkeypatch: py
 
 def test_a_slow_approach_finds_the_height(lab: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "stdin", io.StringIO("\n\nq\n"))
-    above_mm = 1.02
+    above_mm = 0.42
     with Printer() as printer, skin(printer, still=True) as source:
         too_high = (*ORIGIN[:2], ORIGIN[2] + above_mm)
         assert recorded(lab, source, printer, yes=False, origin_mm=too_high, approach_mm=2.0) == 2
@@ -339,8 +338,8 @@ def test_an_approach_that_finds_nothing_ends_and_goes_no_deeper(
     with Printer() as printer, skin(printer) as source:
         high = (*ORIGIN[:2], ORIGIN[2] + 3.0)
         with pytest.raises(InputError, match="no output changes"):
-            recorded(lab, source, printer, yes=False, origin_mm=high, approach_mm=0.5)
-        assert min(end[2] for _, end, _ in printer.moves[1:]) == pytest.approx(high[2] - 0.5)
+            recorded(lab, source, printer, yes=False, origin_mm=high, approach_mm=0.2)
+        assert min(end[2] for _, end, _ in printer.moves[1:]) == pytest.approx(high[2] - 0.2)
         assert printer.stopped.wait(ARRIVES_S)
     wrong = (
         ({"yes": True}, "needs an origin"),

@@ -9,12 +9,13 @@ from pathlib import Path
 import numpy as np
 import optuna
 import pytest
+from front_door import call
+from sample_folder import sample_folder
 from small_bundle import write_small_bundle
 from streams import RATE_HZ, a_sensor, pass_over, still, stream
 from touched_bundle import write_touched_bundle
 from touched_skin import write_skin
 
-import softslide
 from softslide.experiments.studies import (
     changed_slides,
     decision_time,
@@ -117,7 +118,8 @@ def test_a_number_that_is_too_small_is_refused(capsys: pytest.CaptureFixture[str
 
 def test_changes_that_keep_the_signal_keep_the_estimates(bundle: Path, tmp_path: Path) -> None:
     """The small bundle's direction and speed are constants, so that errors are those of the sample's labels."""
-    words = ["--model", bundle, "--recordings", SAMPLE, "--every", 18, "--jobs", 1]
+    words = ["--model", bundle, "--recordings", sample_folder(tmp_path / "fast", "split == 'test-fast'")]
+    words += ["--every", 3, "--jobs", 1]
     words += ["--json", tmp_path / "found.json"]
     assert changed_slides.main([str(word) for word in words]) == 0
     figures = json.loads((tmp_path / "found.json").read_text())
@@ -141,18 +143,8 @@ def test_a_change_of_attitude_keeps_gravity_and_turns_it_by_its_angle() -> None:
 def test_false_alarms_are_counted_by_signal_and_alike_on_two_processes(
     bundle: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    words = [
-        "--model",
-        bundle,
-        "--recordings",
-        SAMPLE,
-        "--streams",
-        2,
-        "--seconds",
-        3,
-        "--json",
-        tmp_path / "f.json",
-    ]
+    words = ["--model", bundle, "--recordings", SAMPLE, "--streams", 2, "--seconds", 3]
+    words += ["--json", tmp_path / "f.json"]
     assert false_alarms.main([str(word) for word in words]) == 0
     figures = json.loads((tmp_path / "f.json").read_text())
     assert list(figures) == list(SIGNALS)
@@ -307,18 +299,8 @@ def test_a_sweep_never_reads_test_slides_and_its_best_trains(
     errors = [best[name] for name in ("direction_deg", "speed_percent", "offset_mm")]
     assert best["overall"] == pytest.approx(np.prod(errors) ** (1 / 3), rel=1e-3)
     assert tomllib.loads(out.read_text()) == few | {"least_leaf": best["least_leaf"]}
-    command = [
-        "train",
-        "--recordings",
-        lab,
-        "--model",
-        "trees",
-        "--config",
-        out,
-        "--out",
-        tmp_path / "bundle",
-    ]
-    assert softslide.main([str(word) for word in command]) == 0
+    command = ["train", "--recordings", lab, "--model", "trees", "--config", out]
+    assert call(*command, "--out", tmp_path / "bundle") == 0
 
 
 def test_settings_of_a_sweep_are_a_models_own() -> None:

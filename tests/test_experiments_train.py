@@ -2,7 +2,6 @@
 
 import json
 import shutil
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,6 +10,7 @@ import numpy as np
 import onnx
 import pandas as pd
 import pytest
+from bump_slides import bump_folder, bump_sensor, lines
 from front_door import call, refused
 
 import softslide
@@ -22,37 +22,30 @@ from softslide.features.card import Validity
 from softslide.features.stream.conditioning import Conditioning
 from softslide.models.fitted_model import FittedModel
 from softslide.models.registry import model_named
-from softslide.pipeline.recordings.folder import SAMPLE, read_folder
-from softslide.pipeline.recordings.manifest import write_manifest
+from softslide.pipeline.recordings.folder import read_folder
 from softslide.serve.localizer import Localizer
 
 
 @pytest.fixture(scope="module")
-def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The sample's slides that take less than 30 s, with everything that training may not read made unreadable."""
-    root = tmp_path_factory.mktemp("train") / "lab"
-    shutil.copytree(SAMPLE, root)
-    manifest = read_folder(root).manifest
-    write_manifest(root / "manifest.csv", manifest[manifest["speed_mm_s"] >= 2.0])
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    splits = {
+        "calibration": lines((0.0, 90.0, 180.0, 270.0), (-9.0, -6.0, -3.0, 3.0, 6.0, 9.0), (12.0, 20.0)),
+        "test": lines((0.0, 90.0), (4.5,), (15.0,)),
+    }
+    return bump_folder(tmp_path_factory.mktemp("train") / "whole", bump_sensor(1), splits).root
+
+
+@pytest.fixture(scope="module")
+def lab(whole: Path) -> Path:
+    """The same, with everything that training may not read made unreadable."""
+    root = Path(shutil.copytree(whole, whole.parent / "lab"))
     for file in read_folder(root).select("test").manifest["file"]:
         (root / file).write_bytes(b"not a recording")
     return root
 
 
 @pytest.fixture(scope="module")
-def store(lab: Path) -> str:
-    return f"sqlite:///{lab.parent / 'mlflow.db'}"
-
-
-@pytest.fixture(scope="module", autouse=True)
-def tracking(store: str) -> Iterator[None]:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("MLFLOW_TRACKING_URI", store)
-        yield
-
-
-@pytest.fixture(scope="module")
-def bundle(lab: Path, tracking: None) -> Path:
+def bundle(lab: Path) -> Path:
     out = lab.parent / "bundle"
     assert call("train", "--recordings", lab, "--model", "interpolation", "--out", out) == 0
     return out
@@ -71,16 +64,18 @@ def test_the_card_says_where_the_model_comes_from(bundle: Path, lab: Path) -> No
     assert provenance["parity"] <= 1e-4
 
 
-def test_the_run_is_kept_with_figures_and_model(bundle: Path, store: str) -> None:
-    client = mlflow.MlflowClient(store)
-    run = client.search_runs(["1"], order_by=["attributes.start_time ASC"])[0]
-    assert run.info.run_name == "interpolation on bench-a"
+def test_the_run_is_kept_with_figures_and_model(bundle: Path, tracking_store: str) -> None:
+    run = the_run(tracking_store, bundle=bundle_hash(bundle), command="train")
+    assert run.info.run_name == "interpolation on bump"
     assert run.data.metrics["fitted_speed_percent_mean"] < 8
     assert (
         run.data.tags["data.slides"]
         == json.loads((bundle / "model.json").read_text())["provenance"]["data"]["slides"]
     )
-    held = {path.name for path in (Path(store.removeprefix("sqlite:///")).parent / "mlartifacts").rglob("*")}
+    held = {
+        path.name
+        for path in (Path(tracking_store.removeprefix("sqlite:///")).parent / "mlartifacts").rglob("*")
+    }
     assert held >= {"configuration.json", "fitted.html", "model.json"}
 
 
@@ -92,10 +87,10 @@ def the_run(store: str, **tags: str) -> mlflow.entities.Run:
 
 
 def test_a_run_repeats_from_itself(
-    bundle: Path, store: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    bundle: Path, tracking_store: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The same bytes, with the bundle gone and its settings in no file but the run's."""
-    run = the_run(store, bundle=bundle_hash(bundle), command="train")
+    run = the_run(tracking_store, bundle=bundle_hash(bundle), command="train")
     assert call("train", "--from-run", run.info.run_id, "--out", tmp_path / "again") == 0
     assert capsys.readouterr().out.splitlines() == [
         "model.onnx: the same to the byte",
@@ -104,9 +99,9 @@ def test_a_run_repeats_from_itself(
 
 
 def test_the_configuration_of_a_run_is_one_for_training(
-    bundle: Path, lab: Path, store: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    bundle: Path, lab: Path, tracking_store: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    run = the_run(store, bundle=bundle_hash(bundle), command="train")
+    run = the_run(tracking_store, bundle=bundle_hash(bundle), command="train")
     path = Path(mlflow.artifacts.download_artifacts(run.info.artifact_uri + "/configuration.json"))
     default = model_named("interpolation").config()
     assert (
@@ -118,13 +113,13 @@ def test_the_configuration_of_a_run_is_one_for_training(
 
 
 def test_what_differs_is_named(
-    bundle: Path, lab: Path, store: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    bundle: Path, lab: Path, tracking_store: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     shutil.copytree(lab, tmp_path / "lab")
     manifest = pd.read_csv(lab / "manifest.csv")
     manifest.loc[manifest["split"].str.startswith("calibration"), "speed_mm_s"] *= 1.01
     manifest.to_csv(tmp_path / "lab" / "manifest.csv", index=False)
-    run = the_run(store, bundle=bundle_hash(bundle), command="train")
+    run = the_run(tracking_store, bundle=bundle_hash(bundle), command="train")
     command = ["train", "--from-run", run.info.run_id, "--recordings", tmp_path / "lab"]
     assert call(*command, "--out", tmp_path / "again") == 1
     printed = capsys.readouterr()
@@ -135,17 +130,17 @@ def test_what_differs_is_named(
 
 
 def test_an_evaluation_is_a_run_below_its_training(
-    bundle: Path, lab: Path, store: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    bundle: Path, whole: Path, tracking_store: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    options = ["--split", "test-diagonal", "--jobs", 1, "--out", tmp_path / "results"]
-    call("evaluate", "--model", bundle, "--recordings", SAMPLE, *options)
-    training = the_run(store, bundle=bundle_hash(bundle), command="train")
-    run = the_run(store, bundle=bundle_hash(bundle), command="evaluate")
+    options = ["--split", "test", "--jobs", 1, "--out", tmp_path / "results"]
+    call("evaluate", "--model", bundle, "--recordings", whole, *options)
+    training = the_run(tracking_store, bundle=bundle_hash(bundle), command="train")
+    run = the_run(tracking_store, bundle=bundle_hash(bundle), command="evaluate")
     assert run.data.tags["mlflow.parentRunId"] == training.info.run_id
     assert run.data.tags["bound.direction"] in ("met", "missed", "not tested")
     metrics = json.loads((tmp_path / "results/metrics.json").read_text())
-    mean = metrics["splits"]["test-diagonal"]["1.0"]["direction_deg"]["mean"]
-    assert run.data.metrics["test-diagonal.direction_deg.mean"] == mean
+    mean = metrics["splits"]["test"]["1.0"]["direction_deg"]["mean"]
+    assert run.data.metrics["test.direction_deg.mean"] == mean
 
 
 @pytest.mark.parametrize("identifier", ["none", "0" * 32])
@@ -215,16 +210,16 @@ def test_it_says_what_it_did_not_use_and_what_it_took_for_granted(
     table.loc[names[3], "pressure_mpa"] = "0.03"
     table.to_csv(folder / "manifest.csv")
     assert call("train", "--recordings", folder, "--model", "interpolation", "--out", tmp_path / "out") == 0
-    lines = capsys.readouterr().err.splitlines()
-    plan = f"training interpolation of bench-a from {len(names) - 3} recordings; 3 of {len(names)} left out"
-    assert lines[0].startswith(f"{plan}; the last interpolation on this computer took ")
-    nexts = [line.removeprefix("next: ") for line in lines if line.startswith("next: ")]
+    said = capsys.readouterr().err.splitlines()
+    plan = f"training interpolation of bump from {len(names) - 3} recordings; 3 of {len(names)} left out"
+    assert said[0].startswith(f"{plan}; the last interpolation on this computer took ")
+    nexts = [line.removeprefix("next: ") for line in said if line.startswith("next: ")]
     assert [words.split()[1] for words in nexts] == ["evaluate", "predict", "serve"]
-    assert f"learnt from {len(names) - 3} of {len(names)} recordings" in lines
-    assert f"left out 2: no direction_deg ({names[0]}, {names[1]})" in lines
-    assert "no depth_mm in 1: taken as 0.5 mm" in lines
+    assert f"learnt from {len(names) - 3} of {len(names)} recordings" in said
+    assert f"left out 2: no direction_deg ({names[0]}, {names[1]})" in said
+    assert "no depth_mm in 1: taken as 0.5 mm" in said
     why = "pressure_mpa is 0.03, that of most is 0.035: a model is for one pressure"
-    assert f"left out 1: {why} ({names[3]})" in lines
+    assert f"left out 1: {why} ({names[3]})" in said
 
 
 @pytest.mark.parametrize(("depth_mm", "several"), [("0.58", False), ("0.9", True)])

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+from bump_slides import bump_folder, bump_sensor, lines
 from forked import Commands, commands
 from long_commands import SYNTHESIZE, TRAIN, a_simulation, an_evaluation, an_import
 from sender import PLAN, TIMES, free_port, sending
@@ -131,7 +132,10 @@ def test_a_full_store_costs_no_training(disk: Disk, tmp_path: Path) -> None:
     """It costs the run, in one line."""
     (tmp_path / "work.store").symlink_to(disk.place)
     disk.leave(0)
-    said = ran(disk, [*TRAIN, "--out", str(tmp_path / "bundle")], tmp_path / "work")
+    slides = lines((0.0, 90.0, 180.0, 270.0), (-9.0, -6.0, -3.0, 3.0, 6.0, 9.0), (12.0, 20.0))
+    lab = bump_folder(tmp_path / "lab", bump_sensor(1), {"calibration": slides}).root
+    command = ["train", "--recordings", str(lab), "--model", "interpolation"]
+    said = ran(disk, [*command, "--out", str(tmp_path / "bundle")], tmp_path / "work")
     assert disk.softslide.status == 0, said
     (line,) = [line for line in said if "run not logged" in line]
     assert "no space left on device" in line.lower()

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from sample_folder import sample_folder
 
 import softslide
 from softslide.pipeline.checks.coverage import headings, not_covered
@@ -78,11 +79,7 @@ def test_without_labels_there_is_nothing_to_calibrate_from(sensor: Sensor) -> No
 
 
 def test_check_says_and_draws_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    for place in ("sensor.toml", "slides"):
-        (tmp_path / place).symlink_to(SAMPLE / place)
-    table = pd.read_csv(SAMPLE / "manifest.csv")
-    few = table.query("split == 'calibration' and direction_deg == 0 and speed_mm_s > 3")
-    few.to_csv(tmp_path / "manifest.csv", index=False)
+    sample_folder(tmp_path, "split == 'calibration' and direction_deg == 0 and speed_mm_s > 3")
     picture = tmp_path / "coverage.svg"
     assert softslide.main(["check", str(tmp_path), "--picture", str(picture)]) == 0
     said = capsys.readouterr().out

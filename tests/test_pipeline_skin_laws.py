@@ -1,6 +1,7 @@
 """The skin's mechanics against laws and known solutions."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ from softslide.pipeline.skin.lines import Line, mirror
 from softslide.pipeline.skin.mesh import Mesh, plate, skin_mesh
 from softslide.pipeline.skin.solved_line import gravity, solve_line
 from softslide.pipeline.skin.solver import NoEquilibrium, Skin
-from softslide.pipeline.skin.system import Load, Material
+from softslide.pipeline.skin.system import Load, Material, State
 
 ECOFLEX = Material(0.07 / 3, 2.0, 0.2, 3.0)
 AIR_MPA = 0.001
@@ -132,11 +133,15 @@ def test_refinement_of_an_inflated_skin_converges_as_its_clamped_edge_lets_it():
     assert 1.19 < order(heights) < 2.0
 
 
+@cache
+def inflated(design: Sensor) -> State:
+    return Skin(skin_mesh(design), ECOFLEX).inflate(AIR_MPA)
+
+
+@cache
 def slide(design: Sensor, line: Line, friction: float) -> np.ndarray:
-    design = replace(design, skin=replace(design.skin, friction=friction))
-    skin = Skin(skin_mesh(design), replace(ECOFLEX, friction=friction))
-    along = np.arange(-30, 30.1, 1.25)
-    return solve_line(design, line, along, 0.5, AIR_MPA, skin.inflate(AIR_MPA))[0]
+    rubbing = replace(design, skin=replace(design.skin, friction=friction))
+    return solve_line(rubbing, line, np.arange(-30, 30.1, 1.25), 0.5, AIR_MPA, inflated(design))[0]
 
 
 def test_without_friction_the_way_does_not_matter():

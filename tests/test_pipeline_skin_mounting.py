@@ -131,8 +131,8 @@ def test_a_short_edge_is_a_ball_and_a_long_one_presses_in_proportion() -> None:
     assert np.abs(nearly[:, :3] - ball[:, :3]).max() < 1e-4
     # On a plate without air, bonded all over, each millimetre of an edge carries the same force.
     forces = []
-    line, z = np.linspace(-30.0, 30.0, 49), np.linspace(0.0, 4.0, 4)
-    mesh = plate(line, line, z, np.empty((0, 2)), np.ones(2), (0, 0))
+    across, line, z = np.linspace(-15.0, 15.0, 25), np.linspace(-30.0, 30.0, 49), np.linspace(0.0, 4.0, 4)
+    mesh = plate(across, line, z, np.empty((0, 2)), np.ones(2), (0, 0))
     mesh = replace(mesh, clamped=mesh.nodes[:, 2] == 0)
     for length in (10.0, 20.0, 30.0):
         skin = SolvedSkin(mesh, replace(material_of(DESIGN), edge_mm=(0.0, length)))

@@ -4,12 +4,15 @@ import copy
 import shutil
 import subprocess
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import onnx
 import onnxruntime as ort
 import pytest
+from emx_onnx_cgen.codegen import c_emitter
+from jinja2 import MemcachedBytecodeCache
 from small_bundle import write_small_bundle
 from streams import a_sensor
 
@@ -17,6 +20,14 @@ from softslide.features.card import Card, read_card
 from softslide.models.export.c_code import sources
 from softslide.models.export.formats import of_one_window
 
+
+class _Parsed(dict):
+    """Templates: the generator parses all of its own anew for each graph, which takes a second or two."""
+
+    get, set = dict.__getitem__, dict.__setitem__
+
+
+c_emitter.Environment = partial(c_emitter.Environment, bytecode_cache=MemcachedBytecodeCache(_Parsed()))
 NEEDS_COMPILER = pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler here")
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-O2")
 SANITIZED = (*STRICT, "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
