@@ -1,6 +1,7 @@
 """A stream kept as MCAP: its own reader finds every sample and estimate, and an import the volts."""
 
 import json
+import struct
 from pathlib import Path
 
 import numpy as np
@@ -65,9 +66,14 @@ def test_an_import_reads_the_volts_back(
     softslide.import_recordings(tmp_path / "lab", tmp_path / "map.toml", tmp_path / "out")
     np.testing.assert_array_equal(read_folder(tmp_path / "out").load("run").volts, recorded[1])
     whole = (tmp_path / "lab" / "run.mcap").read_bytes()
-    for share in (0.0, 0.3, 0.9):
-        (tmp_path / "lab" / "run.mcap").write_bytes(whole[: int(share * len(whole))])
-        with pytest.raises(ValueError, match=r"run\.mcap"):
+    cut = [(whole[: int(share * len(whole))], "") for share in (0.0, 0.3, 0.9)]
+    # Of the first channel, that of the volts, the file says how many messages it holds.
+    counted, one_more = (struct.pack("<HQ", 1, count) for count in (SAMPLES, SAMPLES + 1))
+    cut.append((whole.replace(counted, one_more), f": {SAMPLES} of {SAMPLES + 1} messages"))
+    for data, says in cut:
+        assert data != whole
+        (tmp_path / "lab" / "run.mcap").write_bytes(data)
+        with pytest.raises(ValueError, match=rf"run\.mcap{says}"):
             softslide.import_recordings(tmp_path / "lab", tmp_path / "map.toml", tmp_path / "again")
 
 

@@ -66,7 +66,7 @@ def chunks_of(
         yield Chunk(lanes, done / total)
     if done != total:
         raise InputError(
-            f"{path}: {done} of {total} messages on {topic}; the bag is cut short: copy it again"
+            f"{path}: {done} of {total} messages on {topic}; the file is cut short: copy it again"
         )
 
 
@@ -111,10 +111,8 @@ def _unpacked_bytes(chunk: Packed) -> int:
 def _lz4_bytes(frame: bytes) -> int:
     """The most that an LZ4 frame unpacks to, by the number and the size of its blocks (LZ4 Frame Format 1.6.4)."""
     flags, size = frame[4:6].ljust(2, b"\0")
-    at = (
-        7 + (8 if flags & 8 else 0) + (4 if flags & 1 else 0)
-    )  # behind the head: its size and a dictionary's number
-    blocks = 0
+    # Behind the head, which may hold the size and a dictionary's number.
+    at, blocks = 7 + (8 if flags & 8 else 0) + (4 if flags & 1 else 0), 0
     while length := int.from_bytes(frame[at : at + 4], "little"):
         blocks += 1
         at += 4 + (length & 0x7FFFFFFF) + (4 if flags & 16 else 0)  # the checksum
