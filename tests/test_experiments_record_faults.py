@@ -5,7 +5,7 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
-from printer import Printer
+from printer import ORIGIN, Printer
 from streams import a_sensor
 
 from softslide.experiments.acquisition import capture as module
@@ -41,7 +41,7 @@ def test_a_sample_that_is_no_number_costs_the_slide_alone(monkeypatch: pytest.Mo
 def test_a_dry_run_of_a_press_stays_over_its_place(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(stage, "WAKE_S", 0.05)
     press = np.array([(0, 3, 2, -8), (0.5, 3, 2, 0.4), (0.9, 3, 2, 0.4), (1.5, 3, 2, -8)], float)
-    with Printer(haste=100.0) as printer, stage.Stage(printer.url, (110.0, 95.0, 31.5)) as mover:
+    with Printer(haste=100.0) as printer, stage.Stage(printer.url, ORIGIN) as mover:
         drive_in_the_air(mover, press)
     assert printer.place == pytest.approx([113.0, 97.0, 31.5 + CLEAR_MM])
     assert min(end[2] for _, end, _ in printer.moves) >= 31.5 + CLEAR_MM

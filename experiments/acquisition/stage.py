@@ -173,7 +173,9 @@ class Stage:
         data = numbered(line, self._number) if self.firmware == "marlin" else f"{line}\n"
         replies, damaged, again = list[str](), False, 0
         self._write(data)
-        for reply in self._replies(line, patience_s):
+        coming = self._replies(line, patience_s)
+        while True:
+            reply = next(coming)
             if reply.startswith("ok"):
                 if not damaged:
                     return [*replies, reply]
@@ -191,7 +193,6 @@ class Stage:
                 )
             else:
                 replies.append(reply)
-        raise AssertionError
 
     def _begin(self, origin_mm: Sequence[float] | None) -> None:
         time.sleep(WAKE_S)
