@@ -47,7 +47,7 @@ def report_use(chosen: Folder, folder: Folder, fitted: FittedModel, several_heig
     can be fitted to recordings at several heights of the skin.
     """
     left_out = why_not_labelled(with_derived_labels(chosen), several_heights) | fitted.left_out
-    print(f"learnt from {len(chosen) - len(left_out)} of {len(chosen)} recordings", file=sys.stderr)
+    print(f"learned from {len(chosen) - len(left_out)} of {len(chosen)} recordings", file=sys.stderr)
     for line in (*_left_out(left_out), *_assumed(chosen, folder, fitted)):
         print(line, file=sys.stderr)
 

@@ -109,22 +109,20 @@ def stops_on(
     near_mm = math.sqrt(limits.agreement) * half_mm / limits.half_width
     if abs(across_mm) > near_mm or not -near_mm <= along_mm <= longest_mm + near_mm:
         return False
-    if track.reason in (Reason.NONE, Reason.AMBIGUOUS) and may_rest(track, line, limits):
+    if track.reason in (Reason.NONE, Reason.AMBIGUOUS) and may_rest(track, limits):
         return True
-    slow = track.speed_mm_s < limits.slow_share * line.speed_mm_s
-    return elapsed_s <= limits.stopping_s and (slow or track.reason is Reason.NOT_THIS_SENSOR)
+    return elapsed_s <= limits.stopping_s and track.reason is Reason.NOT_THIS_SENSOR
 
 
-def may_rest(track: Estimate, line: Estimate, limits: TrackLimits) -> bool:
-    """Whether a contact that slid along the line may have come to rest, creep apart."""
-    creep_mm_s = max(limits.stopped_mm_s, limits.creep_share * line.speed_mm_s)
-    return track.speed_mm_s < creep_mm_s or track.speed_lo_mm_s <= 0.0
+def may_rest(track: Estimate, limits: TrackLimits) -> bool:
+    """Whether a contact may have come to rest."""
+    return track.speed_mm_s < limits.stopped_mm_s or track.speed_lo_mm_s <= 0.0
 
 
 def rests(track: Estimate, line: Estimate, limits: TrackLimits) -> bool:
     """Whether it has: a track that is still a quarter as fast as the slide has only lost the speed."""
     slow_mm_s = max(limits.stopped_mm_s, limits.rest_share * line.speed_mm_s)
-    return may_rest(track, line, limits) and track.speed_mm_s < slow_mm_s
+    return may_rest(track, limits) and track.speed_mm_s < slow_mm_s
 
 
 def stopped_on(line: Estimate, track: Estimate, limits: TrackLimits, ended: bool) -> Estimate:

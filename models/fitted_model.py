@@ -29,7 +29,7 @@ class FittedModel:
     windows: what export is checked on; None: the recordings' own.
     contact: what contacts are tracked with; None: the model knows straight slides alone. force: None: it knows none.
     heights: of the skin; None: it knows one alone.
-    untimed: how many slides had their onset fitted. left_out: why a recording was not learnt from, by name.
+    untimed: how many slides had their onset fitted. left_out: why a recording was not learned from, by name.
     """
 
     input: str

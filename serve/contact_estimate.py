@@ -1,19 +1,16 @@
 """The estimate of a contact: the straight slide that the graph fits, the track, or neither, and why.
 
-1. The straight slide, where the track agrees with it (`apart`), and is valid or makes it likely (`likely`). On a line
-   that they agreed on before, its misfit may be twice the bundle's limit, where a valid track agrees to 95 %.
+1. The straight slide, where the track agrees with it (`apart`), and is valid or makes it likely (`likely`).
 2. What the signal forbids, whatever fits: a dead channel, drift; too early, unless the track has much evidence.
 3. The line that straight slide and track agreed on, where the contact stops on it, or where the straight slide still
    follows it and the track is lost or goes much the same way: then with intervals that hold the track.
-4. Ambiguous, where a straight slide explains the output and goes another way than the track, or explains to the noise
-   what the track takes for a press.
+4. Ambiguous, where a straight slide explains the output and goes another way than the track.
 5. The track, valid by its own limits (`features/track_estimate.py`).
 
 A model on features answers by itself: the track allows its estimate or forbids it.
 """
 
 import math
-from collections import deque
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -36,7 +33,7 @@ from softslide.features.straight_slide import (
 )
 from softslide.features.stream.conditioning import ONSETS, LagUndone
 from softslide.features.stream.tracker import SlideState, SlideTracker
-from softslide.features.track_estimate import LIKELY, TOUCH_LIMITS, TrackLimits, is_sure, judged
+from softslide.features.track_estimate import TOUCH_LIMITS, TrackLimits, is_sure, judged
 from softslide.serve.contact_tracker import AnyTracker, contact_tracker
 
 # Blocks, 0.1 s, between two straight fits that are kept, and 0.2 s between two that the tracker is offered.
@@ -44,13 +41,6 @@ FIT_BLOCKS, OFFER_BLOCKS = 5, 10
 # A straight slide is fitted anew when the slide has grown by one part in so many: with a twentieth fast slides erred
 # half as much again at 2/5 of the stroke (experiments/LOG.md).
 NEW_SHARE = 50
-# Fits, 0.3 s, that a stop takes to show in the track, at most (synthetic slides, experiments/LOG.md).
-KEPT_FITS = 4
-# Times the bundle's limit: the largest misfit of a straight slide of the line so far, where a track errs twice as much
-# (experiments/LOG.md).
-LINE_MISFIT = 2.0
-# Misfit of a slide that explains the output to the noise: of a press a straight slide has more, once it rests.
-TO_NOISE = 1.0
 # What forbids any estimate from the signal, not only that of a straight slide.
 _OF_THE_SIGNAL = (Reason.DEAD_CHANNEL, Reason.DRIFT, Reason.TOO_EARLY)
 
@@ -78,27 +68,22 @@ class ContactEstimator:
         self._limits = TOUCH_LIMITS if self.touches_down else TrackLimits()
         self._strict = replace(self._limits, sure_log_odds=math.inf)
         self._count = 0
-        # The last straight slide that was fitted, and the last ones that the track agreed with: the newest of a contact
-        # that stops is of some of the stop.
+        # The last straight slide that was fitted, and the last one that the track agreed with.
         self._fit: _Fit | None = None
-        self._lines: deque[_Fit] = deque(maxlen=KEPT_FITS)
+        self._line: _Fit | None = None
         self.reset()
 
     def reset(self) -> None:
         """Forgets the contact."""
         self._lag.reset()
         self.track: Track | None = None
-        # The track when the output was last above the trigger, and after how many blocks that was: below it, at the
-        # skin's rim, a track wanders, and does not show whether a slide was straight.
-        self._clear: tuple[Track, int] | None = None
         self.begin()
         if self._tracker is not None:
             self._tracker.reset()
 
     def begin(self) -> None:
         """A slide begins: fits of the one before are not of it."""
-        self._fit = None
-        self._lines.clear()
+        self._fit = self._line = None
 
     def read_at(self, step: int, step_mm: float) -> None:
         """Reads the map at a skin's height so many steps off the card's.
@@ -121,10 +106,6 @@ class ContactEstimator:
         volts = self._lag.push(stream.subtracted[stream.touch])
         usable = np.repeat(stream.usable & healthy, len(conditioning.touch_axes))
         self.track = self._tracker.push(volts, stream.state is SlideState.SLIDE, usable)
-        if self.track is None:
-            self._clear = None
-        elif np.abs(stream.subtracted_level[stream.touch][usable]).max(initial=0.0) > conditioning.trigger_v:
-            self._clear = self.track, count
 
     @property
     def wants_fit(self) -> bool:
@@ -153,10 +134,10 @@ class ContactEstimator:
         tracked = self._judged(self.track, 0.0)
         if self._on_features:
             if min(tracked.speed_lo_mm_s, straight.speed_lo_mm_s) > 0.0 and same_line(straight, tracked):
-                self._lines.append(self._fit)
+                self._line = self._fit
             return
         if self._agrees(straight, tracked):
-            self._lines.append(self._fit)
+            self._line = self._fit
         elif (
             self._count % OFFER_BLOCKS == 0
             and explains(straight)
@@ -186,13 +167,8 @@ class ContactEstimator:
             if state is SlideState.SLIDE or pressed:
                 return tracked
             return tracked._replace(valid=False, reason=Reason.TOO_EARLY if healthy else Reason.DEAD_CHANNEL)
-        if tracked.valid and self._is_of_the_line(straight):
-            straight = straight._replace(valid=True, reason=Reason.NONE)
         if straight.valid and self._agrees(straight, tracked):
-            if self._stream.rested_s == 0.0:
-                return with_track(straight, tracked, limits.shared)
-            if not self._lines:
-                self._lines.append(_Fit(self._count, straight))
+            return with_track(straight, tracked, limits.shared)
         if straight.reason in _OF_THE_SIGNAL:
             # Where the output has not moved on since the touch, it may be a press's.
             sure = tracked.valid and is_sure(self.track, limits)
@@ -201,9 +177,9 @@ class ContactEstimator:
             return tracked._replace(valid=False, reason=straight.reason)
         if self.touches_down:
             return tracked
-        if self._lines:
-            stopped = self._on_the_line(straight, tracked)
-            if straight.valid and same_line(straight, self._lines[0].estimate):
+        if self._line is not None:
+            stopped = self._on_the_line(self._line, tracked)
+            if straight.valid and same_line(straight, self._line.estimate):
                 # A track that has lost the contact says nothing against a line that it agreed with, nor does one that
                 # is valid for its evidence alone or goes on along the line at another speed: what fits all of the way
                 # so far knows more.
@@ -214,40 +190,30 @@ class ContactEstimator:
                 if not contests or (slides and not crosses(straight, tracked, limits)):
                     return with_track(straight, tracked, limits.shared)
             tracked = stopped
-        turns = tracked.contact is Contact.SLIDE and crosses(straight, tracked, limits)
-        if explains(straight) and (turns or (pressed and straight.misfit <= TO_NOISE)):
+        if tracked.contact is Contact.SLIDE and explains(straight) and crosses(straight, tracked, limits):
             return tracked._replace(valid=False, reason=Reason.AMBIGUOUS)
         return tracked
 
     def _apart(self, straight: Estimate) -> float:
-        """How far a straight slide is from the track when the output was last above the trigger."""
-        return apart(straight, *self._clear_track(), self._limits)
+        """How far a straight slide is from the track."""
+        assert self.track is not None
+        return apart(straight, self.track, 0.0, self._limits)
 
     def _agrees(self, straight: Estimate, tracked: Estimate) -> bool:
         """Whether the track agrees with a straight slide, and is valid or makes it likely."""
-        return self._stands(self._apart(straight), tracked, self._clear_track()[0])
+        assert self.track is not None
+        return self._stands(self._apart(straight), tracked, self.track)
 
     def _stands(self, distance: float, tracked: Estimate, track: Track) -> bool:
         """Whether a straight slide stands at a distance from the track, which is valid or makes it likely."""
         return distance <= self._limits.agreement and (tracked.valid or likely(track, distance, self._limits))
-
-    def _is_of_the_line(self, straight: Estimate) -> bool:
-        """Whether a straight slide, its misfit over the bundle's limit, is of a line that the track agreed with and
-        likely agrees with still."""
-        return (
-            straight.reason is Reason.NOT_THIS_SENSOR
-            and straight.misfit <= LINE_MISFIT * self._card.validity.misfit
-            and len(self._lines) > 0
-            and same_line(straight, self._lines[0].estimate)
-            and self._apart(straight) <= LIKELY
-        )
 
     def _allowed(self, straight: Estimate | None, tracked: Estimate) -> Estimate | None:
         """Why the straight slide is not valid where the track has not been of its line a moment ago; else None."""
         if straight is None or not straight.valid:
             return None
         latest = self._stream.rested_s + self._limits.stopping_s
-        if self._lines and self._seconds_since(self._lines[-1].blocks) <= latest:
+        if self._line is not None and self._seconds_since(self._line.blocks) <= latest:
             return None
         return straight._replace(valid=False, reason=tracked.reason or Reason.AMBIGUOUS)
 
@@ -268,19 +234,12 @@ class ContactEstimator:
                 return with_track(earlier(line, since_s), tracked, limits.shared)
         return tracked
 
-    def _on_the_line(self, straight: Estimate, tracked: Estimate) -> Estimate:
-        """The track, or the line that it agreed with where the contact stops on it.
-
-        Where the slide has ended with a stop, a fit of all before the stop says the most, if it is of the same line.
-        """
-        line, limits = self._lines[0], self._limits
-        since_s, rested_s = self._seconds_since(self._lines[-1].blocks), self._stream.rested_s
+    def _on_the_line(self, line: _Fit, tracked: Estimate) -> Estimate:
+        """The track, or the line that it agreed with where the contact stops on it."""
+        limits, rested_s = self._limits, self._stream.rested_s
+        since_s = self._seconds_since(line.blocks)
         ended = rested_s > 0.0 and since_s <= rested_s + limits.stopping_s
-        if ended and straight.valid and same_line(straight, line.estimate):
-            # What was fitted ends where the contact rests.
-            at_end = tracked._replace(x_mm=straight.x_mm, y_mm=straight.y_mm)
-            return stopped_on(straight, at_end, limits, ended)
-        longest_mm = self._seconds_since(line.blocks) * line.estimate.speed_mm_s
+        longest_mm = since_s * line.estimate.speed_mm_s
         if ended or stops_on(line.estimate, tracked, since_s, longest_mm, limits):
             return stopped_on(line.estimate, tracked, limits, ended or since_s > limits.pause_s)
         return tracked
@@ -289,13 +248,6 @@ class ContactEstimator:
         card, state = self._card, self._stream.state
         assert card.contact is not None
         return judged(track, time_s, state, card.reference_mm, card.contact.depth_mm, limits or self._limits)
-
-    def _clear_track(self) -> tuple[Track, float]:
-        """The track when the output was last above the trigger, and how long ago that was, s."""
-        assert self.track is not None
-        clear, at = self._clear or (self.track, self._count)
-        # The window ends as a contact is lifted that comes down anywhere, and so does its track.
-        return clear, 0.0 if self.touches_down else self._seconds_since(at)
 
     def _seconds_since(self, blocks: int) -> float:
         return (self._count - blocks) * self._card.conditioning.block_s

@@ -215,7 +215,7 @@ def test_it_says_what_it_did_not_use_and_what_it_took_for_granted(
     assert said[0].startswith(f"{plan}; the last interpolation on this computer took ")
     nexts = [line.removeprefix("next: ") for line in said if line.startswith("next: ")]
     assert [words.split()[1] for words in nexts] == ["evaluate", "predict", "serve"]
-    assert f"learnt from {len(names) - 3} of {len(names)} recordings" in said
+    assert f"learned from {len(names) - 3} of {len(names)} recordings" in said
     assert f"left out 2: no direction_deg ({names[0]}, {names[1]})" in said
     assert "no depth_mm in 1: taken as 0.5 mm" in said
     why = "pressure_mpa is 0.03, that of most is 0.035: a model is for one pressure"

@@ -30,7 +30,7 @@ class Misfit:
 
     @classmethod
     def of(cls, windows: LabelledWindows) -> "Misfit":
-        """From the late windows of the slides that are learnt from."""
+        """From the late windows of the slides that are learned from."""
         _, columns, read = read_windows(windows)
         read = read.astype(np.float64)
         scale = Scale.of(read)

@@ -20,7 +20,7 @@ from softslide.pipeline.recordings.windows import LabelledWindows
 OUTPUTS = ("direction_cos", "direction_sin", "log_speed_width", "offset_mm", "along_mm")
 
 # Share of the stroke before which windows are left out of a fit: slides that differ look alike there, and what is
-# learnt from them spoils later windows. A Gaussian process's speed error falls from 7.5 to 2.6 % (experiments/LOG.md).
+# learned from them spoils later windows. A Gaussian process's speed error falls from 7.5 to 2.6 % (experiments/LOG.md).
 EARLIEST = 0.35
 
 

@@ -31,7 +31,7 @@ def conditioning_for(folder: Folder, conditioning: Conditioning) -> Conditioning
     """`conditioning` for the folder's sensor; constants that differ from the defaults were chosen, and stay.
 
     touch_axes are the sensor's; onset is "rim" for accelerometers, whose skin has one. scale brings volts to those of
-    0.8 V/g, and outputs of another kind to the same noise at rest, so that thresholds and all that is learnt mean the
+    0.8 V/g, and outputs of another kind to the same noise at rest, so that thresholds and all that is learned mean the
     same at any sensitivity and in any unit.
     block_s holds a period of 60 Hz mains where `sensor.toml` names it, or where it shows at rest.
     Where the noise at rest is more than the thresholds allow for, they grow together.

@@ -65,7 +65,7 @@ def _share(part: pd.Series, coordinate: pd.Series) -> pd.Series:
 
 
 def why_not_labelled(folder: Folder, several_heights: bool = False) -> dict[str, str]:
-    """For each recording that is not learnt from, why: the labels of LINE that it lacks, or another pressure.
+    """For each recording that is not learned from, why: the labels of LINE that it lacks, or another pressure.
 
     several_heights: as in `recordings_to_learn_from`.
     """
