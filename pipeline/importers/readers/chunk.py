@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -89,3 +90,26 @@ def in_chunks(path: Path, lanes: Mapping[str, Any]) -> Iterator[Chunk]:
             for column, lane in lanes.items()
         }
         yield Chunk(parts, stop / length)
+
+
+def chunks_of(
+    path: Path, topic: str, columns: Sequence[str], rows: Iterable[list[Any]], total: int, size: int
+) -> Iterator[Chunk]:
+    """Chunks of `size` messages, from a row of cells for each.
+
+    Raises:
+        InputError: there are not as many as the file says, or a cell is a list.
+    """
+    rows, done = iter(rows), 0
+    while block := list(islice(rows, size)):
+        done += len(block)
+        lanes = {name: np.array(lane) for name, lane in zip(columns, zip(*block, strict=True), strict=True)}
+        if lists := [name for name, lane in lanes.items() if lane.ndim > 1]:
+            raise InputError(
+                f"{path}: '{lists[0]}' holds many values a message; name one that holds a number"
+            )
+        yield Chunk(lanes, done / total)
+    if done != total:
+        raise InputError(
+            f"{path}: {done} of {total} messages on {topic}; the file is cut short: copy it again"
+        )

@@ -1,8 +1,7 @@
 """MCAP of JSON messages, as `softslide serve --log` writes it: a topic's fields by their names."""
 
 import json
-from collections.abc import Iterable, Iterator, Sequence
-from itertools import islice
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -16,7 +15,7 @@ from mcap.stream_reader import StreamReader
 from mcap.summary import Summary
 
 from softslide.features.errors import InputError
-from softslide.pipeline.importers.readers.chunk import CHUNK, MOST_CHUNK_BYTES, Chunk, require
+from softslide.pipeline.importers.readers.chunk import CHUNK, MOST_CHUNK_BYTES, Chunk, chunks_of, require
 
 TOPIC = "/softslide/volts"
 RECORD_HEAD_BYTES = 9  # of each record: its kind and its length
@@ -45,29 +44,6 @@ def read_mcap(path: Path, columns: Sequence[str]) -> Iterator[Chunk]:
 def _cells(path: Path, fields: dict[str, Any], columns: Sequence[str]) -> list[Any]:
     require(path, columns, fields, "field")
     return [np.nan if fields[column] is None else fields[column] for column in columns]
-
-
-def chunks_of(
-    path: Path, topic: str, columns: Sequence[str], rows: Iterable[list[Any]], total: int, size: int
-) -> Iterator[Chunk]:
-    """Chunks of `size` messages, from a row of cells for each.
-
-    Raises:
-        InputError: there are not as many as the file says, or a cell is a list.
-    """
-    rows, done = iter(rows), 0
-    while block := list(islice(rows, size)):
-        done += len(block)
-        lanes = {name: np.array(lane) for name, lane in zip(columns, zip(*block, strict=True), strict=True)}
-        if lists := [name for name, lane in lanes.items() if lane.ndim > 1]:
-            raise InputError(
-                f"{path}: '{lists[0]}' holds many values a message; name one that holds a number"
-            )
-        yield Chunk(lanes, done / total)
-    if done != total:
-        raise InputError(
-            f"{path}: {done} of {total} messages on {topic}; the file is cut short: copy it again"
-        )
 
 
 def check_chunks(path: Path, file: BinaryIO, summary: Summary | None) -> None:

@@ -9,8 +9,8 @@ from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
 from softslide.features.errors import InputError
-from softslide.pipeline.importers.readers.chunk import Chunk, require
-from softslide.pipeline.importers.readers.mcap_log import check_chunks, chunks_of
+from softslide.pipeline.importers.readers.chunk import Chunk, chunks_of, require
+from softslide.pipeline.importers.readers.mcap_log import check_chunks
 
 # Messages a chunk holds: they are Python objects while they are read.
 MESSAGES = 20_000
