@@ -1,6 +1,7 @@
 """The estimate of a contact: the straight slide that the graph fits, the track, or neither, and why.
 
-1. The straight slide, where the track agrees with it (`apart`), and is valid or makes it likely (`likely`).
+1. The straight slide, where the track agrees with it (`apart`), and is valid or makes it likely (`likely`). On a line
+   that they agreed on before, its misfit may be twice the bundle's limit, where a valid track agrees to 95 %.
 2. What the signal forbids, whatever fits: a dead channel, drift; too early, unless the track has much evidence.
 3. The line that straight slide and track agreed on, where the contact stops on it, or where the straight slide still
    follows it and the track is lost or goes much the same way: then with intervals that hold the track.
@@ -33,7 +34,7 @@ from softslide.features.straight_slide import (
 )
 from softslide.features.stream.conditioning import ONSETS, LagUndone
 from softslide.features.stream.tracker import SlideState, SlideTracker
-from softslide.features.track_estimate import TOUCH_LIMITS, TrackLimits, is_sure, judged
+from softslide.features.track_estimate import LIKELY, TOUCH_LIMITS, TrackLimits, is_sure, judged
 from softslide.serve.contact_tracker import AnyTracker, contact_tracker
 
 # Blocks, 0.1 s, between two straight fits that are kept, and 0.2 s between two that the tracker is offered.
@@ -41,6 +42,9 @@ FIT_BLOCKS, OFFER_BLOCKS = 5, 10
 # A straight slide is fitted anew when the slide has grown by one part in so many: with a twentieth fast slides erred
 # half as much again at 2/5 of the stroke (experiments/LOG.md).
 NEW_SHARE = 50
+# Times the bundle's limit: the largest misfit of a straight slide of the line so far, where a track errs twice as much
+# (experiments/LOG.md).
+LINE_MISFIT = 2.0
 # What forbids any estimate from the signal, not only that of a straight slide.
 _OF_THE_SIGNAL = (Reason.DEAD_CHANNEL, Reason.DRIFT, Reason.TOO_EARLY)
 
@@ -77,6 +81,9 @@ class ContactEstimator:
         """Forgets the contact."""
         self._lag.reset()
         self.track: Track | None = None
+        # The track when the output was last above the trigger, and after how many blocks that was: below it, at the
+        # skin's rim, a track wanders, and does not show whether a slide was straight.
+        self._clear: tuple[Track, int] | None = None
         self.begin()
         if self._tracker is not None:
             self._tracker.reset()
@@ -106,6 +113,10 @@ class ContactEstimator:
         volts = self._lag.push(stream.subtracted[stream.touch])
         usable = np.repeat(stream.usable & healthy, len(conditioning.touch_axes))
         self.track = self._tracker.push(volts, stream.state is SlideState.SLIDE, usable)
+        if self.track is None:
+            self._clear = None
+        elif np.abs(stream.subtracted_level[stream.touch][usable]).max(initial=0.0) > conditioning.trigger_v:
+            self._clear = self.track, count
 
     @property
     def wants_fit(self) -> bool:
@@ -167,7 +178,9 @@ class ContactEstimator:
             if state is SlideState.SLIDE or pressed:
                 return tracked
             return tracked._replace(valid=False, reason=Reason.TOO_EARLY if healthy else Reason.DEAD_CHANNEL)
-        if straight.valid and self._agrees(straight, tracked):
+        if tracked.valid and self._is_of_the_line(straight):
+            straight = straight._replace(valid=True, reason=Reason.NONE)
+        if straight.valid and self._stream.rested_s == 0.0 and self._agrees(straight, tracked):
             return with_track(straight, tracked, limits.shared)
         if straight.reason in _OF_THE_SIGNAL:
             # Where the output has not moved on since the touch, it may be a press's.
@@ -195,18 +208,27 @@ class ContactEstimator:
         return tracked
 
     def _apart(self, straight: Estimate) -> float:
-        """How far a straight slide is from the track."""
-        assert self.track is not None
-        return apart(straight, self.track, 0.0, self._limits)
+        """How far a straight slide is from the track when the output was last above the trigger."""
+        return apart(straight, *self._clear_track(), self._limits)
 
     def _agrees(self, straight: Estimate, tracked: Estimate) -> bool:
         """Whether the track agrees with a straight slide, and is valid or makes it likely."""
-        assert self.track is not None
-        return self._stands(self._apart(straight), tracked, self.track)
+        return self._stands(self._apart(straight), tracked, self._clear_track()[0])
 
     def _stands(self, distance: float, tracked: Estimate, track: Track) -> bool:
         """Whether a straight slide stands at a distance from the track, which is valid or makes it likely."""
         return distance <= self._limits.agreement and (tracked.valid or likely(track, distance, self._limits))
+
+    def _is_of_the_line(self, straight: Estimate) -> bool:
+        """Whether a straight slide, its misfit over the bundle's limit, is of a line that the track agreed with and
+        likely agrees with still."""
+        return (
+            straight.reason is Reason.NOT_THIS_SENSOR
+            and straight.misfit <= LINE_MISFIT * self._card.validity.misfit
+            and self._line is not None
+            and same_line(straight, self._line.estimate)
+            and self._apart(straight) <= LIKELY
+        )
 
     def _allowed(self, straight: Estimate | None, tracked: Estimate) -> Estimate | None:
         """Why the straight slide is not valid where the track has not been of its line a moment ago; else None."""
@@ -248,6 +270,13 @@ class ContactEstimator:
         card, state = self._card, self._stream.state
         assert card.contact is not None
         return judged(track, time_s, state, card.reference_mm, card.contact.depth_mm, limits or self._limits)
+
+    def _clear_track(self) -> tuple[Track, float]:
+        """The track when the output was last above the trigger, and how long ago that was, s."""
+        assert self.track is not None
+        clear, at = self._clear or (self.track, self._count)
+        # The window ends as a contact is lifted that comes down anywhere, and so does its track.
+        return clear, 0.0 if self.touches_down else self._seconds_since(at)
 
     def _seconds_since(self, blocks: int) -> float:
         return (self._count - blocks) * self._card.conditioning.block_s

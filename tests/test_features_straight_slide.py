@@ -90,7 +90,7 @@ def test_a_mixture_s_interval_holds_90_percent_of_it(weight: float, wider: float
 
 
 @given(since_s=st.floats(0.0, 2.0), off_mm=st.floats(0.0, 3.0))
-def test_a_straight_slide_is_compared_where_it_was_at_the_time_of_the_track(
+def test_a_straight_slide_is_compared_where_it_was_when_the_track_was_clear(
     since_s: float, off_mm: float
 ) -> None:
     """A track of `since_s` ago agrees with the slide that was there then, as far as its own 0.3 mm allow."""
