@@ -163,6 +163,17 @@ def test_a_zero_that_moves_in_most_slides_is_found(sound, tmp_path: Path) -> Non
     assert found == {("drift", "a0_vy")}
 
 
+def test_an_object_that_stays_on_the_skin_is_no_drift(sound, tmp_path: Path) -> None:
+    def stopping(recording: Recording, row: pd.Series) -> None:
+        whole_s = row["motion_end_s"] - row["motion_start_s"]
+        row["motion_end_s"], row["travel_mm"] = row["motion_start_s"] + 0.6 * whole_s, 0.6 * row["travel_mm"]
+        after = recording.time_s > row["motion_end_s"]
+        noise = recording.volts[: after.sum()] - recording.volts[: after.sum()].mean(axis=0)
+        recording.volts[after] = recording.volts[~after][-100:].mean(axis=0) + noise
+
+    assert "drift" not in {finding.kind for finding in injured(sound, tmp_path, stopping)}
+
+
 def test_a_copy_is_found_wherever_it_begins(sound, tmp_path: Path) -> None:
     folder, recordings = sound
     first, second = recordings[0], recordings[1]

@@ -14,7 +14,12 @@ from softslide.features.errors import InputError
 from softslide.pipeline.atlas.atlas import Atlas
 from softslide.pipeline.atlas.static_contact import height_by_atlas, height_by_formula
 from softslide.pipeline.recordings.folder import Folder
-from softslide.pipeline.recordings.heights import is_other, laser_readings_mm, main_pressure_mpa
+from softslide.pipeline.recordings.heights import (
+    alike_mpa,
+    is_other,
+    laser_readings_mm,
+    main_pressure_mpa,
+)
 
 # A row's heights, in mm, and what people call them.
 HEIGHTS = {"laser_mm": "laser", "formula_mm": "formula", "atlas_mm": "solved", "fitted_mm": "fitted"}
@@ -39,7 +44,7 @@ def skin_heights(
     """
     names = [name for name, volts in rest_v.items() if np.isfinite(volts).all()]
     table = folder.manifest.loc[names]
-    pressure = table["pressure_mpa"].fillna(folder.sensor.pressure_mpa)
+    pressure = alike_mpa(table["pressure_mpa"].fillna(folder.sensor.pressure_mpa))
     laser = laser_readings_mm(folder)[names]
     boards, half_mm = folder.sensor.accelerometers, folder.sensor.chamber_mm[0] / 2
     zero, per_g = (np.array([getattr(a, key) for a in boards]) for key in ("zero_g_v", "sensitivity_v_per_g"))

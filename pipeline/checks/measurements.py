@@ -7,7 +7,7 @@ import pandas as pd
 from scipy.signal import welch
 
 from softslide.pipeline.checks.rail_run import rail_run
-from softslide.pipeline.checks.zone_signs import sign_agreement
+from softslide.pipeline.checks.zone_signs import rests_on_skin, sign_agreement
 from softslide.pipeline.recordings.folder import Recording
 from softslide.pipeline.recordings.successive_means import successive_means
 from softslide.pipeline.sensor import Sensor
@@ -33,10 +33,10 @@ class Measurements:
     samples at the highest or lowest reading. noise_v_rthz: density, V / sqrt(Hz). mains_v: amplitude at the
     nearer of 50 and 60 Hz. tone_hz, tone_ratio: the strongest other line and its power over the noise
     floor. rest_s: before the motion, NaN if unlabelled. rest_v: mean before it, or of the first half
-    second. drift_v: rest after less rest before, NaN if either is absent. agreement: (accelerometers, 3,
-    2), see `zone_signs.sign_agreement`. landmarks: see `_landmarks`. fingerprint: (n, channels) noise of the
-    first samples, each channel of unit norm. echo: the highest autocorrelation of the noise at a lag of a fifth of a
-    second or more.
+    second. drift_v: rest after less rest before, NaN if either is absent or the object stays on the skin.
+    agreement: (accelerometers, 3, 2), see `zone_signs.sign_agreement`. landmarks: see `_landmarks`.
+    fingerprint: (n, channels) noise of the first samples, each channel of unit norm. echo: the highest
+    autocorrelation of the noise at a lag of a fifth of a second or more.
     """
 
     name: str
@@ -75,7 +75,7 @@ def measure(
     # The skin creeps back for a while after the object has left.
     after = time_s > end + 0.25
     rest_v = level.volts[before].mean(axis=0) if before.any() else np.full(volts.shape[1], np.nan)
-    settled = after.sum() > 0.25 * rate and before.any()
+    settled = after.sum() > 0.25 * rate and before.any() and not rests_on_skin(labels, sensor)
     floor, frequency, power = _spectrum(volts, rate)
     mains_hz, mains_v = _mains(frequency, power, floor)
     tone_hz, tone_ratio = _tones(frequency, power, floor)

@@ -49,6 +49,14 @@ def contact_path(time_s: np.ndarray, labels: pd.Series, sensor: Sensor) -> np.nd
     return start_mm(labels, sensor) + way[:, None] * np.array([np.cos(angle), np.sin(angle)])
 
 
+def rests_on_skin(labels: pd.Series, sensor: Sensor) -> bool:
+    """Whether the motion ends over the chamber, by the labels: the object then rests on the skin."""
+    if labels[list(NEEDED)].isna().any():
+        return False
+    end = contact_path(np.array([labels["motion_end_s"]]), labels, sensor)[0]
+    return bool((np.abs(end) < np.array(sensor.chamber_mm) / 2).all())
+
+
 def sign_agreement(recording: Recording, labels: pd.Series, sensor: Sensor) -> np.ndarray:
     """How far each output follows the sign due: (accelerometers, 3 outputs, 2 axes), cosines in [-1, 1].
 

@@ -22,9 +22,28 @@ USUAL_MM = 7.5
 
 
 def main_pressure_mpa(folder: Folder) -> float:
-    """The pressure under the skin that most recordings have; `sensor.toml`'s where none says."""
-    pressures = folder.manifest["pressure_mpa"].dropna()
-    return float(pressures.mode().iloc[0]) if len(pressures) else folder.sensor.pressure_mpa
+    """The pressure under the skin that the most recordings have, to SAME_PRESSURE; `sensor.toml`'s where none says.
+
+    A gauge's readings differ where the pressure is the same.
+    """
+    pressures = np.sort(folder.manifest["pressure_mpa"].dropna().to_numpy(float))
+    if not len(pressures):
+        return folder.sensor.pressure_mpa
+    alike = np.searchsorted(pressures, pressures * (1 + SAME_PRESSURE), "right")
+    alike -= np.searchsorted(pressures, pressures * (1 - SAME_PRESSURE), "left")
+    most = pressures[alike == alike.max()]
+    most = most[most <= most[0] * (1 + SAME_PRESSURE)]
+    return float(most[(len(most) - 1) // 2])
+
+
+def alike_mpa(pressures_mpa: pd.Series) -> pd.Series:
+    """Pressures, those that are the same to SAME_PRESSURE on either side as their median."""
+    ordered = pressures_mpa.sort_values()
+    lowest, groups = -math.inf, []
+    for value in ordered:
+        lowest = value if value > lowest * (1 + 2 * SAME_PRESSURE) else lowest
+        groups.append(lowest)
+    return ordered.groupby(groups).transform("median")[pressures_mpa.index]
 
 
 def is_other(pressures_mpa: pd.Series, pressure_mpa: float) -> pd.Series:
@@ -49,9 +68,9 @@ def said_of_heights(folder: Folder) -> str:
     heights = with_heights(folder).manifest[HEIGHT]
     read = int(laser_readings_mm(folder).notna().sum())
     return (
-        f"{int(others.sum())} calibration slides are not at {main_mpa:g} MPa as most are: 'train' makes cnn one map "
-        f"over heights of the skin ({heights.min():.2f} to {heights.max():.2f} mm; {LASER} of {read} slides), unless a "
-        "map of each height predicts held-out lines better; other models leave these slides out"
+        f"{int(others.sum())} calibration slides are not at {main_mpa:g} MPa as {int((~others).sum())} are: 'train' "
+        f"makes cnn one map over heights of the skin ({heights.min():.2f} to {heights.max():.2f} mm; {LASER} of {read} "
+        "slides), unless a map of each height predicts held-out lines better; other models leave these slides out"
     )
 
 
