@@ -181,6 +181,12 @@ def test_pressures_and_lasers_of_the_folder_are_read(tmp_path: Path) -> None:
     role = pressure(atlas, read_folder(tmp_path), whole_slides(slides))
     assert role.missing == ""
     assert "at 0.028 MPa" in role.here
+    # A gauge's uneven readings of one pressure are no several ones.
+    uneven_mpa = 0.035 * (1 + 0.018 * np.sin(np.arange(len(manifest))))
+    manifest.assign(pressure_mpa=uneven_mpa).to_csv(tmp_path / "manifest.csv", index=False)
+    slides, _ = read_axis_slides(read_folder(tmp_path))
+    assert slides is not None
+    assert "one pressure" in pressure(atlas, read_folder(tmp_path), whole_slides(slides)).missing
 
 
 def test_the_best_variant_answers_less_and_errs_less(made: Article) -> None:

@@ -16,6 +16,7 @@ from softslide.features.errors import InputError
 from softslide.pipeline.atlas.atlas import Atlas
 from softslide.pipeline.atlas.static_contact import height_by_atlas, height_by_formula
 from softslide.pipeline.recordings.folder import Folder
+from softslide.pipeline.recordings.heights import alike_mpa
 from softslide.pipeline.sensor import Sensor
 
 DEPTH_MM = 0.5  # the article's
@@ -94,7 +95,7 @@ def static_output(atlas: Atlas, folder: Folder) -> Section:
     if len(lasers):
         here += f" Against the laser's readings {_height_sentence(lasers, 'laser_mm')}."
     gaps = [] if len(lasers) else ["no recording holds a laser's reading of the height"]
-    if recorded["pressure_mpa"].nunique() < 2:
+    if alike_mpa(recorded["pressure_mpa"].dropna()).nunique() < 2:
         gaps.append("the recordings are of one pressure, or do not say which")
     return Section(
         "9 to 11",
@@ -206,11 +207,12 @@ def recorded_swings(whole: AxisSlides | None) -> pd.DataFrame:
     if whole is None:
         return pd.DataFrame(columns=["pressure_mpa", "distance_mm", "swing_mv", "series"])
     labels = whole.folder.manifest.loc[whole.table["recording"], ["pressure_mpa", "depth_mm"]]
-    table = labels.round(4).reset_index(drop=True).assign(distance_mm=whole.table["distance_mm"])
+    table = labels.reset_index(drop=True).assign(distance_mm=whole.table["distance_mm"])
     table["swing_mv"] = 1000 * (whole.table["high_v"] - whole.table["low_v"])
     table = table.dropna()
+    table["pressure_mpa"] = alike_mpa(table["pressure_mpa"])
     rows = zip(table["pressure_mpa"], table["depth_mm"], strict=True)
-    return table.assign(series=[f"{mpa:g} MPa, {depth:.2g} mm deep" for mpa, depth in rows])
+    return table.assign(series=[f"{mpa:.3g} MPa, {depth:.1f} mm deep" for mpa, depth in rows])
 
 
 def _named(table: pd.DataFrame) -> pd.DataFrame:

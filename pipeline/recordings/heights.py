@@ -37,11 +37,11 @@ def main_pressure_mpa(folder: Folder) -> float:
 
 
 def alike_mpa(pressures_mpa: pd.Series) -> pd.Series:
-    """Pressures, those that are the same to SAME_PRESSURE as their median."""
+    """Pressures (none NaN), those that are the same to SAME_PRESSURE on either side as their median."""
     ordered = pressures_mpa.sort_values()
     lowest, groups = -math.inf, []
     for value in ordered:
-        lowest = value if value > lowest * (1 + SAME_PRESSURE) else lowest
+        lowest = value if value > lowest * (1 + 2 * SAME_PRESSURE) else lowest
         groups.append(lowest)
     return ordered.groupby(groups).transform("median")[pressures_mpa.index]
 
