@@ -111,7 +111,8 @@ def stops_on(
         return False
     if track.reason in (Reason.NONE, Reason.AMBIGUOUS) and may_rest(track, limits):
         return True
-    return elapsed_s <= limits.stopping_s and track.reason is Reason.NOT_THIS_SENSOR
+    slow = track.speed_mm_s < limits.slow_share * line.speed_mm_s
+    return elapsed_s <= limits.stopping_s and (slow or track.reason is Reason.NOT_THIS_SENSOR)
 
 
 def may_rest(track: Estimate, limits: TrackLimits) -> bool:

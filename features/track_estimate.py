@@ -25,8 +25,8 @@ class TrackLimits:
     straight slide agrees with.
     stopped_mm_s: a contact slower than this has stopped; stopped_way_mm: its least way.
     agreement: largest squared Mahalanobis distance of the straight slide from the track, four degrees of freedom.
-    stopping_s: for which a line is held while the contact is lost; it rests once it is slower than rest_share of the
-    slide, where it may stand still, and has stopped for good after pause_s.
+    stopping_s: for which a line is held while a contact seems to be slower than slow_share of the slide, or is lost;
+    it rests once it is slower than rest_share, where it may stand still, and has stopped for good after pause_s.
     press_mm_s, press_sd_mm: largest speed and standard deviation of the place of a valid press. straight_way_mm: least
     way of a straight slide. straight_log_odds: least logarithm of the odds of a straight slide that a track agrees with
     which is not valid itself, against a signal that no contact makes; way_log_odds: what each mm of way adds to it.
@@ -59,6 +59,7 @@ class TrackLimits:
     agreement: float = 25.0
     stopping_s: float = 0.3
     pause_s: float = 0.6
+    slow_share: float = 0.5
     rest_share: float = 0.25
     straight_way_mm: float = 8.0
     straight_log_odds: float = -3.0

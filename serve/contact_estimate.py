@@ -5,13 +5,15 @@
 2. What the signal forbids, whatever fits: a dead channel, drift; too early, unless the track has much evidence.
 3. The line that straight slide and track agreed on, where the contact stops on it, or where the straight slide still
    follows it and the track is lost or goes much the same way: then with intervals that hold the track.
-4. Ambiguous, where a straight slide explains the output and goes another way than the track.
+4. Ambiguous, where a straight slide explains the output and goes another way than the track, or explains to the noise
+   what the track takes for a press.
 5. The track, valid by its own limits (`features/track_estimate.py`).
 
 A model on features answers by itself: the track allows its estimate or forbids it.
 """
 
 import math
+from collections import deque
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -42,9 +44,13 @@ FIT_BLOCKS, OFFER_BLOCKS = 5, 10
 # A straight slide is fitted anew when the slide has grown by one part in so many: with a twentieth fast slides erred
 # half as much again at 2/5 of the stroke (experiments/LOG.md).
 NEW_SHARE = 50
+# Fits, 0.3 s, that a stop takes to show in the track, at most (synthetic slides, experiments/LOG.md).
+KEPT_FITS = 4
 # Times the bundle's limit: the largest misfit of a straight slide of the line so far, where a track errs twice as much
 # (experiments/LOG.md).
 LINE_MISFIT = 2.0
+# Misfit of a slide that explains the output to the noise: of a press a straight slide has more, once it rests.
+TO_NOISE = 1.0
 # What forbids any estimate from the signal, not only that of a straight slide.
 _OF_THE_SIGNAL = (Reason.DEAD_CHANNEL, Reason.DRIFT, Reason.TOO_EARLY)
 
@@ -72,9 +78,10 @@ class ContactEstimator:
         self._limits = TOUCH_LIMITS if self.touches_down else TrackLimits()
         self._strict = replace(self._limits, sure_log_odds=math.inf)
         self._count = 0
-        # The last straight slide that was fitted, and the last one that the track agreed with.
+        # The last straight slide that was fitted, and the last ones that the track agreed with: the newest of a contact
+        # that stops is of some of the stop.
         self._fit: _Fit | None = None
-        self._line: _Fit | None = None
+        self._lines: deque[_Fit] = deque(maxlen=KEPT_FITS)
         self.reset()
 
     def reset(self) -> None:
@@ -90,7 +97,8 @@ class ContactEstimator:
 
     def begin(self) -> None:
         """A slide begins: fits of the one before are not of it."""
-        self._fit = self._line = None
+        self._fit = None
+        self._lines.clear()
 
     def read_at(self, step: int, step_mm: float) -> None:
         """Reads the map at a skin's height so many steps off the card's.
@@ -145,10 +153,10 @@ class ContactEstimator:
         tracked = self._judged(self.track, 0.0)
         if self._on_features:
             if min(tracked.speed_lo_mm_s, straight.speed_lo_mm_s) > 0.0 and same_line(straight, tracked):
-                self._line = self._fit
+                self._lines.append(self._fit)
             return
         if self._agrees(straight, tracked):
-            self._line = self._fit
+            self._lines.append(self._fit)
         elif (
             self._count % OFFER_BLOCKS == 0
             and explains(straight)
@@ -190,9 +198,9 @@ class ContactEstimator:
             return tracked._replace(valid=False, reason=straight.reason)
         if self.touches_down:
             return tracked
-        if self._line is not None:
-            stopped = self._on_the_line(self._line, tracked)
-            if straight.valid and same_line(straight, self._line.estimate):
+        if self._lines:
+            stopped = self._on_the_line(straight, tracked)
+            if straight.valid and same_line(straight, self._lines[0].estimate):
                 # A track that has lost the contact says nothing against a line that it agreed with, nor does one that
                 # is valid for its evidence alone or goes on along the line at another speed: what fits all of the way
                 # so far knows more.
@@ -203,7 +211,8 @@ class ContactEstimator:
                 if not contests or (slides and not crosses(straight, tracked, limits)):
                     return with_track(straight, tracked, limits.shared)
             tracked = stopped
-        if tracked.contact is Contact.SLIDE and explains(straight) and crosses(straight, tracked, limits):
+        turns = tracked.contact is Contact.SLIDE and crosses(straight, tracked, limits)
+        if explains(straight) and (turns or (pressed and straight.misfit <= TO_NOISE)):
             return tracked._replace(valid=False, reason=Reason.AMBIGUOUS)
         return tracked
 
@@ -225,8 +234,8 @@ class ContactEstimator:
         return (
             straight.reason is Reason.NOT_THIS_SENSOR
             and straight.misfit <= LINE_MISFIT * self._card.validity.misfit
-            and self._line is not None
-            and same_line(straight, self._line.estimate)
+            and len(self._lines) > 0
+            and same_line(straight, self._lines[0].estimate)
             and self._apart(straight) <= LIKELY
         )
 
@@ -235,7 +244,7 @@ class ContactEstimator:
         if straight is None or not straight.valid:
             return None
         latest = self._stream.rested_s + self._limits.stopping_s
-        if self._line is not None and self._seconds_since(self._line.blocks) <= latest:
+        if self._lines and self._seconds_since(self._lines[-1].blocks) <= latest:
             return None
         return straight._replace(valid=False, reason=tracked.reason or Reason.AMBIGUOUS)
 
@@ -256,12 +265,19 @@ class ContactEstimator:
                 return with_track(earlier(line, since_s), tracked, limits.shared)
         return tracked
 
-    def _on_the_line(self, line: _Fit, tracked: Estimate) -> Estimate:
-        """The track, or the line that it agreed with where the contact stops on it."""
-        limits, rested_s = self._limits, self._stream.rested_s
-        since_s = self._seconds_since(line.blocks)
+    def _on_the_line(self, straight: Estimate, tracked: Estimate) -> Estimate:
+        """The track, or the line that it agreed with where the contact stops on it.
+
+        Where the slide has ended with a stop, a fit of all before the stop says the most, if it is of the same line.
+        """
+        line, limits = self._lines[0], self._limits
+        since_s, rested_s = self._seconds_since(self._lines[-1].blocks), self._stream.rested_s
         ended = rested_s > 0.0 and since_s <= rested_s + limits.stopping_s
-        longest_mm = since_s * line.estimate.speed_mm_s
+        if ended and straight.valid and same_line(straight, line.estimate):
+            # What was fitted ends where the contact rests.
+            at_end = tracked._replace(x_mm=straight.x_mm, y_mm=straight.y_mm)
+            return stopped_on(straight, at_end, limits, ended)
+        longest_mm = self._seconds_since(line.blocks) * line.estimate.speed_mm_s
         if ended or stops_on(line.estimate, tracked, since_s, longest_mm, limits):
             return stopped_on(line.estimate, tracked, limits, ended or since_s > limits.pause_s)
         return tracked

@@ -8,7 +8,8 @@ from small_bundle import write_small_bundle
 from streams import RATE_HZ, ZERO_V, a_sensor, pushed
 from tracked_map import INFLATION, TWO_BOARDS, noisy_map, pressed
 
-from softslide.features.estimate import Contact, Reason
+from softslide.features.estimate import Contact, Estimate, Reason
+from softslide.features.stream.tracker import SlideState
 from softslide.models.response_map.card import contact_calibration
 from softslide.serve.localizer import Localizer
 
@@ -47,3 +48,15 @@ def test_a_press_is_valid_as_long_as_it_is_held_and_a_tilt_of_the_device_is_not_
     assert not any(e.valid for e in found)
     why = {Reason.AMBIGUOUS, Reason.TOO_EARLY, Reason.NOT_THIS_SENSOR, Reason.NO_CONTACT}
     assert {e.reason for e in found[-50:]} <= why
+
+
+def test_a_press_that_a_straight_slide_explains_to_the_noise_is_ambiguous(localizer: Localizer) -> None:
+    """The first of a slow slide far from the boards grows as a press does. One that explains it worse says nothing."""
+    pushed(localizer, held(pressed(noisy_map(places=TWO_BOARDS), PLACE_MM)))
+    slide = Estimate(
+        5.4, SlideState.SLIDE, 30.0, speed_mm_s=2.0, reason=Reason.AMBIGUOUS, contact=Contact.SLIDE
+    )
+    for misfit, reason in ((0.5, Reason.AMBIGUOUS), (1.5, Reason.NONE)):
+        found = localizer._contact.estimate(slide._replace(misfit=misfit), 5.4, True)
+        assert found is not None
+        assert (found.contact, found.reason, found.valid) == (Contact.PRESS, reason, reason is Reason.NONE)
