@@ -14,12 +14,7 @@ from softslide.features.errors import InputError
 from softslide.pipeline.atlas.atlas import Atlas
 from softslide.pipeline.atlas.static_contact import height_by_atlas, height_by_formula
 from softslide.pipeline.recordings.folder import Folder
-from softslide.pipeline.recordings.heights import (
-    alike_mpa,
-    is_other,
-    laser_readings_mm,
-    main_pressure_mpa,
-)
+from softslide.pipeline.recordings.heights import alike_mpa, is_other, laser_readings_mm, main_pressure_mpa
 
 # A row's heights, in mm, and what people call them.
 HEIGHTS = {"laser_mm": "laser", "formula_mm": "formula", "atlas_mm": "solved", "fitted_mm": "fitted"}

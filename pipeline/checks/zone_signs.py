@@ -50,9 +50,7 @@ def contact_path(time_s: np.ndarray, labels: pd.Series, sensor: Sensor) -> np.nd
 
 
 def rests_on_skin(labels: pd.Series, sensor: Sensor) -> bool:
-    """Whether the motion ends over the chamber, by the labels: the object then rests on the skin."""
-    if labels[list(NEEDED)].isna().any():
-        return False
+    """Whether the motion ends over the chamber: the object then rests on the skin. False where no label says."""
     end = contact_path(np.array([labels["motion_end_s"]]), labels, sensor)[0]
     return bool((np.abs(end) < np.array(sensor.chamber_mm) / 2).all())
 
