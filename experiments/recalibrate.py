@@ -21,6 +21,7 @@ from softslide.models.graph.packing import pack
 from softslide.models.response_map.card import contact_calibration, response_of, with_gains
 from softslide.models.response_map.slides import static_outputs
 from softslide.pipeline.recordings.folder import Folder, read_folder
+from softslide.pipeline.recordings.learned import REPORTING
 from softslide.pipeline.staging import staged
 from softslide.serve.bundle import open_bundle
 
@@ -28,19 +29,17 @@ from softslide.serve.bundle import open_bundle
 def recalibrate(
     model: str | Path, recordings: str | Path, out: str | Path, split: Sequence[str] | None = None
 ) -> dict[str, Any]:
-    """Fits the bundle's map to the gains that strokes and presses of some splits (None: all) show, and writes it anew.
+    """Fits the bundle's map to the gains that strokes and presses of some splits show, and writes it anew.
 
-    Returns what was found, for people to read. The card keeps it, with the recordings' hashes. The zero needs no such
-    step: a stream's own static output is subtracted, whatever it is that day.
+    split: beginnings of their names; None: all but those that are for reporting, REPORTING. Returns what was found, for
+    people to read. The card keeps it, with the recordings' hashes. The zero needs no such step: a stream's own static
+    output is subtracted, whatever it is that day.
 
     Raises:
         InputError: the folder or the bundle is not valid, the bundle holds no response map, the sensor is another one,
             or no recording is labelled as a stroke or a press.
     """
-    folder = read_folder(recordings)
-    if split:
-        folder = folder.select(*split)
-    folder = derived(folder)
+    folder = derived(_chosen(read_folder(recordings), split))
     card, contact = _with_map(Path(model), folder)
     data, folder = data_hashes(folder), replace(folder, base_motion=card.base)
     slides, presses, left_out = labelled_contacts(folder, card.conditioning, card.heights)
@@ -63,6 +62,18 @@ def recalibrate(
         )
         write_card(renewed, made / "model.json")
     return found
+
+
+def _chosen(folder: Folder, split: Sequence[str] | None) -> Folder:
+    if split:
+        return folder.select(*split)
+    others = folder.manifest[~folder.manifest["split"].str.startswith(REPORTING)]
+    if len(folder) and not len(others):
+        raise InputError(
+            f"{folder.root / 'manifest.csv'}: every recording is for reporting, of a split {' or '.join(REPORTING)}; "
+            "name with --split which may be fitted"
+        )
+    return replace(folder, manifest=others)
 
 
 def _with_map(bundle: Path, folder: Folder) -> tuple[Card, ContactCalibration]:

@@ -262,8 +262,9 @@ def test_a_bound_holds_at_a_calibrated_depth(depths_mm: tuple[float, ...], tests
 
 def test_a_missing_estimate_misses_the_bound() -> None:
     verdict = check(bound("speed"), scored(predicted(), predicted("t", valid=False), s={}, t={}))
-    assert (verdict.met, verdict.missing, verdict.worst) == (False, 1, "t")
-    assert "1 without a valid estimate" in verdict.line()
+    assert (verdict.met, verdict.missing, verdict.worst, verdict.silent) == (False, 1, "s", "t")
+    assert "at most (s)" in verdict.line()
+    assert "1 without a valid estimate (first: t)" in verdict.line()
 
 
 def test_what_a_model_never_estimates_is_not_tested_but_one_that_says_nothing_misses() -> None:

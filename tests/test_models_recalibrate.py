@@ -1,6 +1,7 @@
 """Re-calibration: the gains of another day from one stroke or one press, and the bundle that carries them."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,9 +19,9 @@ from softslide import main
 from softslide.features.stream.conditioning import Conditioning
 from softslide.models.cnn.forward_model import TABLE
 from softslide.models.export.bundle import read_graph
-from softslide.models.export.gains import COMMON_SD, Press, fit_gains
+from softslide.models.export.gains import COMMON_SD, Press, fit_gains, labelled_contacts
 from softslide.models.response_map.card import contact_calibration, response_of
-from softslide.pipeline.recordings.folder import Recording, write_folder
+from softslide.pipeline.recordings.folder import Recording, read_folder, write_folder
 from softslide.serve.bundle import open_bundle
 
 TRUE = np.array([1.12, 1.15, 1.18])
@@ -106,6 +107,39 @@ def test_one_stroke_or_press_renews_the_gains_of_map_and_graph(
     np.testing.assert_allclose(new.reshape(-1, 12), old.reshape(-1, 12) * columns, rtol=1e-3, atol=1e-6)
     assert card.provenance["recalibrations"][0]["data"]["slides"]
     assert {path.name: path.read_bytes() for path in bundle.iterdir()} == before
+
+
+def test_what_is_for_reporting_is_fitted_only_where_it_is_named(
+    bundle: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    day = write_day(tmp_path / "day", pressed=True)
+    table = pd.read_csv(day / "manifest.csv").assign(split="test-day")
+    table.to_csv(day / "manifest.csv", index=False)
+    words = ("recalibrate", "--model", bundle, "--recordings", day, "--out", tmp_path / "new")
+    assert "every recording is for reporting" in refused(capsys, *words)
+    assert main([*map(str, words), "--split", "test"]) == 0
+    assert json.loads(capsys.readouterr().out)["presses"] == 1
+
+
+@pytest.mark.parametrize(
+    ("labels", "stands"),
+    [
+        ({}, True),
+        ({"speed_mm_s": 0.0, "direction_deg": 90.0}, True),
+        ({"travel_mm": 0.0}, True),
+        ({"travel_mm": 40.0}, False),
+        ({"direction_deg": 90.0}, False),
+        ({"speed_mm_s": 5.0}, False),
+    ],
+)
+def test_a_contact_that_moves_is_not_taken_for_a_press(
+    tmp_path: Path, labels: dict[str, float], stands: bool
+) -> None:
+    """A path of its own kind has a start and a travel, and neither direction nor speed."""
+    folder = read_folder(write_day(tmp_path / "day", pressed=True))
+    folder = replace(folder, manifest=folder.manifest.assign(**labels))
+    _, presses, left_out = labelled_contacts(folder, Conditioning(touch_axes="xyz", onset="touch"), None)
+    assert (len(presses), left_out) == ((1, []) if stands else (0, ["one"]))
 
 
 def test_gains_fall_back_to_the_prior_where_nothing_shows() -> None:

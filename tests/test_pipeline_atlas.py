@@ -18,7 +18,7 @@ from softslide.pipeline.atlas.atlas import (
     read_atlas,
     write_atlas,
 )
-from softslide.pipeline.atlas.solve import Grid, solve_atlas
+from softslide.pipeline.atlas.solve import Grid, simulate, solve_atlas
 from softslide.pipeline.sensor import MeshSize, read_sensor, write_sensor
 from softslide.pipeline.skin.lines import Line, join_families
 from softslide.pipeline.skin.solved_line import gravity, skin_of, solve_line
@@ -147,13 +147,27 @@ def test_solve_resumes_from_finished_lines(quick, tmp_path):
     assert not work.exists()
 
 
-def test_a_failed_position_is_reported_and_left_out(monkeypatch):
-    def failing(sensor, line, along, depth, pressure, inflated):
-        values, statistics = (np.zeros((len(along), 10)), softslide.pipeline.atlas.solve.Statistics())
-        if (line.axis, line.sense, line.offset_mm) == (0, 1, 6.0):
-            values[np.searchsorted(along, 12.0) :] = np.nan
-        return values, statistics
+def failing(sensor, line, along, depth, pressure, inflated):
+    """No equilibrium past x = 12 mm on one line."""
+    values, statistics = (np.zeros((len(along), 10)), softslide.pipeline.atlas.solve.Statistics())
+    if (line.axis, line.sense) == (0, 1) and 0.0 < line.offset_mm <= QUICK.line_mm:
+        values[np.searchsorted(along, 12.0) :] = np.nan
+    return values, statistics
 
+
+def test_simulate_says_in_a_line_where_nothing_was_solved(monkeypatch, tmp_path, capsys):
+    monkeypatch.setattr(softslide.pipeline.atlas.solve, "solve_line", failing)
+    write_sensor(tmp_path / "sensor.toml", quick_sensor(35.0))
+    atlas = simulate(tmp_path / "sensor.toml", tmp_path / "a.npz", coarse=True, depth_mm=[0.5], jobs=1)
+    said = [line for line in capsys.readouterr().err.splitlines() if line.startswith("no equilibrium")]
+    # Of the line that failed, and of its mirror images.
+    assert sum(int(line.split()[4]) for line in said) == len(atlas.failed) > len(said)
+    assert "heading of 0 deg" in said[0]
+    assert "x 12.5 to " in said[0]
+    assert "y -5 to 5 mm" in said[0]
+
+
+def test_a_failed_position_is_reported_and_left_out(monkeypatch):
     monkeypatch.setattr(softslide.pipeline.atlas.solve, "solve_line", failing)
     atlas = solve_atlas(quick_sensor(35.0), QUICK)
     level = atlas.pressure_mpa[0]

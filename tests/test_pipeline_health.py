@@ -152,6 +152,24 @@ def test_an_injury_of_one_slide_is_found_there(sound, tmp_path: Path, change: Ch
     assert {f.recording for f in findings if f.level == "error"} <= {recordings[only].name}
 
 
+@pytest.mark.parametrize(("share", "found"), [(0.3, False), (0.8, True)])
+def test_the_wrong_sign_of_an_output_shows_another_slide_unless_it_is_small(
+    sound, tmp_path: Path, share: float, found: bool
+) -> None:
+    """Next to a board that is off the chamber's centre a small output may have it."""
+
+    def inverted(recording: Recording, row: pd.Series) -> None:
+        rest_v = recording.volts[:400, :2].mean(axis=0)
+        x, y = (recording.volts[:, :2] - rest_v).T
+        recording.volts[:, 0] = rest_v[0] - share * np.ptp(y) / np.ptp(x) * x
+
+    labels = sound[0].manifest.reset_index()
+    only = int(labels.index[labels["direction_deg"] == 90.0][0])
+    findings = injured(sound, tmp_path, inverted, only)
+    channels = {f.channel for f in findings if f.kind == "label against signal"}
+    assert channels == ({"a0_vx"} if found else set())
+
+
 def test_a_zero_that_moves_in_most_slides_is_found(sound, tmp_path: Path) -> None:
     def drifting(recording: Recording, row: pd.Series) -> None:
         sign = (-1) ** int(recording.name[-1])  # either way, as a random walk

@@ -287,7 +287,7 @@ def test_lines_that_were_not_solved_are_left_out():
             record(slide, Specimen(ideal_electronics(sensor_of(atlas))), atlas, noise_of(n, 2)).volts
         ).all()
     unsolved = replace(atlas, valid=np.zeros_like(atlas.valid))
-    with pytest.raises(InputError, match="over solved positions"):
+    with pytest.raises(InputError, match=r"over solved positions.*lower .skin. height_mm"):
         plan(0, 2, unsolved, sensor_of(atlas), Distribution())
 
 

@@ -55,10 +55,11 @@ class Bound:
 
 @dataclass(frozen=True)
 class Verdict:
-    """A bound held against recordings. Errors in the quantity's unit; `worst` names the worst recording.
+    """A bound held against recordings. Errors in the quantity's unit; `worst` names the recording of the largest.
 
     met: None where the bound is not tested, and `untested` says why. missing: rows within the conditions that hold no
-    valid estimate; one is enough to miss the bound, since the article promises an estimate there.
+    valid estimate; one is enough to miss the bound, since the article promises an estimate there. silent: the first
+    recording with such a row.
     """
 
     bound: Bound
@@ -68,22 +69,24 @@ class Verdict:
     mean: float | None
     max: float | None
     worst: str | None
+    silent: str | None = None
     untested: str | None = None
 
     def line(self) -> str:
-        """The verdict in one line, with the largest error and the worst recording."""
+        """The verdict in one line, with the largest error and its recording."""
         head = f"{self.bound.name}, below {self.bound.limit:g} {QUANTITIES[self.bound.quantity]}:"
         if self.met is None:
             return f"{head} not tested, {self.untested}"
         verdict = "met" if self.met else "MISSED"
-        gaps = f", {self.missing} without a valid estimate" if self.missing else ""
-        largest = "" if self.max is None else f", {number(self.max)} at most"
-        return f"{head} {verdict}{largest} in {self.recordings} recordings{gaps}; worst {self.worst}"
+        largest = "" if self.max is None else f", {number(self.max)} at most ({self.worst})"
+        gaps = f", {self.missing} without a valid estimate (first: {self.silent})" if self.missing else ""
+        return f"{head} {verdict}{largest} in {self.recordings} recordings{gaps}"
 
     def as_json(self) -> dict[str, Any]:
         """The verdict for `metrics.json`."""
         bound = {name: getattr(self.bound, name) for name in ("name", "says", "source", "quantity", "limit")}
-        found = {name: getattr(self, name) for name in ("mean", "worst", "recordings", "missing", "untested")}
+        named = ("mean", "worst", "recordings", "missing", "silent", "untested")
+        found = {name: getattr(self, name) for name in named}
         unit = QUANTITIES[self.bound.quantity]
         return bound | {"unit": unit, "measured": self.max, "pass": self.met} | found
 
@@ -111,11 +114,9 @@ def check(bound: Bound, scored: pd.DataFrame, depths_mm: Sequence[float] = ()) -
     """
     rows = scored[_within(bound, scored, depths_mm)]
     errors = rows[f"{bound.quantity}_error"]
-    missing, none = int(errors.isna().sum()), bool(errors.isna().all())
+    absent = errors.isna()
+    missing, none = int(absent.sum()), bool(absent.all())
     untested = _untested(bound, scored, rows)
-    worst = None if none else str(rows["recording"].iloc[int(errors.argmax())])
-    if missing:
-        worst = str(rows.loc[errors.isna(), "recording"].iloc[0])
     return Verdict(
         bound,
         met=None if untested else missing == 0 and bool((errors < bound.limit).all()),
@@ -123,7 +124,8 @@ def check(bound: Bound, scored: pd.DataFrame, depths_mm: Sequence[float] = ()) -
         missing=missing,
         mean=None if none else float(errors.mean()),
         max=None if none else float(errors.max()),
-        worst=worst,
+        worst=None if none else str(rows["recording"].iloc[int(errors.argmax())]),
+        silent=str(rows.loc[absent, "recording"].iloc[0]) if missing else None,
         untested=untested,
     )
 

@@ -7,7 +7,7 @@ import pandas as pd
 
 from softslide.features.stream.conditioning import Conditioning, block_means
 from softslide.pipeline.recordings.folder import Folder
-from softslide.pipeline.recordings.heights import laser_readings_mm
+from softslide.pipeline.recordings.heights import alike_mpa, laser_readings_mm
 from softslide.pipeline.recordings.stroke import stage_motion
 
 # Of each pressure, recordings whose static output is read; more say the same.
@@ -39,7 +39,7 @@ def static_outputs(folder: Folder) -> pd.DataFrame:
     zero, known = folder.sensor.accelerometers[0].zero_g_v, folder.manifest["motion_start_s"].notna()
     labels = folder.manifest.assign(laser_mm=laser_readings_mm(folder))[known]
     rows = []
-    for _, part in labels.groupby(labels["pressure_mpa"].round(4), dropna=False):
+    for _, part in labels.groupby(alike_mpa(labels["pressure_mpa"].dropna()), dropna=False):
         for name, label in part.iloc[:: -(-len(part) // MOST_AT_REST)].iterrows():
             recording = folder.load(str(name))
             rest = recording.time_s < label["motion_start_s"]

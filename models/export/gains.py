@@ -29,7 +29,7 @@ COMMON_SD, CHANNEL_SD = 0.15, 0.05
 GAIN_ROUNDS = 3  # of gains and shifts in turn
 # Stretches of which the map's residuals say as much as one: they are alike over the splines' spacing.
 ALIKE = 4.0
-# What a press must have labelled; its direction and speed are empty, or its speed 0.
+# What a press must have labelled.
 PRESS_LABELS = ("start_x_mm", "start_y_mm", "motion_start_s", "motion_end_s")
 
 
@@ -103,8 +103,7 @@ def labelled_contacts(
 
     heights: of the skin; that which a static output shows goes with each stroke and press. None: there is one.
     """
-    speed = folder.manifest["speed_mm_s"]
-    standing = folder.manifest[list(PRESS_LABELS)].notna().all(axis=1) & ~(speed > 0)
+    standing = folder.manifest[list(PRESS_LABELS)].notna().all(axis=1) & _stands(folder.manifest)
     moving = replace(folder, manifest=folder.manifest[~standing])
     untimed = moving.manifest.index[moving.manifest.get(UNTIMED, pd.Series(False, moving.manifest.index))]
     slides = calibration_slides(moving, conditioning, frozenset(map(str, untimed)))
@@ -117,6 +116,13 @@ def labelled_contacts(
     }
     used = {slide.recording for slide in slides} | set(presses)
     return slides, list(presses.values()), [str(n) for n in folder.manifest.index if str(n) not in used]
+
+
+def _stands(manifest: pd.DataFrame) -> pd.Series:
+    """Whether a contact goes nowhere: its speed is 0, or it has neither speed nor direction nor travel. A contact along
+    any path may have a travel alone."""
+    speed, travel = manifest["speed_mm_s"], manifest["travel_mm"]
+    return (speed == 0) | (speed.isna() & manifest["direction_deg"].isna() & ~(travel > 0))
 
 
 def _press(

@@ -15,6 +15,7 @@ from softslide.pipeline.atlas.atlas import Atlas
 from softslide.pipeline.atlas.static_contact import height_by_atlas, height_by_formula
 from softslide.pipeline.recordings.folder import Folder
 from softslide.pipeline.recordings.heights import alike_mpa, is_other, laser_readings_mm, main_pressure_mpa
+from softslide.pipeline.recordings.learned import REPORTING
 
 # A row's heights, in mm, and what people call them.
 HEIGHTS = {"laser_mm": "laser", "formula_mm": "formula", "atlas_mm": "solved", "fitted_mm": "fitted"}
@@ -48,7 +49,7 @@ def skin_heights(
         dtype=object,
     )
     # Recordings that are for reporting are not used.
-    usable = laser[laser.notna() & ~table["split"].str.startswith(("test", "track"))].index
+    usable = laser[laser.notna() & ~table["split"].str.startswith(REPORTING)].index
     factor, used_mpa = _tilt_factor(folder.sensor.pressure_mpa, static_g, laser[usable], pressure, atlas)
     rows = []
     for value in sorted(float(each) for each in pressure.unique()):

@@ -168,13 +168,24 @@ def simulate(
         f", rest error {atlas.meta['rest_error_g']:.1e} g",
         file=sys.stderr,
     )
-    for x, y, heading, depth, height in atlas.failed:
-        print(
-            f"no equilibrium, left out: x {x:g} mm, y {y:g} mm, heading {heading:g} deg, depth {depth:g} mm, "
-            f"skin height {height:.2f} mm",
-            file=sys.stderr,
-        )
+    for line in _left_out(atlas):
+        print(line, file=sys.stderr)
     return atlas
+
+
+def _left_out(atlas: Atlas) -> Iterator[str]:
+    """For people, what was not solved: a line for each heading, depth and height of the skin, then what may help."""
+    groups: dict[tuple[float, ...], list[list[float]]] = {}
+    for x, y, *of in atlas.failed:
+        groups.setdefault(tuple(of), []).append([x, y])
+    for (heading, depth, height), places in groups.items():
+        (left, low), (right, high) = np.min(places, axis=0), np.max(places, axis=0)
+        yield (
+            f"no equilibrium, left out: {len(places)} positions at a heading of {heading:g} deg, a depth of {depth:g} "
+            f"mm and a skin height of {height:.2f} mm, x {left:g} to {right:g} mm, y {low:g} to {high:g} mm"
+        )
+    if groups:
+        yield "slides over these places are not synthesized; lower [skin] height_mm or friction"
 
 
 def _levels(sensor: Sensor, source: str) -> list[tuple[float, State]]:

@@ -24,7 +24,8 @@ class Journal:
         return self.folder / f"{name}.parquet"
 
     def find(self, job: Source) -> dict[str, Any] | None:
-        """What was noted of these very files with this map; None: they have not been finished."""
+        """What was noted of these very files with this map; None: they have not been finished, and what was noted of
+        others is deleted."""
         note = self.folder / f"{job.name}.json"
         try:
             entry = json.loads(note.read_text())

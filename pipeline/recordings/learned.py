@@ -3,7 +3,8 @@
 import numpy as np
 import pandas as pd
 
-CALIBRATION = ("calibration", "train")
+# Beginnings of the names of splits that are learned from, and of those that are for reporting alone.
+CALIBRATION, REPORTING = ("calibration", "train"), ("test", "track")
 # Slides this near to each other in direction and offset run along one line: a stage repeats better than that.
 SAME_LINE_DEG = 0.5
 SAME_LINE_MM = 0.05

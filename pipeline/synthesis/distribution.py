@@ -108,6 +108,7 @@ def draw_slide(
         raise InputError(
             f"no line of offset {d.offset_mm[0]:g}..{d.offset_mm[1]:g} mm crosses {d.chord_mm:g} mm of the chamber "
             "over solved positions; widen offset_mm or lower chord_mm"
+            + ("" if atlas.valid.all() else ", or solve the atlas at lower [skin] height_mm")
         )
     speed = log_uniform(random, d.speed_mm_s)
     end = random.uniform()

@@ -187,15 +187,16 @@ def recalibrate(parser: Parser) -> Run:
     strokes or presses of another day: one is enough, and it takes seconds.
     The zero needs no fit: what a stream shows at rest is subtracted. A press
     is a recording with start_x_mm, start_y_mm, motion_start_s and
-    motion_end_s, and a speed_mm_s (mm/s) that is empty or 0. Uses every split
-    unless some are named. Prints one JSON object: the gains, and what is left
-    of the recordings before and after, in the sensor's unit (V).
+    motion_end_s, whose speed_mm_s (mm/s) is 0, or empty as direction_deg and
+    travel_mm are. Uses every split but those that are for reporting, test...
+    and track..., unless some are named. Prints one JSON object: the gains, and
+    what is left of the recordings before and after, in the sensor's unit (V).
 
         softslide recalibrate --model my-model --recordings today --out my-model-today
     """
     arguments.model(parser)
     arguments.recordings(parser, "a folder with a stroke or a press of the same sensor")
-    splits = "beginnings of the names of the splits to use (default: all)"
+    splits = "beginnings of the names of the splits to use (default: all but test and track)"
     parser.add_argument("--split", nargs="+", metavar="NAME", help=splits)
     arguments.out(parser, "where the new bundle goes", metavar="BUNDLE")
 
