@@ -70,8 +70,9 @@ def _chosen(folder: Folder, split: Sequence[str] | None) -> Folder:
     others = folder.manifest[~folder.manifest["split"].str.startswith(REPORTING)]
     if len(folder) and not len(others):
         raise InputError(
-            f"{folder.root / 'manifest.csv'}: every recording is for reporting, of a split {' or '.join(REPORTING)}; "
-            "name with --split which may be fitted"
+            f"is needed: every recording of {folder.root} is for reporting, of a split {' or '.join(REPORTING)}; name "
+            "what may be fitted",
+            "split",
         )
     return replace(folder, manifest=others)
 

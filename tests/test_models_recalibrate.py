@@ -116,7 +116,7 @@ def test_what_is_for_reporting_is_fitted_only_where_it_is_named(
     table = pd.read_csv(day / "manifest.csv").assign(split="test-day")
     table.to_csv(day / "manifest.csv", index=False)
     words = ("recalibrate", "--model", bundle, "--recordings", day, "--out", tmp_path / "new")
-    assert "every recording is for reporting" in refused(capsys, *words)
+    assert "--split is needed: every recording" in refused(capsys, *words)
     assert main([*map(str, words), "--split", "test"]) == 0
     assert json.loads(capsys.readouterr().out)["presses"] == 1
 
