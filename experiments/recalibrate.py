@@ -37,7 +37,7 @@ def recalibrate(
 
     Raises:
         InputError: the folder or the bundle is not valid, the bundle holds no response map, the sensor is another one,
-            or no recording is labelled as a stroke or a press.
+            no recording is labelled as a stroke or a press, or all are for reporting and no split is named.
     """
     folder = derived(_chosen(read_folder(recordings), split))
     card, contact = _with_map(Path(model), folder)

@@ -69,7 +69,7 @@ class Verdict:
     mean: float | None
     max: float | None
     worst: str | None
-    silent: str | None = None
+    silent: str | None
     untested: str | None = None
 
     def line(self) -> str:

@@ -50,7 +50,7 @@ class Limits:
     swapped = 0.6  # mean agreement with the other's axis
     slide = -0.2  # agreement of one slide with its labels
     # Span of an output, a share of the board's other one, below which its sign is not compared: off the chamber's
-    # centre a board's zones begin up to 5 mm next to it (synthetic slides of four boards, experiments/LOG.md).
+    # centre a board's zones begin up to 5 mm next to it (synthetic slides of two, experiments/LOG.md).
     zone_share = 0.5
     line_mm = 2.0  # start less line
     speed = 0.05  # the motion's duration against travel over speed, as a portion

@@ -8,6 +8,7 @@ from softslide.features.base_motion import BaseMotion
 from softslide.features.errors import InputError
 from softslide.features.stream.conditioning import Conditioning, block_means
 from softslide.pipeline.recordings.folder import Folder
+from softslide.pipeline.recordings.learned import CALIBRATION
 from softslide.pipeline.sensor import Sensor
 
 BASE_SPLIT = "base"  # of these recordings
@@ -97,7 +98,7 @@ def _gravity_v(sensor: Sensor, static_v: np.ndarray) -> tuple[float, ...]:
 
 def _attitude_v(folder: Folder, moving: list[str]) -> np.ndarray:
     """(3,) V: what the base reads in the recordings to calibrate with, or without any as it begins to move."""
-    learned = folder.select("calibration", "train").manifest.index
+    learned = folder.select(*CALIBRATION).manifest.index
     names = [str(name) for name in learned[:: max(1, len(learned) // MOST_RECORDINGS)]] or moving
     return np.median([_blocks(folder, name)[0, -3:] for name in names], axis=0)
 

@@ -7,6 +7,7 @@ import pandas as pd
 
 from softslide.pipeline.recordings.folder import Folder
 from softslide.pipeline.recordings.heights import is_other, main_pressure_mpa, with_heights
+from softslide.pipeline.recordings.learned import CALIBRATION
 from softslide.pipeline.recordings.truth import truth_path
 
 LINE = ("direction_deg", "speed_mm_s", "offset_mm")
@@ -22,7 +23,7 @@ def recordings_to_learn_from(folder: Folder, several_heights: bool = False) -> F
 
     several_heights: those of other pressures too, each with the skin's height (pipeline/recordings/heights.py).
     """
-    known = with_derived_labels(folder.select("calibration", "train")).labelled()
+    known = with_derived_labels(folder.select(*CALIBRATION)).labelled()
     pressure_mpa = main_pressure_mpa(known)
     known = replace(known, sensor=replace(known.sensor, pressure_mpa=pressure_mpa))
     if several_heights:
