@@ -17,12 +17,12 @@ class TrackLimits:
     half_width, heading_width: 90 % half-widths over the filters' standard deviations; the filters neglect the map's
     curvature and keep only the likeliest hypotheses. place_mm, speed_mm_s, heading_deg: and never less than these.
     place_sd_mm, heading_sd_deg: largest standard deviations of a valid estimate. certain: least weight of the
-    hypotheses near the best one. misfit: largest chi-square over its degrees of freedom. partial: largest weight of
-    hypotheses that the contact is being pressed on or lifted, unless more channels than that has unknowns have followed
-    it for partial_way_mm. evidence: least logarithm of the odds of a contact against a smooth signal of no known
-    origin. triggers: the largest output since the touch, over the trigger, is at least that. way_mm: least way, and
-    valid_way_mm: of a valid track. manoeuvres, straight_manoeuvres: most over the way, of a track and of one that a
-    straight slide agrees with.
+    hypotheses near the best one. misfit: largest chi-square over its degrees of freedom, of the innovations and of the
+    map's residual. partial: largest weight of hypotheses that the contact is being pressed on or lifted, unless more
+    channels than that has unknowns have followed it for partial_way_mm. evidence: least logarithm of the odds of a
+    contact against a smooth signal of no known origin. triggers: the largest output since the touch, over the trigger,
+    is at least that. way_mm: least way, and valid_way_mm: of a valid track. manoeuvres, straight_manoeuvres: most over
+    the way, of a track and of one that a straight slide agrees with.
     stopped_mm_s: a contact slower than this has stopped; stopped_way_mm: its least way.
     agreement: largest squared Mahalanobis distance of the straight slide from the track, four degrees of freedom.
     stopping_s: for which a line is held while a contact seems to be slower than slow_share of the slide, or is lost;
@@ -180,7 +180,7 @@ def _is_press(track: Track, limits: TrackLimits) -> bool:
         and float(np.hypot(*track.mean[2:])) < limits.press_mm_s
         and float(track.covariance[:2, :2].trace()) < limits.press_sd_mm**2
         and track.certain >= limits.certain
-        and track.misfit <= limits.misfit
+        and max(track.misfit, track.residual) <= limits.misfit
     )
 
 
@@ -197,7 +197,7 @@ def _reason(
     lifted: bool,
     limits: TrackLimits,
 ) -> Reason:
-    if track.misfit > limits.misfit:
+    if max(track.misfit, track.residual) > limits.misfit:
         return Reason.NOT_THIS_SENSOR
     if track.way_mm < limits.valid_way_mm or track.evidence.triggers < limits.triggers:
         return Reason.TOO_EARLY

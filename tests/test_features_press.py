@@ -97,6 +97,16 @@ def test_a_press_between_the_boards_looks_like_a_fall_of_the_pressure_and_is_not
     assert any(e.valid for e in estimates(along_y))
 
 
+@pytest.mark.parametrize(
+    "step_mv", [(90, -92, -75, -19), (129, 0, -34, -68), (66, -1, -28, 132), (-5, 1, 52, -141)]
+)
+def test_a_step_along_a_direction_that_no_press_has_is_not_a_press(step_mv: tuple[float, ...]) -> None:
+    """The residual takes up what no place explains, and the next blocks' innovations are as small as a press's."""
+    tracks = [t for t in tracks_of(RESPONSE, grown(np.array(step_mv) / 1e3), INFLATION) if t is not None]
+    assert any(e.valid for e in estimates([t._replace(residual=0.0) for t in tracks]))
+    assert not any(e.valid for e in estimates(tracks))
+
+
 @pytest.mark.parametrize("inflation", [(), INFLATION[:2]])
 def test_without_what_the_pressure_does_or_with_one_board_no_press_is_valid(
     inflation: tuple[float, ...],

@@ -5,7 +5,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softslide.features.contact.hypotheses import DEPTH, GAIN, HEADING, MOTION, SPEED, Hypotheses, X, Y
+from softslide.features.contact.hypotheses import (
+    DEPTH,
+    GAIN,
+    HEADING,
+    MOTION,
+    RESIDUAL,
+    SPEED,
+    Hypotheses,
+    X,
+    Y,
+)
 from softslide.features.contact.places import Place, likeliest_places
 
 NEAR_MM = 2.5  # hypotheses this near the best one are of the same place
@@ -30,7 +40,8 @@ class Track(NamedTuple):
     """One moment. mean: (4,) x, y (mm), vx, vy (mm/s); covariance: (4, 4). certain: weight of the hypotheses near the
     best one. misfit: chi-square over its degrees of freedom. partial: weight of hypotheses that the contact is being
     pressed on or lifted. gain, depth_mm (off the map's): means; depth_sd_mm. way_mm: since the touch, at most 25.
-    manoeuvres: how many it took over that way. places: where the contact may be, while several are left.
+    manoeuvres: how many it took over that way. residual: chi-square over C of the map's residual: what a contact at
+    rest leaves stays so, and is no innovation. places: where the contact may be, while several are left.
     """
 
     mean: np.ndarray
@@ -44,16 +55,17 @@ class Track(NamedTuple):
     hypotheses: int
     way_mm: float
     manoeuvres: float = 0.0
+    residual: float = 0.0
     places: tuple[Place, ...] = ()
     evidence: ContactEvidence = ContactEvidence()
 
 
-def read(bank: Hypotheses) -> Track:
-    """The mixture of the hypotheses near the best one."""
-    return _mixture(bank, bank.state[:, MOTION], bank.covariance[:, MOTION, MOTION])
+def read(bank: Hypotheses, residual_v: float) -> Track:
+    """The mixture of the hypotheses near the best one. residual_v: V, standard deviation of the map's residual."""
+    return _mixture(bank, bank.state[:, MOTION], bank.covariance[:, MOTION, MOTION], residual_v)
 
 
-def read_past(bank: Hypotheses, steps: int) -> Track | None:
+def read_past(bank: Hypotheses, steps: int, residual_v: float) -> Track | None:
     """The same so many steps ago, from what was measured since; None where the likeliest does not go back so far."""
     if not 0 <= steps < bank.past.shape[1]:
         return None
@@ -61,10 +73,10 @@ def read_past(bank: Hypotheses, steps: int) -> Track | None:
     if not known[bank.log_weight.argmax()]:
         return None
     bank = bank.take(known)
-    return _mixture(bank, bank.past[:, steps], bank.past_covariance[:, steps])
+    return _mixture(bank, bank.past[:, steps], bank.past_covariance[:, steps], residual_v)
 
 
-def _mixture(bank: Hypotheses, motion: np.ndarray, covariance: np.ndarray) -> Track:
+def _mixture(bank: Hypotheses, motion: np.ndarray, covariance: np.ndarray, residual_v: float) -> Track:
     """motion: (N, 4), each hypothesis's x, y, heading and speed; covariance: (N, 4, 4)."""
     weight, state = bank.weight, bank.state
     best = int(weight.argmax())
@@ -97,6 +109,7 @@ def _mixture(bank: Hypotheses, motion: np.ndarray, covariance: np.ndarray) -> Tr
         len(bank),
         float(share @ bank.age_mm),
         float(share @ bank.manoeuvres),
+        float(share @ (state[:, RESIDUAL:] ** 2).mean(axis=1)) / residual_v**2,
         places=likeliest_places(mean[:, :2], weight, NEAR_MM),
     )
 

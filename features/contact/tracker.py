@@ -218,14 +218,15 @@ class ContactTracker:
         self._rested = False
         self._past.clear()
         # Places with a fan of headings each are no motion yet.
-        self._track = None if self._bank is None or config.comes_down else read(self._bank)
+        self._track = None
+        if self._bank is not None and not config.comes_down:
+            self._track = read(self._bank, self._residual_v(level)[0])
 
     def _step(self, usable: np.ndarray) -> None:
         assert self._bank is not None
         config, elapsed_s = self._config, self._step_s
         volts = self._recent[-config.step_blocks :].mean(axis=0)
-        peak_v = float(np.abs(volts).max())
-        self._quiet = self._quiet + 1 if peak_v < self._release_v else 0
+        self._quiet = self._quiet + 1 if float(np.abs(volts).max()) < self._release_v else 0
         if self._quiet * elapsed_s > RELEASE_S:
             self._bank = self._track = None
             return
@@ -233,7 +234,7 @@ class ContactTracker:
             self._bank = remembering(self._bank, config.remembered)
             return
         variance = np.where(usable, self._variance, np.inf)
-        predict(self._bank, elapsed_s, *self._residual_v(peak_v), config.noise)
+        predict(self._bank, elapsed_s, *self._residual_v(volts), config.noise)
         log_density, misfit = update(self._bank, volts, variance, self._surface, elapsed_s, config.local)
         remember(self._bank)
         self._past.append(_Step(volts, variance, log_density))
@@ -268,7 +269,8 @@ class ContactTracker:
         each = self._config.step_blocks
         since = self._blocks % each
         steps = math.ceil((blocks - since) / each)
-        track = read_past(self._bank, steps)
+        residual_v, _ = self._residual_v(self._recent[-each:].mean(axis=0))
+        track = read_past(self._bank, steps, residual_v)
         if track is None:
             return None
         track = moved_on(track, (steps * each + since - blocks) * self._block_s + self._ahead_s)
@@ -286,8 +288,7 @@ class ContactTracker:
         line = self._on_line(fit, len(self._past) * elapsed_s + since_s)
         odds = math.log(STRAIGHT)
         for volts, variance, log_density in self._past:
-            residual_v = self._residual_v(float(np.abs(volts).max()))
-            predict(line, elapsed_s, *residual_v, self._config.noise)
+            predict(line, elapsed_s, *self._residual_v(volts), self._config.noise)
             odds += update(line, volts, variance, self._surface, elapsed_s)[0] - log_density
             remember(line)
         if not line.sound.all() or not math.isfinite(odds):
@@ -298,11 +299,12 @@ class ContactTracker:
         self._bank.log_weight -= self._bank.log_weight.max()
         self._track = moved_on(self._read_track(), since_s)
 
-    def _residual_v(self, peak_v: float) -> tuple[float, float]:
-        """What is correlated over the way of what the map leaves of an output (V) of this size, and what that grows by
-        in 1 s while a contact is pressed on or lifted."""
+    def _residual_v(self, volts: np.ndarray) -> tuple[float, float]:
+        """What is correlated over the way of what the map leaves of an output (C,) V, and what that grows by in 1 s
+        while a contact is pressed on or lifted, V."""
         if self._config.comes_down:
             return TINY, 0.0
+        peak_v = float(np.abs(volts).max())
         partial_v = PARTIAL_SHARE * peak_v
         if self._floor_share is None:
             return self._floor_v + PEAK_SHARE * peak_v, partial_v
@@ -335,7 +337,7 @@ class ContactTracker:
             now = now.take(slice(None))
             predict(now, self._ahead_s, TINY, 0.0, self._config.noise)
         volts = self._recent[-self._config.step_blocks :].mean(axis=0)
-        return read(now)._replace(evidence=self._evidence.read(volts))
+        return read(now, self._residual_v(volts)[0])._replace(evidence=self._evidence.read(volts))
 
     def _branch(self) -> None:
         """Every few steps drops what is unlikely and gives the best hypotheses their children."""
@@ -358,7 +360,7 @@ class ContactTracker:
             return
         self._rested = True
         config = self._config
-        floor_v, _ = self._residual_v(float(np.abs(seen.level).max()))
+        floor_v, _ = self._residual_v(seen.level)
         resting = at_rest(seen, self._surface, self._half, floor_v, self._gain_sd, config.depth_sd_mm)
         if resting is not None:
             resting.log_weight += config.rest - np.logaddexp.reduce(resting.log_weight)
