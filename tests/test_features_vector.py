@@ -27,7 +27,7 @@ def column(name: str) -> int:
 
 
 @given(windows, st.floats(0.01, 100.0))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_stretching_time_scales_seconds_and_nothing_else(volts, factor):
     once, stretched = feature_vector(volts, 2.0), feature_vector(volts, 2.0 * factor)
     np.testing.assert_allclose(stretched[SECONDS], factor * once[SECONDS], rtol=1e-12)
@@ -35,7 +35,7 @@ def test_stretching_time_scales_seconds_and_nothing_else(volts, factor):
 
 
 @given(windows, st.integers(-6, 6))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_scaling_voltages_scales_volts_and_nothing_else(volts, power):
     # A power of two: an exact factor, so that thresholds at equality fall alike.
     once, scaled = feature_vector(volts, 2.0), feature_vector(volts * 2.0**power, 2.0)
@@ -44,7 +44,7 @@ def test_scaling_voltages_scales_volts_and_nothing_else(volts, power):
 
 
 @given(st.floats(-15, 15), st.sampled_from([0.0, 37.0, 90.0, 180.0, 211.0, 300.0]), st.floats(0.5, 1.0))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_mirror_in_y_swaps_and_flips_what_it_must(offset, direction, stroke):
     volts = slide_window(direction, offset, stroke=stroke)
     there = feature_vector(volts * np.array([[1.0], [-1.0], [1.0]]), 2.0)

@@ -15,7 +15,7 @@ import torch
 from bump_map import bump_map
 from bump_slides import as_recorded, at_rest
 from calibration_slides import STATIC_V_PER_MM, slides_of
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from network_bundle import a_window, untrained
 from small_bundle import resigned, write_bundle_of
@@ -279,7 +279,6 @@ def test_heights_follow_from_readings_and_pressures() -> None:
     np.testing.assert_allclose(found, 7.1 * np.cbrt(few["pressure_mpa"] / 0.035))
 
 
-@settings(deadline=None)
 @given(seed=st.integers(0, 1000), off=st.floats(0.001, 0.019))
 def test_a_gauge_that_reads_one_pressure_unevenly_shows_one_pressure(seed: int, off: float) -> None:
     """Three of eight recordings are at another; the others' readings are up to 1.9 % off."""

@@ -32,7 +32,7 @@ from softslide.pipeline.importers.units import POSITIONS, converter, read_calibr
 from softslide.pipeline.recordings.folder import read_folder
 
 TURN_90 = np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1]])
-quick = settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+quick = settings(max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 
 def a_map(unit: str = "V", board: Board | None = None, path: Path = Path("map.toml"), **signal) -> Map:
@@ -226,7 +226,7 @@ values = st.recursive(
 )
 
 
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(changes=st.dictionaries(keys, values, min_size=1, max_size=4))
 def test_any_map_is_read_or_refused_in_one_line(tmp_path: Path, changes: dict) -> None:
     if not (tmp_path / "map.toml").exists():

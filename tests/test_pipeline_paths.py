@@ -53,7 +53,7 @@ def test_a_straight_path_at_one_speed_is_a_slide() -> None:
     assert np.abs(one.volts - other.volts).max() > 1e-3
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(kind=st.sampled_from(KINDS), seed=st.integers(0, 10_000))
 def test_truth_is_consistent_for_every_kind(kind: str, seed: int) -> None:
     path = drawn(kind, seed)

@@ -51,7 +51,7 @@ def test_a_folder_comes_back_as_written(tmp_path: Path, accelerometers: int) -> 
     assert read.volts.dtype == read.time_s.dtype == np.float64
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(hnp.arrays(np.float64, (7, 3), elements=st.floats(-10, 10, allow_subnormal=False)), st.booleans())
 def test_volts_survive_to_the_last_bit(tmp_path_factory, volts: np.ndarray, narrow: bool) -> None:
     path, channels = tmp_path_factory.mktemp("slide") / "s.parquet", SENSOR.channels
@@ -189,7 +189,7 @@ def test_a_bad_sample_is_named(root: Path, capsys, change, says: str) -> None:
     assert says in message
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.integers(50, 300), st.floats(10, 1e4), st.floats(0, 0.2), st.integers(0, 2**32 - 1))
 def test_a_clock_may_jitter_but_not_lose_samples(samples, rate_hz, jitter, seed) -> None:
     random = np.random.default_rng(seed)

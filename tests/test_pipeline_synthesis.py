@@ -135,7 +135,7 @@ def test_what_a_slide_shows_is_the_atlas_at_the_labelled_place(speed, direction,
     assert np.linalg.norm(found, axis=1) == pytest.approx(1, abs=1e-4)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(st.floats(0, 359.9), st.floats(-15, 15), st.floats(1, 30), st.floats(0.3, 1.1))
 def test_zones_and_signs_are_the_article_s_on_every_line(direction, offset, speed, depth):
     slide = slide_over(direction, offset, speed, depth=depth)

@@ -42,7 +42,7 @@ def valid(estimates: list[Estimate]) -> np.ndarray:
     return np.array([estimate.valid for estimate in estimates])
 
 
-@settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=15, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_estimates_do_not_depend_on_the_chunks(localizer: Localizer, data: st.DataObject) -> None:
     volts = TWO_SLIDES.copy()
