@@ -180,8 +180,13 @@ def _is_press(track: Track, limits: TrackLimits) -> bool:
         and float(np.hypot(*track.mean[2:])) < limits.press_mm_s
         and float(track.covariance[:2, :2].trace()) < limits.press_sd_mm**2
         and track.certain >= limits.certain
-        and max(track.misfit, track.residual) <= limits.misfit
+        and _misfit(track) <= limits.misfit
     )
+
+
+def _misfit(track: Track) -> float:
+    """Of the innovations or of what the map leaves of a contact at rest, whichever is larger."""
+    return max(track.misfit, track.residual)
 
 
 def is_sure(track: Track, limits: TrackLimits) -> bool:
@@ -197,7 +202,7 @@ def _reason(
     lifted: bool,
     limits: TrackLimits,
 ) -> Reason:
-    if max(track.misfit, track.residual) > limits.misfit:
+    if _misfit(track) > limits.misfit:
         return Reason.NOT_THIS_SENSOR
     if track.way_mm < limits.valid_way_mm or track.evidence.triggers < limits.triggers:
         return Reason.TOO_EARLY
