@@ -318,6 +318,9 @@ def test_both_kinds_of_map_are_judged_on_held_out_lines() -> None:
     assert shares[0]["map_over_heights"] < shares[0]["map_a_height"]
     assert shares[1]["map_a_height"] < shares[1]["map_over_heights"]
     assert shares[0]["map_a_height"] == shares[1]["map_a_height"]
+    # Of heights all over a range none has a map of its own: even a wrong one over heights leaves no slide out.
+    spread = [replace(s, height_mm=s.height_mm + 0.02 * n) for n, s in enumerate(others)]
+    assert _shares_at_other_heights(used[: -len(others)] + spread, [(wrong, names)], known) == {}
 
 
 @pytest.fixture(scope="module")

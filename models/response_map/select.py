@@ -322,7 +322,8 @@ def _shares_at_other_heights(
     slides: list[CalibrationSlide], held_out: Maps, known: _Known
 ) -> dict[str, float]:
     """What a map over heights (held_out) and what a map of each height leave of held-out lines at other heights than
-    that of most: the median residual as a share of a slide's largest output. Empty where no height has enough slides.
+    that of most: the median residual as a share of a slide's largest output. Empty where no height has enough slides:
+    heights anywhere between two are none.
     """
     main = at_height(slides, main_height_mm(slides))
     others = [slide for slide, mains in zip(slides, main, strict=True) if not mains]
@@ -333,7 +334,7 @@ def _shares_at_other_heights(
     apart: list[tuple[float, float]] = []
     for at in np.split(np.arange(len(others)), gaps):
         group = [others[n] for n in at]
-        if len(group) >= least:
+        if len(group) >= least and group[-1].height_mm - group[0].height_mm <= 2 * LEAST_APART_MM:
             shared += _residuals(held_out, group)
             apart += _residuals(_chosen(group, known)[1], group)
     return {"map_over_heights": _median(shared), "map_a_height": _median(apart)} if shared else {}
