@@ -36,7 +36,7 @@ from softslide.pipeline.synthesis.synthesize import path_plan
 
 REST_S = 0.6
 ARRIVES_S = 10.0  # what was sent, on a busy machine
-TIMES = {"rest_s": REST_S, "start_s": 0.2, "timeout_s": 0.5}
+TIMES = {"rest_s": REST_S, "start_s": 0.2}
 SLIDES = "one,calibration,0,39,-5,-29,-5,58,0.5\ntwo,test,90,39,0,0,-29,58,0.4\n"
 
 

@@ -96,7 +96,7 @@ def test_what_is_enough_leaves_the_slides_to_learn_from_and_goes_on_with_others(
     monkeypatch.setattr(error_so_far, "atlas_to_calibrate", lambda sensor: None)  # a solver's minutes
     port = free_port()
     with sending(port):
-        times = {"rest_s": 0.6, "start_s": 0.2, "timeout_s": 0.5}
+        times = {"rest_s": 0.6, "start_s": 0.2}
         options = {"sensor": tmp_path / "sensor.toml", "yes": True, "until": ["1deg"], **times}
         folder, left = record(f"udp://:{port}", tmp_path / "plan.csv", tmp_path / "out", **options)
     assert list(folder.manifest.index) == ["one", "three"]
