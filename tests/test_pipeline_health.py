@@ -214,6 +214,19 @@ def test_a_generator_with_one_seed_is_found(sound, tmp_path: Path) -> None:
     assert len({f.recording for f in findings if f.kind == "made up" and f.level == "error"}) == 9
 
 
+@pytest.mark.parametrize(("from_start", "found"), [(True, True), (False, False)])
+def test_two_outputs_with_one_noise_are_found_unless_the_contact_shakes_both(
+    sound, tmp_path: Path, from_start: bool, found: bool
+) -> None:
+    def shaken(recording: Recording, row: pd.Series) -> None:
+        begin = 0 if from_start else row["motion_start_s"]
+        noise = np.random.default_rng(1).normal(0, 0.03, len(recording.volts))
+        recording.volts[:, :2] += (noise * (recording.time_s >= begin))[:, None]
+
+    channels = {f.channel for f in injured(sound, tmp_path, shaken, 0) if "another output" in f.text}
+    assert channels == ({"a0_vx", "a0_vy"} if found else set())
+
+
 def test_equal_variances_are_found_and_real_ones_pass(sound, tmp_path: Path) -> None:
     def real(recording: Recording, row: pd.Series) -> None:
         noise = recording.volts - quiet(recording.volts)

@@ -8,7 +8,7 @@ import pytest
 from article_skin import ATLAS, SENSOR
 
 import softslide
-from softslide.pipeline.atlas.skin_height import says_of_heights, skin_heights
+from softslide.pipeline.atlas.skin_height import height_lines, says_of_heights, skin_heights
 from softslide.pipeline.recordings.folder import SAMPLE, Folder, Recording, read_folder, write_folder
 
 HEIGHTS_MM, PRESSURES_MPA, FACTOR = (5.5, 7.0, 8.5), (0.03, 0.035, 0.04), 0.8
@@ -58,6 +58,13 @@ def test_check_says_a_line_for_each_pressure(folder: Folder, capsys: pytest.Capt
     rows = json.loads(capsys.readouterr().out)["skin_heights"]
     assert rows[1]["laser_mm"] == HEIGHTS_MM[1]
     assert rows[0]["laser_mm"] is None
+
+
+def test_check_says_how_little_the_formula_is_worth(folder: Folder) -> None:
+    rows = rows_of(folder)
+    bare = [row | {"laser_mm": np.nan, "atlas_mm": np.nan, "fitted_mm": np.nan, "used": False} for row in rows]
+    assert "far off" in list(height_lines(bare))[-1]
+    assert not any("far off" in line for line in height_lines(rows))
 
 
 def test_check_says_nothing_of_heights_where_there_is_one_pressure() -> None:

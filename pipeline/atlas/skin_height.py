@@ -18,7 +18,7 @@ from softslide.pipeline.recordings.heights import alike_mpa, is_other, laser_rea
 from softslide.pipeline.recordings.learned import REPORTING
 
 # A row's heights, in mm, and what people call them.
-HEIGHTS = {"laser_mm": "laser", "formula_mm": "formula", "atlas_mm": "solved", "fitted_mm": "fitted"}
+HEIGHTS = {"laser_mm": "laser", "formula_mm": "article's formula", "atlas_mm": "solved", "fitted_mm": "fitted"}
 
 
 def says_of_heights(folder: Folder) -> bool:
@@ -104,3 +104,5 @@ def height_lines(rows: list[dict[str, Any]]) -> Iterator[str]:
             if np.isfinite(row[key])
         )
         yield f"{row['pressure_mpa']:g} MPa, {row['recordings']} recordings: {heights or 'outside the atlas'}"
+    if rows and np.isnan([[row["laser_mm"], row["atlas_mm"]] for row in rows]).all():
+        yield "the article's formula alone is far off on most skins; 'check --atlas' reads the solved design"

@@ -57,7 +57,7 @@ class Limits:
     ramp_s = 1.0  # or, if more, as a time
     copied = 0.3  # portion of the samples that two recordings share
     same_noise = 0.5  # correlation of two recordings' noise
-    same_output = 0.95  # correlation of two outputs' noise; high, as shaking moves all of them
+    same_output = 0.95  # correlation of two outputs' noise at rest; high, as a pump may shake all of them
     echo = 0.3  # autocorrelation of the noise
     tone = 100.0  # power of a line over the noise floor
     equal_noise = 0.02  # spread of the noise between outputs, over what chance would leave
@@ -203,11 +203,13 @@ def _acceleration(one: Measurements, n: int, channel: str, part: Accelerometer) 
 def _output(one: Measurements, n: int, channel: str) -> Iterator[Finding]:
     """One output's signal, whatever it measures: clipped, tones, repeats. n: of its channel."""
     tone = f"times the noise floor at {one.tone_hz[n]:g} Hz: a pure tone, a machine's or a program's"
+    twin = "correlation of its noise at rest with another output's: a generator's, repeated"
     yield from _above(
         *(one, channel),
         ("error", "clipped", one.rail_run[n], Limits.rail_run, "equal samples at a rail"),
         ("warning", "tone", one.tone_ratio[n], Limits.tone, tone),
         ("error", "made up", one.echo[n], Limits.echo, "the noise repeats itself"),
+        ("warning", "made up", one.twin[n], Limits.same_output, twin),
     )
 
 
@@ -315,19 +317,16 @@ def _duplicates(measured: Sequence[Measurements]) -> Iterator[Finding]:
 
 
 def _made_up(measured: Sequence[Measurements], sensor: Sensor) -> Iterator[Finding]:
-    """Noise that two recordings or two outputs share, and outputs whose noise is equal beyond chance."""
+    """Noise that two recordings share, and outputs whose noise is equal beyond chance."""
     whole = [one for one in measured if len(one.fingerprint) == max(len(v.fingerprint) for v in measured)]
     outputs = len(sensor.channels)
     noise = np.concatenate([one.fingerprint.T for one in whole])
     for b in range(1, len(noise)):
         own = b - b % outputs
-        shared = np.abs(noise[:b] @ noise[b])
+        shared = np.abs(noise[:own] @ noise[b])
         one, channel = whole[b // outputs], sensor.channels[b % outputs]
-        if own < b and (figure := float(shared[own:].max())) > Limits.same_output:
-            text = "correlation of its noise with another output's: a generator's, repeated"
-            yield Finding("warning", "made up", one.name, channel, figure, Limits.same_output, text)
-        if own and (figure := float(shared[:own].max())) > Limits.same_noise:
-            other = whole[int(shared[:own].argmax()) // outputs].name
+        if own and (figure := float(shared.max())) > Limits.same_noise:
+            other = whole[int(shared.argmax()) // outputs].name
             text = f"correlation of its noise with that of {other}: a generator's, repeated"
             yield Finding("error", "made up", one.name, channel, figure, Limits.same_noise, text)
     variance = np.array([one.noise_v_rthz**2 for one in measured if np.isfinite(one.noise_v_rthz).all()])

@@ -20,6 +20,8 @@ NOISE_FROM_HZ = 20.0
 SECONDS = 40
 # Samples whose noise is kept to be compared between recordings.
 FINGERPRINT = 1000
+# Differences whose correlation in white noise is beyond 0.95 once in 10^10: as of half as many that are independent.
+LEAST_NOISE = 40
 # Length of the means whose range shows whether anything was touched, s.
 MEAN_S = 0.1
 
@@ -35,7 +37,8 @@ class Measurements:
     floor. rest_s: before the motion, NaN if unlabelled. rest_v: mean before it, or of the first half
     second. drift_v: rest after less rest before, NaN if either is absent or the object stays on the skin.
     agreement: (accelerometers, 3, 2), see `zone_signs.sign_agreement`. landmarks: see `_landmarks`.
-    fingerprint: (n, channels) noise of the first samples, each channel of unit norm. echo: the highest
+    fingerprint: (n, channels) noise of the first samples, each channel of unit norm. twin: the highest correlation of
+    the noise before the motion, when nothing shakes the board, with another output's. echo: the highest
     autocorrelation of the noise at a lag of a fifth of a second or more.
     """
 
@@ -56,6 +59,7 @@ class Measurements:
     agreement: np.ndarray
     landmarks: np.ndarray
     fingerprint: np.ndarray
+    twin: np.ndarray
     echo: np.ndarray
 
 
@@ -79,7 +83,6 @@ def measure(
     floor, frequency, power = _spectrum(volts, rate)
     mains_hz, mains_v = _mains(frequency, power, floor)
     tone_hz, tone_ratio = _tones(frequency, power, floor)
-    noise = np.diff(volts[: FINGERPRINT + 2], n=2, axis=0)
     return Measurements(
         name=recording.name,
         rate_hz=(len(time_s) - 1) / (time_s[-1] - time_s[0]),
@@ -97,7 +100,8 @@ def measure(
         drift_v=level.volts[after].mean(axis=0) - rest_v if settled else np.full(volts.shape[1], np.nan),
         agreement=sign_agreement(level, labels, sensor),
         landmarks=_landmarks(volts),
-        fingerprint=(noise / np.maximum(np.linalg.norm(noise, axis=0), 1e-300)).astype(np.float32),
+        fingerprint=_noise(volts),
+        twin=_twin(volts[before]),
         echo=_echo(volts, rate),
     )
 
@@ -107,6 +111,20 @@ def _swing(volts: np.ndarray, count: int, floor: np.ndarray) -> np.ndarray:
     if not 0 < count <= len(volts):
         return np.full(volts.shape[1], np.nan)
     return np.ptp(successive_means(volts, count), axis=0) / np.sqrt(np.maximum(floor, 1e-300) / (2 * MEAN_S))
+
+
+def _noise(volts: np.ndarray) -> np.ndarray:
+    """Second differences (n, channels) of the first samples, at most FINGERPRINT, each channel of unit norm."""
+    noise = np.diff(volts[: FINGERPRINT + 2], n=2, axis=0)
+    return (noise / np.maximum(np.linalg.norm(noise, axis=0), 1e-300)).astype(np.float32)
+
+
+def _twin(volts: np.ndarray) -> np.ndarray:
+    """The highest correlation of each output's noise with another's; 0 where chance alone may be that high."""
+    noise = _noise(volts)
+    shared = np.abs(noise.T @ noise)
+    np.fill_diagonal(shared, 0.0)
+    return shared.max(axis=0) * (len(noise) >= LEAST_NOISE)
 
 
 def _landmarks(volts: np.ndarray) -> np.ndarray:
