@@ -1,11 +1,12 @@
 """What `train` is about to do with a folder's recordings, and what it did, said on standard error."""
 
-import math
 import sys
+from dataclasses import asdict
 
 import numpy as np
 
 from softslide.features.height import HeightCalibration
+from softslide.features.rest_height import rest_height
 from softslide.features.stream.conditioning import Conditioning
 from softslide.models.fitted_model import FittedModel
 from softslide.models.response_map.slides import LEAST_APART_MM
@@ -96,7 +97,10 @@ def _assumed(chosen: Folder, folder: Folder, fitted: FittedModel) -> list[str]:
         depths = folder.manifest["depth_mm"][absent].unique()
         lines.append(f"no depth_mm in {int(absent.sum())}: taken as {depths[0]:g} mm")
     if fitted.heights is not None:
-        lines.append(_over_heights(fitted.heights, fitted.summary))
+        boards, scale = [asdict(board) for board in folder.sensor.accelerometers], fitted.conditioning.scale
+        rest = None if fitted.contact is None else rest_height(fitted.contact, fitted.heights, boards, scale)
+        shown = rest is not None and rest.shows
+        lines.append(_over_heights(fitted.heights, shown, fitted.summary))
     contact = folder.manifest["depth_mm"]
     if np.ptp(contact) > LEAST_APART_MM:
         between = f"depth_mm from {contact.min():g} to {contact.max():g}"
@@ -104,15 +108,13 @@ def _assumed(chosen: Folder, folder: Folder, fitted: FittedModel) -> list[str]:
     return lines
 
 
-def _over_heights(heights: HeightCalibration, summary: dict[str, float]) -> str:
-    """What was made of recordings at several heights of the skin."""
+def _over_heights(heights: HeightCalibration, shown: bool, summary: dict[str, float]) -> str:
+    """What was made of recordings at several heights of the skin. shown: whether the static output shows them."""
     line = f"skin {heights.lowest_mm:.2f} to {heights.highest_mm:.2f} mm high: one response map over heights"
     if "heldout_residual_map_a_height" in summary:
         shared, apart = (summary[f"heldout_residual_map_{name}"] for name in ("over_heights", "a_height"))
         line += f", which leaves {shared:.1%} of held-out lines (a map of each height {apart:.1%})"
-    if math.isnan(heights.estimate(np.array(heights.static_v))):
-        return f"{line}; the static output shows no height, name it by --height"
-    return f"{line}; the static output shows the height"
+    return f"{line}; the static output shows {'the height' if shown else 'no height, name it by --height'}"
 
 
 def some(names: list[str], most: int = EXAMPLES) -> str:

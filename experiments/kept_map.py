@@ -16,7 +16,6 @@ import numpy as np
 from softslide.experiments.cached import Arrays, cached
 from softslide.experiments.code_hash import code_hash
 from softslide.experiments.provenance import data_hashes, machine
-from softslide.features.height import HeightCalibration
 from softslide.features.stream.conditioning import Conditioning
 from softslide.models.response_map.from_atlas import SensorSpread
 from softslide.models.response_map.map import ResponseMap
@@ -33,7 +32,7 @@ MOST = 50
 MAKER = "softslide.models.response_map.select"
 LIBRARIES = ("numpy", "scipy")
 # What a CalibratedMap holds as JSON takes it.
-PLAIN = ("slides", "summary", "untimed", "left_out", "static_heights_mm")
+PLAIN = ("slides", "summary", "untimed", "left_out")
 
 
 def kept_map(
@@ -79,7 +78,6 @@ def _packed(found: CalibratedMap) -> Arrays:
     rest = {name: getattr(found, name) for name in PLAIN} | {
         "maps": numbers,
         "conditioning": asdict(found.conditioning),
-        "heights": None if found.heights is None else asdict(found.heights),
     }
     return {
         **{name: np.ascontiguousarray(values) for name, values in arrays.items()},
@@ -103,7 +101,6 @@ def _unpacked(arrays: Arrays, folder: Folder) -> CalibratedMap:
         held_out=[(response, arrays[f"unseen.{n}"]) for n, response in enumerate(maps[1:])],
         conditioning=Conditioning(**rest["conditioning"]),
         folder=replace(folder, manifest=table.assign(**motion)),
-        heights=None if rest["heights"] is None else HeightCalibration(**_tuples(rest["heights"])),
         **{name: rest[name] for name in PLAIN},
     )
 

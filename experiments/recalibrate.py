@@ -18,7 +18,7 @@ from softslide.models.cnn.height_input import SLOPE
 from softslide.models.export.bundle import read_graph, with_graph
 from softslide.models.export.gains import Gains, fit_gains, labelled_contacts
 from softslide.models.graph.packing import pack
-from softslide.models.response_map.card import contact_calibration, response_of, with_gains
+from softslide.models.response_map.card import contact_calibration, response_of, static_heights_mm, with_gains
 from softslide.models.response_map.slides import static_outputs
 from softslide.pipeline.recordings.folder import Folder, read_folder
 from softslide.pipeline.recordings.learned import REPORTING
@@ -42,7 +42,8 @@ def recalibrate(
     folder = derived(_chosen(read_folder(recordings), split))
     card, contact = _with_map(Path(model), folder)
     data, folder = data_hashes(folder), replace(folder, base_motion=card.base)
-    slides, presses, left_out = labelled_contacts(folder, card.conditioning, card.heights)
+    heights_mm = static_heights_mm(folder, card.conditioning, contact, card.heights)
+    slides, presses, left_out = labelled_contacts(folder, card.conditioning, heights_mm)
     if not slides and not presses:
         raise InputError(
             f"{folder.root / 'manifest.csv'}: no stroke with all its labels after a rest, and no press with its "

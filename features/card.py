@@ -260,7 +260,7 @@ def _card(table: dict[str, Any]) -> Card:
             "intervals": {k: Interval(**v) for k, v in table["intervals"].items()},
             "validity": Validity(**limits),
             "force": None if table["force"] is None else _force(table["force"]),
-            "heights": None if table["heights"] is None else _heights(table["heights"]),
+            "heights": None if table["heights"] is None else HeightCalibration(**table["heights"]),
             "contact": None if table["contact"] is None else _contact(table["contact"]),
             "base": None if table["base"] is None else _base(table["base"]),
         }
@@ -279,11 +279,6 @@ def _contact(table: dict[str, Any]) -> ContactCalibration:
     rows = tuple(tuple(row) for row in table.get("static_covariance_v2", ()))
     lists_of = {name: tuple(table[name]) for name in lists}
     return ContactCalibration(**{**table, **lists_of, "static_covariance_v2": rows})
-
-
-def _heights(table: dict[str, Any]) -> HeightCalibration:
-    lists = ("static_v", "static_v_per_mm", "static_sd_v")
-    return HeightCalibration(**{**table, **{name: tuple(table[name]) for name in lists}})
 
 
 def _base(table: dict[str, Any]) -> BaseMotion:

@@ -51,12 +51,10 @@ def check_fields(card: "Card") -> None:
         raise ValueError(
             f"contact: noise_v has {len(card.contact.noise_v)} channels, the card {len(card.channels)}"
         )
-    if card.heights is not None and (
-        card.contact is None
-        or len(card.heights.static_v) != len(card.contact.noise_v)
-        or card.heights.knots != card.contact.knots
-    ):
-        raise ValueError("heights: its map is not like the one of contact")
+    if card.heights is not None:
+        if card.contact is None or card.heights.knots != card.contact.knots:
+            raise ValueError("heights: its map is not like the one of contact")
+        card.heights.splines(len(card.contact.noise_v))
     _base(card)
     table(card.provenance, "provenance")
     _golden(table(card.golden, "golden"))

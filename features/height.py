@@ -1,7 +1,7 @@
-"""What the model card carries for the skin's height: the response map's change with it, and the static output's.
+"""What the model card carries for the skin's height: the response map's change with it.
 
-An inflated skin that stands higher answers otherwise, and tilts its accelerometers otherwise at rest. So the static
-output shows the height that is in use, as long as the sensor is mounted as it was in the calibration.
+An inflated skin that stands higher answers otherwise. What its accelerometers read at rest shows the height that is in
+use (`rest_height.py`).
 """
 
 import math
@@ -9,18 +9,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from softslide.features.contact.calibration import LARGEST, check_map, decoded
+from softslide.features.contact.calibration import check_map, decoded
 from softslide.features.errors import InputError
 
 # A graph's input that need not be given: the skin's height less height_mm, mm.
 HEIGHT_INPUT = "height_off_mm"
-# Standard deviations beyond which a static output is not one of the calibration's mounting.
-MOUNTED_SD = 5.0
-# Largest standard deviation of a height from the static output, as a share of the range of heights.
-TELLING_SHARE = 0.25
-# What a height beyond the calibration's is off by at least before it counts: the response changes by 9 % a mm on
-# `bench-depth`, and by 2 % (`gain_sd` of `bench-a`) from slide to slide anyway.
-LEAST_OFF_MM = 0.2
 MARGIN_MM = 0.1  # beyond the calibration's heights: what a laser may err by
 
 
@@ -30,11 +23,10 @@ class HeightCalibration:
 
     coefficients: float16, little-endian, `packed`, (K, K, C) in units of scale_v: the splines of H (V/mm), which the
     response map's M changes by. knots: K. height_mm: h0, the height that map and graph are of unless another is given.
-    lowest_mm, highest_mm: of the calibration's. static_v, static_v_per_mm, static_sd_v: (C,), the output at rest at h0,
-    its change with height (V/mm), and its standard deviation about both.
+    lowest_mm, highest_mm: of the calibration's.
 
     Raises:
-        ValueError: a number is out of range, or the coefficients are not as many as K and C say.
+        ValueError: a number is out of range.
     """
 
     coefficients: str
@@ -43,49 +35,27 @@ class HeightCalibration:
     height_mm: float
     lowest_mm: float
     highest_mm: float
-    static_v: tuple[float, ...]
-    static_v_per_mm: tuple[float, ...]
-    static_sd_v: tuple[float, ...]
 
     def __post_init__(self) -> None:
-        numbers = (self.scale_v, self.height_mm, self.lowest_mm, self.highest_mm, *self.static_sd_v)
+        numbers = (self.scale_v, self.height_mm, self.lowest_mm, self.highest_mm)
         check_map("heights", numbers, self.knots, self.coefficients)
         if not self.lowest_mm < self.highest_mm:
             raise ValueError(f"heights: {self.lowest_mm:g} to {self.highest_mm:g} mm do not rise")
         if not self.lowest_mm <= self.height_mm <= self.highest_mm:
             raise ValueError(f"heights: height_mm {self.height_mm:g} is not among them")
-        static = np.array([self.static_v, self.static_v_per_mm, self.static_sd_v], dtype=float)
-        if not (np.abs(static) <= LARGEST).all():
-            raise ValueError(f"heights: a static output is not finite or beyond {LARGEST:g}")
-        self.splines()
 
     @property
     def range_off_mm(self) -> tuple[float, float]:
         """The calibration's least and largest height, less height_mm."""
         return self.lowest_mm - self.height_mm, self.highest_mm - self.height_mm
 
-    def splines(self) -> np.ndarray:
-        """(K, K, C) V/mm: the splines of H."""
-        return decoded(self.coefficients, (self.knots, self.knots, len(self.static_v)), self.scale_v)
+    def splines(self, channels: int) -> np.ndarray:
+        """(K, K, C) V/mm: the splines of H, of so many channels.
 
-    def estimate(self, static_v: np.ndarray) -> float:
-        """The height in mm from a static output (C,) V, within the calibration's range; NaN where it shows none:
-        another mounting, or a skin outside the range."""
-        weight = 1.0 / np.square(self.static_sd_v)
-        slope = np.array(self.static_v_per_mm)
-        off_v = np.asarray(static_v) - self.static_v
-        information = float(weight @ slope**2)
-        sd_mm = information**-0.5 if information > 0 else math.inf
-        if not sd_mm < TELLING_SHARE * (self.highest_mm - self.lowest_mm):
-            return math.nan
-        off_mm = float((weight * slope) @ off_v) / information
-        off_line = np.abs(off_v - off_mm * slope) / self.static_sd_v
-        height_mm = self.height_mm + off_mm
-        margin_mm = max(LEAST_OFF_MM, MOUNTED_SD * sd_mm)
-        inside = self.lowest_mm - margin_mm <= height_mm <= self.highest_mm + margin_mm
-        if not (inside and off_line.max() < MOUNTED_SD):
-            return math.nan
-        return min(max(height_mm, self.lowest_mm), self.highest_mm)
+        Raises:
+            ValueError: the coefficients are not as many as K and C say.
+        """
+        return decoded(self.coefficients, (self.knots, self.knots, channels), self.scale_v)
 
 
 def given_height(heights: HeightCalibration | None, height_mm: float | None) -> float:

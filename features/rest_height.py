@@ -1,4 +1,4 @@
-"""Whether the static output shows a skin at another height than the calibration's: another pressure below it.
+"""The skin's height, and so whether another pressure is below it, from the static output of its accelerometers.
 
 The boards of a skin that stands higher lean over further. Other things change the static output too: it scatters from
 slide to slide; the gain changes, of all outputs alike; device or mounting tilt, all boards alike. Generalized least
@@ -6,18 +6,27 @@ squares (A. C. Aitken, 1936) find the height next to these. With one acceleromet
 that a mounting is taken to stay as it was in the calibration, unless the static output scatters like a tilt there.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from softslide.features.contact.calibration import ContactCalibration
-from softslide.features.height import LEAST_OFF_MM, MOUNTED_SD, HeightCalibration
+from softslide.features.height import HeightCalibration
 from softslide.features.stream.drift import nominal_outputs
 
+# Standard deviations beyond which a static output is not one of the calibration's mounting.
+MOUNTED_SD = 5.0
+# Largest standard deviation of a height from the static output, as a share of the range of heights.
+TELLING_SHARE = 0.25
+# What a height beyond the calibration's is off by at least before it counts: the response changes by 9 % a mm on
+# `bench-depth`, and by 2 % (`gain_sd` of `bench-a`) from slide to slide anyway.
+LEAST_OFF_MM = 0.2
 # Priors so wide that the static output decides: the data sheet's tolerance of the gain is 7.5 %; six degrees.
 GAIN_SD = 0.1
 TILT_SD_RAD = 0.1
+LEAST = 1e-12  # above zero
 
 
 class RestHeight:
@@ -34,13 +43,19 @@ class RestHeight:
         scale: float,
     ) -> None:
         boards = len(accelerometers)
+        self._heights = heights
         self._static = np.array(contact.static_v)
-        zero = np.repeat([pair[0] for pair in nominal_outputs(accelerometers, scale) if pair], 3)
-        gravity = (self._static - zero).reshape(boards, 3)
+        # Of an element that does not measure gravity neither gain nor tilt is known to change the static output.
+        gravity = np.zeros((boards, 3))
+        for n, nominal in enumerate(nominal_outputs(accelerometers, scale)):
+            if nominal is not None:
+                gravity[n] = self._static[3 * n : 3 * n + 3] - nominal[0]
         change = np.zeros((boards, 3))
-        change[:, :2] = np.reshape(contact.inflation_v_per_mm, (boards, 2))
+        inflation = np.reshape(contact.inflation_v_per_mm, (boards, -1))
+        change[:, : inflation.shape[1]] = inflation
         # Gravity keeps its length.
-        change -= gravity * ((gravity * change).sum(axis=1) / (gravity**2).sum(axis=1))[:, None]
+        square = np.maximum((gravity**2).sum(axis=1), LEAST)
+        change -= gravity * ((gravity * change).sum(axis=1) / square)[:, None]
         covariance = np.array(contact.static_covariance_v2)
         others = [GAIN_SD * gravity]
         if boards > 1:
@@ -49,11 +64,18 @@ class RestHeight:
             covariance = covariance + np.outer(other, other)
         self._inverse = np.linalg.inv(covariance)
         self._weight = self._inverse @ change.ravel()
-        self._information = float(self._weight @ change.ravel())
+        self._information = max(float(self._weight @ change.ravel()), LEAST)
         self._off_line = MOUNTED_SD**2 * boards
         margin_mm = max(LEAST_OFF_MM, MOUNTED_SD * self.sd_mm)
         low, high = (0.0, 0.0) if heights is None else heights.range_off_mm
         self._range_mm = low - margin_mm, high + margin_mm
+
+    @property
+    def shows(self) -> bool:
+        """Whether the static output shows which of the bundle's heights the skin has."""
+        if self._heights is None:
+            return False
+        return self.sd_mm < TELLING_SHARE * (self._heights.highest_mm - self._heights.lowest_mm)
 
     @property
     def sd_mm(self) -> float:
@@ -67,6 +89,14 @@ class RestHeight:
         off_mm = float(self._weight @ off_v) / self._information
         off_line = float(off_v @ self._inverse @ off_v) - off_mm**2 * self._information
         return off_mm if off_line <= self._off_line else np.nan
+
+    def height_mm(self, static_v: np.ndarray) -> float:
+        """The skin's height, within the calibration's; NaN where the static output shows none, or another."""
+        off_mm = self.off_mm(static_v)
+        if self._heights is None or not self.shows or math.isnan(off_mm) or self.is_other(static_v):
+            return math.nan
+        low, high = self._heights.range_off_mm
+        return self._heights.height_mm + min(max(off_mm, low), high)
 
     def is_other(self, static_v: np.ndarray) -> bool:
         """Whether the skin's height is one that the bundle is not for."""

@@ -62,5 +62,5 @@ def response_surface(card: Card, height_mm: float = math.nan) -> ResponseSurface
     assert contact is not None
     splines = contact.splines()
     if card.heights is not None and not math.isnan(height_mm):
-        splines[0] += (height_mm - card.heights.height_mm) * card.heights.splines()
+        splines[0] += (height_mm - card.heights.height_mm) * card.heights.splines(len(contact.noise_v))
     return ResponseSurface(splines, contact.half_mm, contact.spacing_mm)

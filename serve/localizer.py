@@ -360,8 +360,7 @@ class Localizer:
             return
         if self._rest_height is not None:
             self._at_rest = Reason.SKIN_HEIGHT if self._rest_height.is_other(tracker.static) else Reason.NONE
-        if self.card.heights is not None:
-            self._take_height(self.card.heights.estimate(tracker.static[tracker.touch]))
+            self._take_height(self._rest_height.height_mm(tracker.static))
 
     def _take_height(self, height_mm: float) -> None:
         """Reads the map at this height of the skin; NaN: at the height that most of its recordings had."""

@@ -6,14 +6,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from dome_map import dome_map
 from small_bundle import write_small_bundle
 from streams import RATE_HZ, a_sensor
+from touched_skin import SENSOR
 from tracked_map import TWO_BOARDS, noisy_map
 
 from softslide.features.contact.calibration import ContactCalibration, encoded
 from softslide.features.estimate import Reason
-from softslide.features.height import LEAST_OFF_MM, HeightCalibration
-from softslide.features.rest_height import RestHeight, rest_height
+from softslide.features.height import HeightCalibration
+from softslide.features.rest_height import LEAST_OFF_MM, RestHeight, rest_height
 from softslide.features.stream.conditioning import Conditioning
 from softslide.models.response_map.card import contact_calibration
 from softslide.models.response_map.slides import LEAST_RECORDINGS, scatter_about, static_scatter
@@ -100,10 +102,46 @@ def test_one_accelerometer_notices_a_height_where_nothing_else_moves_its_output(
     assert not height.is_other(remounted)
 
 
-def test_heights_of_the_calibration_are_not_another() -> None:
+def six_to_eight_mm() -> HeightCalibration:
     flat, scale_v = encoded(np.zeros((4, 4, 1)))
-    heights = HeightCalibration(flat, scale_v, 4, 7.0, 6.0, 8.0, (0.0,), (0.0,), (1.0,))
-    height = judge(2, 0.0, heights)
+    return HeightCalibration(flat, scale_v, 4, 7.0, 6.0, 8.0)
+
+
+@pytest.mark.parametrize(("boards", "tilt_deg"), [(1, 0.0), (2, 0.0), (2, 1.0)])
+def test_the_static_output_shows_the_height(boards: int, tilt_deg: float) -> None:
+    """Of two accelerometers however the device stands; of one where it stands as in the calibration."""
+    height, rest, rise = judge(boards, tilt_deg, six_to_eight_mm()), statics_of(boards), rise_of(boards)
+    assert height.shows
+    lean_deg = (2.0, -1.0) if boards > 1 else (0.0, 0.0)
+    for off_mm in (-1.0, 0.3, 1.0):
+        static = leaning(rest + off_mm * rise, *lean_deg)
+        assert height.height_mm(static) == pytest.approx(7.0 + off_mm, abs=0.15)
+    # A little beyond what it was calibrated at, and far beyond.
+    assert height.height_mm(rest + 1.15 * rise) == 8.0
+    assert math.isnan(height.height_mm(rest + 2.5 * rise))
+    # The zeros of one have shifted.
+    assert math.isnan(height.height_mm(rest + 0.3 * rise + np.pad([0.0, 0.02, -0.02], (0, 3 * boards - 3))))
+
+
+def test_a_magnetometer_shows_the_height_by_all_its_outputs() -> None:
+    rest, rise = np.array([0.2, -0.1, 3.0]), np.array([0.0, 0.01, -0.2])
+    off_mm = np.tile([-1.0, 0.0, 1.0], 10)
+    statics = rest + off_mm[:, None] * rise + np.random.default_rng(5).normal(0.0, 1e-3, (30, 3))
+    found = scatter_about(np.column_stack([np.ones(30), off_mm]), statics)
+    contact = contact_calibration(dome_map(), tuple(found.v_per_mm.tolist()), found)
+    height = RestHeight(contact, six_to_eight_mm(), [asdict(a) for a in SENSOR.accelerometers], 1.0)
+    assert height.height_mm(rest + 0.6 * rise) == pytest.approx(7.6, abs=0.05)
+    assert height.is_other(rest + 2.0 * rise)
+
+
+def test_one_accelerometer_whose_tilt_scatters_shows_no_height_nor_does_a_bundle_of_one_height() -> None:
+    for height in (judge(1, 1.0, six_to_eight_mm()), judge(1, 0.0)):
+        assert not height.shows
+        assert math.isnan(height.height_mm(statics_of(1)))
+
+
+def test_heights_of_the_calibration_are_not_another() -> None:
+    height = judge(2, 0.0, six_to_eight_mm())
     beyond = [height.is_other(statics_of(2) + off_mm * rise_of(2)) for off_mm in (-1.5, -0.9, 0.9, 1.5)]
     assert beyond == [True, False, False, True]
 

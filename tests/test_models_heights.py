@@ -14,7 +14,7 @@ import pytest
 import torch
 from bump_map import bump_map
 from bump_slides import as_recorded, at_rest
-from calibration_slides import STATIC_V_PER_MM, slides_of
+from calibration_slides import slides_of
 from hypothesis import given
 from hypothesis import strategies as st
 from network_bundle import a_window, untrained
@@ -32,12 +32,22 @@ from softslide.models.export.gains import fit_gains, labelled_contacts
 from softslide.models.graph.from_torch import export_graph
 from softslide.models.registry import model_named
 from softslide.models.response_map.calibrate import calibrate
-from softslide.models.response_map.card import calibrated_heights, contact_calibration, with_gains
+from softslide.models.response_map.card import (
+    calibrated_heights,
+    contact_calibration,
+    static_heights_mm,
+    with_gains,
+)
 from softslide.models.response_map.from_atlas import SensorSpread
 from softslide.models.response_map.map import ResponseMap
 from softslide.models.response_map.select import _Known, _shares_at_other_heights, calibrated_map
 from softslide.models.response_map.slide_fit import CalibrationConfig
-from softslide.models.response_map.slides import CalibrationSlide, calibration_slides, main_height_mm
+from softslide.models.response_map.slides import (
+    CalibrationSlide,
+    calibration_slides,
+    main_height_mm,
+    scatter_about,
+)
 from softslide.pipeline.recordings.derived_labels import recordings_to_learn_from, why_not_labelled
 from softslide.pipeline.recordings.folder import SAMPLE, Folder, read_folder, write_folder
 from softslide.pipeline.recordings.heights import (
@@ -56,6 +66,7 @@ SENSOR = Sensor(
     "bump", 500.0, (50.0, 50.0), 4.0, 6.0, 0.035, (5.0, 0.0), 5e-4, (Accelerometer("a0", 5.0, 0.0),)
 )
 MAIN_MM = 7.0
+STATIC_V_PER_MM = 0.01  # of V_x
 LINES = [(d, o) for d in (0.0, 90.0, 180.0, 270.0, 37.0, 142.0) for o in np.arange(-20.0, 21.0, 5.0)]
 
 
@@ -155,36 +166,27 @@ def test_a_graph_as_c_is_for_the_main_height(tmp_path: Path, graph: bytes) -> No
 
 
 @pytest.fixture(scope="module")
-def heights(slides: list[CalibrationSlide]) -> HeightCalibration:
-    found = calibrated_heights(over_heights(), slides)
+def heights() -> HeightCalibration:
+    found = calibrated_heights(over_heights())
     assert found is not None
     return found
 
 
-def test_the_static_output_shows_the_height_of_this_mounting(heights: HeightCalibration) -> None:
-    at = np.array([1.7, 1.65])
-    for height_mm in (6.0, 7.3, 8.0):
-        assert heights.estimate(at + height_mm * np.array(STATIC_V_PER_MM)) == pytest.approx(
-            height_mm, abs=1e-6
-        )
-    assert heights.estimate(at + 8.1 * np.array(STATIC_V_PER_MM)) == pytest.approx(8.0)
-    assert math.isnan(heights.estimate(at + 9.5 * np.array(STATIC_V_PER_MM)))
-    # Half a degree of another mounting.
-    assert math.isnan(heights.estimate(at + 7.3 * np.array(STATIC_V_PER_MM) + [0.0, 0.007]))
-
-
-def test_a_static_output_that_does_not_change_shows_no_height(heights: HeightCalibration) -> None:
-    assert math.isnan(replace(heights, static_v_per_mm=(1e-5, 0.0)).estimate(np.array(heights.static_v)))
-
-
 def test_gains_scale_the_change_with_height(heights: HeightCalibration) -> None:
     scaled = with_gains(heights, np.array([1.1, 0.9]))
-    np.testing.assert_allclose(scaled.splines(), heights.splines() * [1.1, 0.9], rtol=2e-3, atol=1e-6)
+    np.testing.assert_allclose(scaled.splines(2), heights.splines(2) * [1.1, 0.9], rtol=2e-3, atol=1e-6)
 
 
 @pytest.fixture(scope="module")
 def bundle(tmp_path_factory: pytest.TempPathFactory, graph: bytes, heights: HeightCalibration) -> Path:
-    cards = {"heights": heights, "contact": contact_calibration(over_heights()), "intervals": {}}
+    off_mm = heights_of(40) - MAIN_MM
+    scatter = np.random.default_rng(0).normal(0.0, 1e-3, (len(off_mm), 3))
+    statics = (
+        np.array([resting(MAIN_MM + off).mean(axis=0) for off in off_mm[:3]])[np.arange(40) % 3] + scatter
+    )
+    static = scatter_about(np.column_stack([np.ones_like(off_mm), off_mm]), statics)
+    contact = contact_calibration(over_heights(), tuple(static.v_per_mm[:2].tolist()), static)
+    cards = {"heights": heights, "contact": contact, "intervals": {}}
     outputs = untrained(over_heights()).outputs
     out = tmp_path_factory.mktemp("heights") / "m"
     return write_bundle_of(out, graph, a_window(), SENSOR, model="cnn", outputs=outputs, **cards)
@@ -192,7 +194,7 @@ def bundle(tmp_path_factory: pytest.TempPathFactory, graph: bytes, heights: Heig
 
 def resting(height_mm: float) -> np.ndarray:
     """Three seconds at rest, the skin at a height."""
-    signal = at_rest(SENSOR, 3.0) + np.array([0.05 + height_mm * STATIC_V_PER_MM[0], 0.0, 0.0])
+    signal = at_rest(SENSOR, 3.0) + np.array([0.05 + height_mm * STATIC_V_PER_MM, 0.0, 0.0])
     return as_recorded(SENSOR, signal, seed=3)
 
 
@@ -201,7 +203,7 @@ def resting(height_mm: float) -> np.ndarray:
     [
         ({"height_mm": 9.0}, "not among"),
         ({"lowest_mm": 8.0}, "do not rise"),
-        ({"static_v_per_mm": [1e300, 0.0]}, "static output"),
+        ({"knots": 5}, "not like the one of contact"),
     ],
 )
 def test_a_card_of_impossible_heights_is_refused(
@@ -346,10 +348,13 @@ def test_recordings_at_two_heights_make_one_map(lab: Folder) -> None:
     assert found.response.height_mm == 7.0
     here, there = (found.response.at(height_mm=h).coefficients[0] for h in (7.0, 8.0))
     assert (here * there).sum() / (here**2).sum() == pytest.approx(1.15, abs=0.04)
-    heights = np.array([found.static_heights_mm[name] for name in found.folder.manifest.index])
+    contact = found.contact(None)
+    shown_mm = static_heights_mm(found.folder, found.conditioning, contact, found.heights)
+    heights = np.array([shown_mm[name] for name in found.folder.manifest.index])
     np.testing.assert_allclose(heights, found.folder.manifest[HEIGHT], atol=0.2)
     # Strokes of another day at the other height show no other gains.
     again = replace(lab, manifest=lab.manifest[lab.manifest[LASER].astype(float) == 8.0])
-    strokes, _, _ = labelled_contacts(again, found.conditioning, found.heights)
+    shown_mm = static_heights_mm(again, found.conditioning, contact, found.heights)
+    strokes, _, _ = labelled_contacts(again, found.conditioning, shown_mm)
     gains = fit_gains(found.response, strokes, []).gain
     np.testing.assert_allclose(gains, 1.0, atol=0.03)

@@ -138,7 +138,7 @@ def test_a_contact_that_moves_is_not_taken_for_a_press(
     """A path of its own kind has a start and a travel, and neither direction nor speed."""
     folder = read_folder(write_day(tmp_path / "day", pressed=True))
     folder = replace(folder, manifest=folder.manifest.assign(**labels))
-    _, presses, left_out = labelled_contacts(folder, Conditioning(touch_axes="xyz", onset="touch"), None)
+    _, presses, left_out = labelled_contacts(folder, Conditioning(touch_axes="xyz", onset="touch"), {})
     assert (len(presses), left_out) == ((1, []) if stands else (0, ["one"]))
 
 

@@ -62,7 +62,9 @@ def test_check_says_a_line_for_each_pressure(folder: Folder, capsys: pytest.Capt
 
 def test_check_says_how_little_the_formula_is_worth(folder: Folder) -> None:
     rows = rows_of(folder)
-    bare = [row | {"laser_mm": np.nan, "atlas_mm": np.nan, "fitted_mm": np.nan, "used": False} for row in rows]
+    bare = [
+        row | {"laser_mm": np.nan, "atlas_mm": np.nan, "fitted_mm": np.nan, "used": False} for row in rows
+    ]
     assert "far off" in list(height_lines(bare))[-1]
     assert not any("far off" in line for line in height_lines(rows))
 

@@ -71,7 +71,11 @@ class ContactCalibration:
             return
         channels = len(self.static_v)
         covariance = np.array(self.static_covariance_v2, dtype=float)
-        if covariance.shape != (channels, channels) or 2 * channels != 3 * len(self.noise_v):
+        like_noise = len(self.noise_v) in (
+            channels,
+            2 / 3 * channels,
+        )  # all outputs answer to a touch, or x and y
+        if covariance.shape != (channels, channels) or channels % 3 or not like_noise:
             raise ValueError(
                 f"contact: static_v has {channels} channels, static_covariance_v2 or noise_v others"
             )

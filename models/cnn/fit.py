@@ -1,5 +1,6 @@
 """Fits the default model: a calibrated response map, and the network trained on slides drawn from it."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -18,7 +19,7 @@ from softslide.models.fitted_model import NOTHING, FittedModel, Given, Model
 from softslide.models.graph.from_torch import export_graph
 from softslide.models.held_out import WHOLE, believed, offset_reach_mm, signed_errors
 from softslide.models.intervals import LEAST_WINDOWS, conformal_interval, misfit_limit
-from softslide.models.response_map.card import calibrated_forces
+from softslide.models.response_map.card import calibrated_forces, static_heights_mm
 from softslide.models.response_map.from_atlas import SensorSpread
 from softslide.models.response_map.map import ResponseMap
 from softslide.models.response_map.select import CalibratedMap
@@ -91,19 +92,22 @@ def fit_cnn(folder: Folder, config: CnnConfig, given: Given = NOTHING) -> Fitted
         config = _with_more_steps(config, UNSOLVED_STEPS)
     elif not found.slides:
         config = _with_more_steps(config, UNCALIBRATED_STEPS)
+    contact = found.contact(atlas)
+    # Of a map over heights each recording is read at the height that its own static output shows, as on a device.
+    heights_mm = static_heights_mm(found.folder, found.conditioning, contact, found.heights)
     source = WindowSource(found.response, config.conditioning.block_s, config.synthesis)
     start = None if given.init is None else initial_proposal(given.init, found.response, config.network)
 
     def judged(thirds: int, proposal: Proposal) -> None:
         assert judge is not None
-        judge(thirds, _errors(_held_out(found, proposal.eval(), config)))
+        judge(thirds, _errors(_held_out(found, heights_mm, proposal.eval(), config)))
 
     halting = judged if judge is not None and found.held_out else None
     proposal = train_proposal(source, config.network, config.training, start, given.progress, halting)
     network = _network(proposal, found.response, config)
     intervals, validity, summary = UNCALIBRATED, UNCALIBRATED_VALIDITY, found.summary
     if found.held_out:
-        held, response = _held_out(found, proposal, config), found.response
+        held, response = _held_out(found, heights_mm, proposal, config), found.response
         # Where recordings have several depths the map holds what is expected.
         further = None if response.depth_sd_mm else _other_depths(response, network, config, len(held[1]))
         intervals, validity = _judge(held, network.outputs, further)
@@ -121,7 +125,7 @@ def fit_cnn(folder: Folder, config: CnnConfig, given: Given = NOTHING) -> Fitted
         validity=validity,
         conditioning=config.conditioning,
         summary=dict(summary),
-        contact=found.contact(atlas),
+        contact=contact,
         force=None
         if atlas is None
         else calibrated_forces(_at_main_height(found), atlas, found.summary, found.response.depth_mm),
@@ -185,15 +189,17 @@ def _rows(network: SlideNetwork, windows: LabelledWindows) -> np.ndarray:
     return _run(network, windows.volts, windows.elapsed_s, weight)
 
 
-def _held_out(found: CalibratedMap, proposal: Proposal, config: CnnConfig) -> Held:
+def _held_out(
+    found: CalibratedMap, known_mm: Mapping[str, float], proposal: Proposal, config: CnnConfig
+) -> Held:
     """Rows (n, K) for windows of lines that the map behind them was not fitted to, and those windows.
 
-    Of a map over heights each is read at the height that follows from its own static output, as on a device.
+    known_mm: the skin's height at each recording; one that it does not name is read at the map's own.
     """
     windows = labelled_windows(found.folder, config.conditioning)
-    main_mm = found.response.height_mm if found.heights is not None else 0.0
-    own_mm = [found.static_heights_mm.get(name, main_mm) for name in windows.recording]
-    heights_mm = SHARED_HEIGHT_MM * np.round(np.where(np.isnan(own_mm), main_mm, own_mm) / SHARED_HEIGHT_MM)
+    main_mm = 0.0 if found.heights is None else found.response.height_mm
+    own_mm = np.array([known_mm.get(name, main_mm) for name in windows.recording])
+    heights_mm = SHARED_HEIGHT_MM * np.round(own_mm / SHARED_HEIGHT_MM)
     columns = _network(proposal, found.response, config).outputs
     rows = np.full((len(windows), len(columns)), np.nan, dtype=np.float32)
     for response, unseen in found.held_out:

@@ -5,13 +5,13 @@ smaller one of each. A stroke's own shift along its line is fitted in turn with 
 """
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from softslide.features.height import HeightCalibration
 from softslide.features.stream.conditioning import Conditioning
 from softslide.models.response_map.map import ResponseMap
 from softslide.models.response_map.slide_fit import CalibrationConfig, fit_slide
@@ -97,22 +97,21 @@ def _evidence(
 
 
 def labelled_contacts(
-    folder: Folder, conditioning: Conditioning, heights: HeightCalibration | None
+    folder: Folder, conditioning: Conditioning, heights_mm: Mapping[str, float]
 ) -> tuple[list[CalibrationSlide], list[Press], list[str]]:
     """The folder's labelled strokes and presses, and the names of the recordings that are neither.
 
-    heights: of the skin; that which a static output shows goes with each stroke and press. None: there is one.
+    heights_mm: of the skin, by recording, where several are known.
     """
     standing = folder.manifest[list(PRESS_LABELS)].notna().all(axis=1) & _stands(folder.manifest)
     moving = replace(folder, manifest=folder.manifest[~standing])
     untimed = moving.manifest.index[moving.manifest.get(UNTIMED, pd.Series(False, moving.manifest.index))]
     slides = calibration_slides(moving, conditioning, frozenset(map(str, untimed)))
-    if heights is not None:
-        slides = [replace(slide, height_mm=heights.estimate(slide.static_v)) for slide in slides]
+    slides = [replace(slide, height_mm=heights_mm.get(slide.recording, math.nan)) for slide in slides]
     presses = {
         name: press
         for name in map(str, folder.manifest.index[standing])
-        if (press := _press(folder, name, conditioning, heights)) is not None
+        if (press := _press(folder, name, conditioning, heights_mm.get(name, math.nan))) is not None
     }
     used = {slide.recording for slide in slides} | set(presses)
     return slides, list(presses.values()), [str(n) for n in folder.manifest.index if str(n) not in used]
@@ -125,9 +124,7 @@ def _stands(manifest: pd.DataFrame) -> pd.Series:
     return (speed == 0) | (speed.isna() & manifest["direction_deg"].isna() & ~(travel > 0))
 
 
-def _press(
-    folder: Folder, name: str, conditioning: Conditioning, heights: HeightCalibration | None
-) -> Press | None:
+def _press(folder: Folder, name: str, conditioning: Conditioning, height_mm: float) -> Press | None:
     """The press of one recording; None if its rest or the press itself is too short."""
     row: Any = folder.manifest.loc[name]
     middle_s, blocks = touch_blocks(folder, name, conditioning)
@@ -137,5 +134,4 @@ def _press(
     if len(rest) < LEAST_REST_BLOCKS or not len(pressed):
         return None
     place, static_v = (float(row.start_x_mm), float(row.start_y_mm)), rest.mean(axis=0)
-    height_mm = math.nan if heights is None else heights.estimate(static_v)
     return Press(place, float(row.depth_mm), pressed.mean(axis=0) - static_v, height_mm)

@@ -1,7 +1,7 @@
 """What a device needs of a calibrated map, as sections of the model card: contacts, heights of the skin, forces."""
 
 import math
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import numpy as np
 
@@ -10,7 +10,8 @@ from softslide.features.contact.calibration import ContactCalibration, encoded
 from softslide.features.contact.force_map import ForceMap, in_steps
 from softslide.features.force import STEP_MM, ForceReader
 from softslide.features.height import HeightCalibration
-from softslide.features.stream.conditioning import ONSETS
+from softslide.features.rest_height import rest_height
+from softslide.features.stream.conditioning import ONSETS, Conditioning
 from softslide.features.track_estimate import PARTIAL_UNKNOWNS
 from softslide.models.response_map.from_atlas import depth_slope
 from softslide.models.response_map.map import (
@@ -21,11 +22,7 @@ from softslide.models.response_map.map import (
     spline_coefficients,
     spline_grid,
 )
-from softslide.models.response_map.slides import (
-    LEAST_STATIC_SD_V,
-    CalibrationSlide,
-    StaticScatter,
-)
+from softslide.models.response_map.slides import StaticScatter, static_outputs
 from softslide.pipeline.atlas.atlas import Atlas
 from softslide.pipeline.recordings.folder import Folder
 from softslide.pipeline.recordings.heights import laser_readings_mm
@@ -99,23 +96,15 @@ def response_of(card: Card) -> ResponseMap:
     return replace(
         response,
         height_mm=card.heights.height_mm,
-        height_slope=card.heights.splines(),
+        height_slope=card.heights.splines(response.channels),
         height_range_mm=(card.heights.lowest_mm, card.heights.highest_mm),
     )
 
 
-def calibrated_heights(response: ResponseMap, slides: list[CalibrationSlide]) -> HeightCalibration | None:
-    """What a device needs to know of the skin's height; None where the slides have one.
-
-    The static output is fitted by a line over the height, by least squares.
-    """
+def calibrated_heights(response: ResponseMap) -> HeightCalibration | None:
+    """What a device needs to know of the skin's height; None where the slides have one."""
     if response.height_slope is None:
         return None
-    off_mm = np.array([slide.height_mm - response.height_mm for slide in slides])
-    static = np.array([slide.static_v for slide in slides])
-    design = np.stack([np.ones_like(off_mm), off_mm], axis=1)
-    line = np.linalg.lstsq(design, static, rcond=None)[0]
-    sd = np.maximum(np.sqrt(np.mean((static - design @ line) ** 2, axis=0)), LEAST_STATIC_SD_V)
     text, scale = encoded(response.height_slope)
     return HeightCalibration(
         coefficients=text,
@@ -124,15 +113,24 @@ def calibrated_heights(response: ResponseMap, slides: list[CalibrationSlide]) ->
         height_mm=response.height_mm,
         lowest_mm=response.height_range_mm[0],
         highest_mm=response.height_range_mm[1],
-        static_v=tuple(line[0].tolist()),
-        static_v_per_mm=tuple(line[1].tolist()),
-        static_sd_v=tuple(sd.tolist()),
     )
 
 
+def static_heights_mm(
+    folder: Folder, conditioning: Conditioning, contact: ContactCalibration, heights: HeightCalibration | None
+) -> dict[str, float]:
+    """The skin's height at each recording that its own static output shows, by name, as on a device."""
+    boards = [asdict(board) for board in folder.sensor.accelerometers]
+    rest = rest_height(contact, heights, boards, conditioning.scale)
+    if rest is None or not rest.shows:
+        return {}
+    statics = static_outputs(folder, conditioning).items()
+    return {name: height for name, v in statics if not math.isnan(height := rest.height_mm(v))}
+
+
 def with_gains(heights: HeightCalibration, gain: np.ndarray) -> HeightCalibration:
-    """The same of a sensor whose channels answer `gain` (C,) times as much. What they show at rest is left as it is."""
-    text, scale = encoded(gain * heights.splines())
+    """The same of a sensor whose channels answer `gain` (C,) times as much."""
+    text, scale = encoded(gain * heights.splines(len(gain)))
     return replace(heights, coefficients=text, scale_v=scale)
 
 

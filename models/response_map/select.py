@@ -11,10 +11,11 @@ skin: lines that are close together or cross show the same places.
 """
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from softslide.features.angles import touch_channels
 from softslide.features.contact.calibration import ContactCalibration
 from softslide.features.errors import InputError
 from softslide.features.height import HeightCalibration
@@ -70,8 +71,7 @@ class CalibratedMap:
     those lines' recordings. conditioning: of the signal that it is a map of, the lag undone. slides: how many there
     were. summary: figures of the fit; `from_atlas` is 1 where the candidate chosen starts from an atlas.
     folder: the recordings with the motion of every slide used, fitted where the labels leave it out (untimed of
-    them). left_out: why a recording is not among the slides, by name. heights: where they have several heights of the
-    skin, what a device needs to know of them; static_heights_mm: the one that follows from each static output, by name.
+    them). left_out: why a recording is not among the slides, by name.
     """
 
     response: ResponseMap
@@ -82,21 +82,26 @@ class CalibratedMap:
     folder: Folder
     untimed: int
     left_out: dict[str, str]
-    heights: HeightCalibration | None = None
-    static_heights_mm: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def heights(self) -> HeightCalibration | None:
+        """What a device needs to know of the heights of the skin; None where the slides have one."""
+        return calibrated_heights(self.response)
 
     def contact(self, atlas: Atlas | None) -> ContactCalibration:
         """What a device needs to track contacts, with what recordings and design show of the output at rest."""
+        if self.response.height_slope is not None:
+            static = static_scatter(self.folder, self.conditioning, self.response.height_mm)
+            touch = touch_channels(3 * len(self.folder.sensor.accelerometers), self.conditioning.touch_axes)
+            inflation = () if static is None else tuple(static.v_per_mm[touch].tolist())
+            return contact_calibration(self.response, inflation, static)
         inflation = self._inflation_v_per_mm(atlas)
-        main_mm = None if self.heights is None else self.heights.height_mm
-        static = static_scatter(self.folder, self.conditioning, main_mm) if inflation else None
+        static = static_scatter(self.folder, self.conditioning) if inflation else None
         return contact_calibration(self.response, inflation, static)
 
     def _inflation_v_per_mm(self, atlas: Atlas | None) -> tuple[float, ...]:
-        """(C,) V/mm, by which the output at rest changes as the skin rises: as recordings of several heights show it,
-        else as the solved design does, on the whole of its way from the flat skin; empty where neither is known."""
-        if self.heights is not None:
-            return self.heights.static_v_per_mm
+        """(C,) V/mm, by which the output at rest changes as the skin rises, as the solved design shows it on the whole
+        of its way from the flat skin; empty where it is not known."""
         if atlas is None:
             return ()
         tilts_g = atlas.statics[:, :, :2].reshape(len(atlas.height_mm), -1)
@@ -141,15 +146,12 @@ def calibrated_map(
             found, slides = _fitted(onsets, found.conditioning, known)
     untimed = [slide for slide in slides if not slide.timed]
     shifts = {slide.recording: fit_slide(slide, found.response, calibration).shift_mm for slide in untimed}
-    heights = calibrated_heights(found.response, slides)
     return replace(
         found,
         summary=found.summary | figures,
         folder=moved(onsets.folder, shifts),
         untimed=len(untimed),
         left_out=found.left_out | left_out,
-        heights=heights,
-        static_heights_mm={s.recording: heights.estimate(s.static_v) for s in slides if heights is not None},
     )
 
 

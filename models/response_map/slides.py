@@ -4,7 +4,7 @@ And the output at rest over all of them, with how it scatters from slide to slid
 """
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -46,8 +46,7 @@ class CalibrationSlide:
     volts: (m, C) V, subtracted, C channels that answer to a touch, a0_vx, a0_vy, a1_vx, ...
     blocks: how many blocks a stretch averages; step_s: the same as a time.
     rest_noise_v: (C,) V, standard deviation of one block's mean at rest.
-    static_v: (C,) V, the same channels at rest. height_mm: of the skin; NaN: that of all slides.
-    weight: how much it counts in a fit.
+    height_mm: of the skin; NaN: that of all slides. weight: how much it counts in a fit.
     timed: the labels say where the contact was when; else the place along the line is a first guess.
     """
 
@@ -62,7 +61,6 @@ class CalibrationSlide:
     step_s: float
     rest_noise_v: np.ndarray
     timed: bool = True
-    static_v: np.ndarray = field(default_factory=lambda: np.zeros(0))
     height_mm: float = math.nan
     weight: float = 1.0
 
@@ -124,7 +122,6 @@ def _slide(folder: Folder, name: str, row: Any, conditioning: Conditioning) -> C
         step_s=count * conditioning.block_s,
         # Differences of neighbours: a slow drift of the zero is no noise.
         rest_noise_v=np.diff(rest, axis=0).std(axis=0) / np.sqrt(2),
-        static_v=rest.mean(axis=0),
         height_mm=float(row.get(HEIGHT, math.nan)),
         weight=float(row.get(WEIGHT, 1.0)),
     )
@@ -167,10 +164,12 @@ def means(values: np.ndarray, count: int) -> np.ndarray:
 
 
 class StaticScatter(NamedTuple):
-    """mean_v: (3 A,) V, all three outputs of each accelerometer; covariance_v2: (3 A, 3 A) V^2."""
+    """mean_v: (3 A,) V, all three outputs of each accelerometer; covariance_v2: (3 A, 3 A) V^2; v_per_mm: (3 A,), the
+    change with the skin's height, 0 where recordings have one."""
 
     mean_v: np.ndarray
     covariance_v2: np.ndarray
+    v_per_mm: np.ndarray
 
 
 def static_scatter(
@@ -204,9 +203,13 @@ def static_outputs(folder: Folder, conditioning: Conditioning) -> dict[str, np.n
 
 
 def scatter_about(design: np.ndarray, statics: np.ndarray) -> StaticScatter:
-    """Of statics (n, 3 A) V about their least-squares fit by a design (n, p), whose first column is 1."""
+    """Of statics (n, 3 A) V about their least-squares fit by a design (n, p): 1, and the height's offset in mm."""
     line = np.linalg.lstsq(design, statics, rcond=None)[0]
     left = statics - design @ line
     covariance = left.T @ left / (len(left) - design.shape[1])
     # Each output's own: where a tilt makes all scatter alike, their differences hardly do.
-    return StaticScatter(line[0], covariance + LEAST_STATIC_SD_V**2 * np.eye(len(covariance)))
+    return StaticScatter(
+        line[0],
+        covariance + LEAST_STATIC_SD_V**2 * np.eye(len(covariance)),
+        line[1] if len(line) > 1 else np.zeros(len(covariance)),
+    )

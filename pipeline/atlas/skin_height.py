@@ -18,7 +18,12 @@ from softslide.pipeline.recordings.heights import alike_mpa, is_other, laser_rea
 from softslide.pipeline.recordings.learned import REPORTING
 
 # A row's heights, in mm, and what people call them.
-HEIGHTS = {"laser_mm": "laser", "formula_mm": "article's formula", "atlas_mm": "solved", "fitted_mm": "fitted"}
+HEIGHTS = {
+    "laser_mm": "laser",
+    "formula_mm": "article's formula",
+    "atlas_mm": "solved",
+    "fitted_mm": "fitted",
+}
 
 
 def says_of_heights(folder: Folder) -> bool:

@@ -4,14 +4,12 @@ import numpy as np
 
 from softslide.models.response_map.slides import CalibrationSlide
 
-STATIC_V_PER_MM = (0.01, 0.0)  # of V_x and V_y
-
 
 def slides_of(
     response, lines, speeds, gains, noise_v=0.0, lag_s=0.0, depths_mm=None, heights_mm=None, half_mm=36.0
 ) -> list[CalibrationSlide]:
     """Labelled slides along (direction_deg, offset_mm) lines through the map's chamber, at its depth or at depths, and
-    at heights of the skin that tilt a board by STATIC_V_PER_MM at rest. half_mm: of each line."""
+    at heights of the skin. half_mm: of each line."""
     rng = np.random.default_rng(0)
     slides = []
     depths = np.full(len(lines), response.depth_mm) if depths_mm is None else np.asarray(depths_mm)
@@ -39,7 +37,6 @@ def slides_of(
                 blocks=blocks,
                 step_s=0.5 / speed,
                 rest_noise_v=np.full(response.channels, 1.4e-3),
-                static_v=np.array([1.7, 1.65]) + np.nan_to_num(height) * np.array(STATIC_V_PER_MM),
                 height_mm=height,
             )
         )
