@@ -207,19 +207,19 @@ def test_it_says_what_it_did_not_use_and_what_it_took_for_granted(
     names = read_folder(folder).select("calibration").manifest.index
     table = pd.read_csv(folder / "manifest.csv", dtype=str).set_index("recording")
     table.loc[names[2], "depth_mm"] = ""
-    table.loc[names[3], "pressure_mpa"] = "0.03"
+    table.loc[names[3:5], "pressure_mpa"] = ["0.03", "0.05"]
     table.to_csv(folder / "manifest.csv")
     assert call("train", "--recordings", folder, "--model", "interpolation", "--out", tmp_path / "out") == 0
     said = capsys.readouterr().err.splitlines()
-    plan = f"training interpolation of bump from {len(names) - 3} recordings; 3 of {len(names)} left out"
+    plan = f"training interpolation of bump from {len(names) - 4} recordings; 4 of {len(names)} left out"
     assert said[0].startswith(f"{plan}; the last interpolation on this computer took ")
     nexts = [line.removeprefix("next: ") for line in said if line.startswith("next: ")]
     assert [words.split()[1] for words in nexts] == ["evaluate", "predict", "serve"]
-    assert f"learned from {len(names) - 3} of {len(names)} recordings" in said
+    assert f"learned from {len(names) - 4} of {len(names)} recordings" in said
     assert f"left out 2: no direction_deg ({names[0]}, {names[1]})" in said
     assert "no depth_mm in 1: taken as 0.5 mm" in said
-    why = "pressure_mpa is 0.03, that of most is 0.035: a model is for one pressure"
-    assert f"left out 1: {why} ({names[3]})" in said
+    why = "pressure_mpa is not 0.035, that of most: a model is for one pressure"
+    assert f"left out 2: {why} ({names[3]}, {names[4]})" in said
 
 
 @pytest.mark.parametrize(("depth_mm", "several"), [("0.58", False), ("0.9", True)])

@@ -80,8 +80,5 @@ def why_not_labelled(folder: Folder, several_heights: bool = False) -> dict[str,
         return lacking
     known = folder.labelled()
     pressure_mpa, each = main_pressure_mpa(known), known.manifest["pressure_mpa"]
-    others = {
-        str(name): f"pressure_mpa is {value:g}, that of most is {pressure_mpa:g}: a model is for one pressure"
-        for name, value in each[is_other(each, pressure_mpa)].items()
-    }
-    return lacking | others
+    why = f"pressure_mpa is not {pressure_mpa:g}, that of most: a model is for one pressure"
+    return lacking | dict.fromkeys(map(str, each.index[is_other(each, pressure_mpa)]), why)
