@@ -218,7 +218,7 @@ def test_it_says_what_it_did_not_use_and_what_it_took_for_granted(
     assert f"learned from {len(names) - 4} of {len(names)} recordings" in said
     assert f"left out 2: no direction_deg ({names[0]}, {names[1]})" in said
     assert "no depth_mm in 1: taken as 0.5 mm" in said
-    why = "pressure_mpa is not 0.035, that of most: a model is for one pressure"
+    why = "pressure_mpa is 0.03 to 0.05, that of most is 0.035: a model is for one pressure"
     assert f"left out 2: {why} ({names[3]}, {names[4]})" in said
 
 

@@ -281,6 +281,21 @@ def test_heights_follow_from_readings_and_pressures() -> None:
     np.testing.assert_allclose(found, 7.1 * np.cbrt(few["pressure_mpa"] / 0.035))
 
 
+@pytest.mark.parametrize(("readings_mm", "several"), [((6.4, 7.1, 7.8), True), ((7.0, 7.1, 7.15), False)])
+def test_a_laser_shows_several_heights_where_no_pressure_is_noted(
+    readings_mm: tuple[float, ...], several: bool
+) -> None:
+    folder = read_folder(SAMPLE).select("calibration")
+    table = folder.manifest.iloc[:9].assign(pressure_mpa=np.nan, **{LASER: np.repeat(readings_mm, 3)})
+    folder = replace(folder, manifest=table)
+    learned = recordings_to_learn_from(folder, True).manifest
+    assert len(learned) == 9
+    assert (HEIGHT in learned) is several
+    if several:
+        assert list(learned[HEIGHT]) == pytest.approx(np.repeat(readings_mm, 3))
+    assert len(recordings_to_learn_from(folder)) == (3 if several else 9)
+
+
 @given(seed=st.integers(0, 1000), off=st.floats(0.001, 0.019))
 def test_a_gauge_that_reads_one_pressure_unevenly_shows_one_pressure(seed: int, off: float) -> None:
     """Three of eight recordings are at another; the others' readings are up to 1.9 % off."""

@@ -85,11 +85,11 @@ def checked(
     """
     measured, unreadable = measured_slides(folder)
     findings = compared(folder, measured, unreadable)
-    heights: list[dict[str, Any]] = []
-    if says_of_heights(folder):
-        rest_v = {one.name: one.rest_v for one in measured}
-        heights = skin_heights(folder, rest_v, atlas_at_hand(folder.sensor, atlas))
     known = derive(replace(folder, manifest=folder.manifest.loc[[one.name for one in measured]]))
+    heights: list[dict[str, Any]] = []
+    if says_of_heights(known):
+        rest_v = {one.name: one.rest_v for one in measured}
+        heights = skin_heights(known, rest_v, atlas_at_hand(folder.sensor, atlas))
     return Report(
         folder=str(folder.root),
         recordings=len(folder),

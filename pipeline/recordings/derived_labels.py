@@ -6,7 +6,12 @@ import numpy as np
 import pandas as pd
 
 from softslide.pipeline.recordings.folder import Folder
-from softslide.pipeline.recordings.heights import is_other, main_pressure_mpa, with_heights
+from softslide.pipeline.recordings.heights import (
+    is_other,
+    main_pressure_mpa,
+    pressures_by_laser,
+    with_heights,
+)
 from softslide.pipeline.recordings.learned import CALIBRATION
 from softslide.pipeline.recordings.truth import truth_path
 
@@ -36,7 +41,8 @@ def with_derived_labels(folder: Folder) -> Folder:
 
     speed = travel / duration and the other way round; end = start + travel / speed and the other way round; offset
     from a start and a direction (docs/format.md), along an axis from the coordinate across it; depth of a slide: the
-    median of the others', or USUAL_DEPTH_MM. A recording with a truth file keeps its labels: it need not be a slide.
+    median of the others', or USUAL_DEPTH_MM; pressure, where none is noted, from a laser's readings of the skin. A
+    recording with a truth file keeps its labels: it need not be a slide.
     """
     table = folder.manifest.copy()
     free = np.array([not truth_path(folder.root / file).is_file() for file in table["file"]], dtype=bool)
@@ -54,6 +60,8 @@ def with_derived_labels(folder: Folder) -> Folder:
     x, y = (table[f"start_{axis}_mm"] - at for axis, at in zip("xy", folder.sensor.reference_mm, strict=True))
     fill("offset_mm", _share(np.cos(a), y) - _share(np.sin(a), x))
     usual = table["depth_mm"].median()
+    if table["pressure_mpa"].isna().all():
+        fill("pressure_mpa", pressures_by_laser(folder))
     # A press, which has no direction, keeps an unknown depth.
     depth = pd.Series(USUAL_DEPTH_MM if np.isnan(usual) else usual, table.index)
     fill("depth_mm", depth.where(table["direction_deg"].notna()))
@@ -80,5 +88,7 @@ def why_not_labelled(folder: Folder, several_heights: bool = False) -> dict[str,
         return lacking
     known = folder.labelled()
     pressure_mpa, each = main_pressure_mpa(known), known.manifest["pressure_mpa"]
-    why = f"pressure_mpa is not {pressure_mpa:g}, that of most: a model is for one pressure"
-    return lacking | dict.fromkeys(map(str, each.index[is_other(each, pressure_mpa)]), why)
+    others = each[is_other(each, pressure_mpa)]
+    span = " to ".join(dict.fromkeys(f"{value:g}" for value in (others.min(), others.max())))
+    why = f"pressure_mpa is {span}, that of most is {pressure_mpa:g}: a model is for one pressure"
+    return lacking | dict.fromkeys(map(str, others.index), why)

@@ -17,6 +17,7 @@ LASER = "skin_height_mm"  # a laser's reading of it
 # Relative: what a regulator holds a pressure by. The skin's height goes with its cube root.
 SAME_PRESSURE = 0.02
 POWER = 1 / 3
+LASER_SD_MM = 0.05  # of a reading; four of them are what two readings of one height differ by at most
 # At the main pressure, where no laser read it: between two benches' 7.2 and 8.1 mm (docs/method.md).
 USUAL_MM = 7.5
 
@@ -57,6 +58,15 @@ def laser_readings_mm(folder: Folder) -> pd.Series:
         return pd.Series(np.nan, folder.manifest.index)
     read = pd.to_numeric(folder.manifest[LASER], errors="coerce").astype(float)
     return read.where((read > 0) & np.isfinite(read))
+
+
+def pressures_by_laser(folder: Folder) -> pd.Series:
+    """The pressure at each recording that a laser's reading shows, MPa, that of `sensor.toml` at the middle reading;
+    NaN where it read one height."""
+    read = laser_readings_mm(folder)
+    if not read.max() - read.min() > 4 * LASER_SD_MM:
+        return pd.Series(np.nan, read.index)
+    return folder.sensor.pressure_mpa * (read / read.median()) ** (1 / POWER)
 
 
 def said_of_heights(folder: Folder) -> str:
