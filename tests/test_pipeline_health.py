@@ -11,6 +11,7 @@ import pytest
 
 import softslide
 from softslide.pipeline.checks.findings import Finding
+from softslide.pipeline.checks.rail_run import MOST_AT_RAIL, rail_run
 from softslide.pipeline.checks.report import checked
 from softslide.pipeline.recordings.folder import SAMPLE, Folder, Recording, read_folder, write_folder
 
@@ -97,6 +98,22 @@ def test_the_sample_has_no_errors(sound) -> None:
 def test_a_clipped_output_is_found(sound, tmp_path: Path, function, channel: str) -> None:
     findings = injured(sound, tmp_path, volts_changed(function), only=3)
     assert channel in {f.channel for f in findings if f.kind == "clipped" and f.recording == sound[1][3].name}
+
+
+@pytest.mark.parametrize("rate_hz", [100.0, 250.0, 1000.0])
+@pytest.mark.parametrize("noise_steps", [0.0, 0.3, 1.0])
+def test_a_smooth_peak_that_is_read_in_steps_is_not_clipped(rate_hz: float, noise_steps: float) -> None:
+    """As by a converter of 10 bits, 5 mV, whose steps are larger than the noise; cut at 0.6 of its height it is."""
+    random, sound, clipped = np.random.default_rng(0), 0, 0
+    for _ in range(100):
+        width_s, steps = random.uniform(0.3, 3.0), random.uniform(30, 200)
+        time_s = np.arange(0.0, 8.0 * width_s, 1.0 / rate_hz) / width_s - 4.0
+        smooth = steps * time_s * np.exp((1.0 - time_s**2) / 2)
+        noise = random.uniform() + random.normal(0.0, noise_steps, len(time_s))
+        sound += rail_run(np.round(smooth + noise)) <= MOST_AT_RAIL
+        clipped += rail_run(np.round(np.minimum(smooth + noise, 0.6 * smooth.max()))) > MOST_AT_RAIL
+    assert sound >= 99
+    assert clipped >= 97
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ import pytest
 from article_skin import ATLAS, SENSOR
 
 import softslide
-from softslide.pipeline.atlas.skin_height import height_lines, says_of_heights, skin_heights
+from softslide.pipeline.atlas.skin_height import height_lines, heights_to_report, skin_heights
 from softslide.pipeline.recordings.folder import SAMPLE, Folder, Recording, read_folder, write_folder
 
 HEIGHTS_MM, PRESSURES_MPA, FACTOR = (5.5, 7.0, 8.5), (0.03, 0.035, 0.04), 0.8
@@ -70,4 +70,4 @@ def test_check_says_how_little_the_formula_is_worth(folder: Folder) -> None:
 
 
 def test_check_says_nothing_of_heights_where_there_is_one_pressure() -> None:
-    assert not says_of_heights(read_folder(SAMPLE))
+    assert not heights_to_report(read_folder(SAMPLE))

@@ -26,7 +26,7 @@ HEIGHTS = {
 }
 
 
-def says_of_heights(folder: Folder) -> bool:
+def heights_to_report(folder: Folder) -> bool:
     """Whether the recordings were made at several pressures, or a laser read the skin's height."""
     several = is_other(folder.manifest["pressure_mpa"], main_pressure_mpa(folder)).any()
     return folder.sensor.measures_gravity and bool(several or laser_readings_mm(folder).notna().any())

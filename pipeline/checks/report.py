@@ -10,7 +10,7 @@ import pandas as pd
 
 from softslide.features.errors import InputError
 from softslide.pipeline.atlas.library import atlas_at_hand
-from softslide.pipeline.atlas.skin_height import height_lines, says_of_heights, skin_heights
+from softslide.pipeline.atlas.skin_height import height_lines, heights_to_report, skin_heights
 from softslide.pipeline.checks.coverage import not_covered
 from softslide.pipeline.checks.findings import Finding, compared, measured_slides
 from softslide.pipeline.recordings.derived_labels import with_derived_labels
@@ -87,7 +87,7 @@ def checked(
     findings = compared(folder, measured, unreadable)
     known = derive(replace(folder, manifest=folder.manifest.loc[[one.name for one in measured]]))
     heights: list[dict[str, Any]] = []
-    if says_of_heights(known):
+    if heights_to_report(known):
         rest_v = {one.name: one.rest_v for one in measured}
         heights = skin_heights(known, rest_v, atlas_at_hand(folder.sensor, atlas))
     return Report(
