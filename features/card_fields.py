@@ -79,6 +79,7 @@ def _sensor(sensor: Any) -> None:
     check_plain(text(sensor.get("name"), "sensor: name"), "sensor: name")
     numbers(sensor.get("chamber_mm"), "sensor: chamber_mm", 2, 0.0, MOST_MM)
     number(sensor.get("indenter_diameter_mm", 0.0), "sensor: indenter_diameter_mm", 0.0, MOST_MM)
+    number(sensor.get("adc_step_v", 0.0), "sensor: adc_step_v", 0.0, LARGEST)
     for n, accelerometer in enumerate(accelerometers):
         place = f"sensor: accelerometer {n}"
         table(accelerometer, place)

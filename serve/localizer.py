@@ -22,7 +22,14 @@ from softslide.features.rest_height import rest_height
 from softslide.features.stream.attitude import Attitude
 from softslide.features.stream.conditioning import Blocks
 from softslide.features.stream.drift import UNKNOWN, DriftWatch
-from softslide.features.stream.faults import BRIDGED_BLOCKS, Judged, SignalWatch, output_range
+from softslide.features.stream.faults import (
+    BRIDGED_BLOCKS,
+    FROZEN_BLOCKS,
+    Judged,
+    SignalWatch,
+    frozen_blocks,
+    output_range,
+)
 from softslide.features.stream.gravity import GravityWatch
 from softslide.features.stream.tracker import SlideState, SlideTracker
 from softslide.features.vector.energy import energy_width_s
@@ -93,7 +100,7 @@ class Localizer:
         # Without any of the base's outputs nothing is known.
         read[channels:] = True
         base = [] if card.base is None else [card.sensor["base"]]
-        self._watch = SignalWatch(*output_range([*accelerometers, *base]), read)
+        self._watch = SignalWatch(*output_range([*accelerometers, *base]), read, _frozen_blocks(card))
         self._tracker = SlideTracker(card.conditioning, channels)
         self._drift = DriftWatch(accelerometers, card.conditioning.touch_axes, card.conditioning.scale)
         self._gravity = GravityWatch(accelerometers, card.conditioning)
@@ -428,6 +435,14 @@ class Localizer:
         mean, upright = base.without(block.mean[:channels], block.mean[channels:])
         healthy = block.healthy[:-1] & block.healthy[-1] & upright
         return Judged(mean, healthy, block.bridged[:-1] | block.bridged[-1])
+
+
+def _frozen_blocks(card: Card) -> float:
+    """After how many blocks without a change a channel is frozen, by the noise that the calibration shows."""
+    if card.contact is None:
+        return FROZEN_BLOCKS
+    noise_v = min(card.contact.noise_v) * math.sqrt(card.block_samples) / card.conditioning.scale
+    return frozen_blocks(card.sensor.get("adc_step_v", 0.0), noise_v, card.block_samples)
 
 
 def _lag_blocks(card: Card, lag_s: float) -> int:

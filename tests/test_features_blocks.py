@@ -1,5 +1,6 @@
 """Blocks are a time, whatever the rate: exact edges, no drift, mains cancelled, nothing that depends on chunks."""
 
+import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,7 +9,7 @@ import pytest
 from resampled import resampled_folder
 
 from softslide.features.stream.conditioning import Blocks, Conditioning, block_mean, block_means, blocks_in
-from softslide.features.stream.faults import SignalWatch
+from softslide.features.stream.faults import FROZEN_BLOCKS, SignalWatch, frozen_blocks
 from softslide.models.response_map.slides import calibration_slides
 from softslide.pipeline.recordings.folder import SAMPLE, read_folder
 from softslide.pipeline.recordings.windows import labelled_windows
@@ -55,6 +56,27 @@ def test_mains_is_cancelled(rate_hz: float, passed: float) -> None:
     """Largest share of a tone of 50 Hz; whole samples a block pass 0.18, 0.05, 0.02 of it (rms) at the first three."""
     tone = np.sin(2 * np.pi * 50 * np.arange(round(20 * rate_hz)) / rate_hz + 0.3)
     assert np.abs(block_means(tone[:, None], CONDITIONING, rate_hz)).max() < passed
+
+
+@pytest.mark.parametrize(("noise_steps", "lasts"), [(0.15, True), (0.3, True), (0.5, False), (3.0, False)])
+def test_a_working_channel_of_a_coarse_converter_is_not_frozen(noise_steps: float, lasts: bool) -> None:
+    """Two samples a block, as at 100 Hz; the output in the middle of a step. One that does not change at all is."""
+    own = np.random.default_rng(0).normal(0.0, noise_steps, (40_000, 2, 3))
+    most = frozen_blocks(1.0, math.sqrt(noise_steps**2 + 1 / 12), 2)
+    assert (most > FROZEN_BLOCKS) is lasts
+    watch = SignalWatch(np.full(3, -1e6), np.full(3, 1e6), np.ones(3, dtype=bool), most)
+    moving = np.arange(2)[:, None] * [0, 0, 1]  # V_z changes all the time
+    assert all(watch.push(block).healthy.all() for block in np.round(own) + moving)
+    watch.reset()
+    healthy = [
+        watch.push(np.round(block) * [0, 1, 1] + moving).healthy.all() for block in own[: round(most) + 2]
+    ]
+    assert np.argmin(healthy) == pytest.approx(most, abs=1)
+
+
+def test_a_converter_whose_steps_hide_the_noise_is_never_frozen_and_an_unknown_one_as_ever() -> None:
+    assert frozen_blocks(5e-3, 5e-3 / np.sqrt(12), 2) == np.inf
+    assert frozen_blocks(0.0, 5e-3, 20) == FROZEN_BLOCKS
 
 
 def test_a_lost_sample_at_an_edge_leaves_the_mean() -> None:

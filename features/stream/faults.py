@@ -4,10 +4,11 @@ A sample is lost where it is not a number, or at an end of the supply's range or
 either end, and converters and drivers write just these where they have no sample. A block's mean is that of the others.
 When a block has lost more than half of a channel's samples, the channel's last mean is used again, for a tenth of a
 second at most; after that the accelerometer is faulty. It is faulty too when one of its channels repeats the same bits
-while another channel changes: a working channel has noise. And it is faulty where a channel is clipped: where many
-samples of two blocks in a row have the same largest or the same least value.
+while another channel changes, for longer than its noise and its converter let a working one do. And it is faulty where
+a channel is clipped: where many samples of two blocks in a row have the same largest or the same least value.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from operator import eq
 from typing import Any, NamedTuple
@@ -19,9 +20,10 @@ from softslide.features.stream.drift import measures_gravity
 
 # Blocks, 0.1 s, for which an old mean may be used before the accelerometer is faulty.
 BRIDGED_BLOCKS = 5
-# Blocks, 0.5 s, that a channel may repeat the same bits while others change. Noise of 5 mV and a converter of 0.5 mV
-# never do that for one block; a coarse converter may.
+# Blocks, 0.5 s at least, that a channel may repeat the same bits while others change. Noise of 5 mV and a converter of
+# 0.5 mV never do that for one block. A coarse one that does so for longer does it once in so many times.
 FROZEN_BLOCKS = 25
+FROZEN_BY_CHANCE = 1e-6
 # A channel is clipped where in so many blocks, each with the same end as the one before, this share of the samples lies
 # at that end, if its noise is so large that usually the other share of a block's samples differ. Normal noise of three
 # steps of the converter has 40 % of 20 samples at one end in 6 of 100 000 blocks.
@@ -43,10 +45,13 @@ class SignalWatch:
     """Judges one stream's blocks.
 
     low_v, high_v: (C,) V, ends of each channel's range. read: (C,) bool, the channels that a model reads; faults of the
-    others are ignored.
+    others are ignored. frozen_blocks: after how many that are the same a channel is faulty.
     """
 
-    def __init__(self, low_v: np.ndarray, high_v: np.ndarray, read: np.ndarray) -> None:
+    def __init__(
+        self, low_v: np.ndarray, high_v: np.ndarray, read: np.ndarray, frozen_blocks: float = FROZEN_BLOCKS
+    ) -> None:
+        self._frozen_blocks = frozen_blocks
         self._low, self._high, self._read = low_v, high_v, read
         self._highest_low, self._lowest_high = float(low_v.max()), float(high_v.min())
         self.reset()
@@ -86,7 +91,7 @@ class SignalWatch:
         self._still = np.where(still, self._still + (not still[self._read].all()), 0)
         self._missed = np.where(missed, self._missed + 1, 0)
         self._clear = not (missed.any() or still.any())
-        bad = (self._missed > BRIDGED_BLOCKS) | (self._still >= FROZEN_BLOCKS)
+        bad = (self._missed > BRIDGED_BLOCKS) | (self._still >= self._frozen_blocks)
         if clipped is not None:
             bad |= clipped
         return Judged(self._mean, ~self._any(bad), self._any(missed))
@@ -131,6 +136,22 @@ class SignalWatch:
     def _any(self, channels: np.ndarray) -> np.ndarray:
         """Channels (C,) -> accelerometers (A,): whether any channel of it that is read is marked."""
         return (channels & self._read).reshape(-1, 3).any(axis=1)
+
+
+def frozen_blocks(step_v: float, noise_v: float, samples: float) -> float:
+    """How many blocks of so many samples a working channel may show the same reading for; infinite: any number.
+
+    step_v: of its converter; 0: not known. noise_v: standard deviation of a sample as it is read, which is larger than
+    the output's own by that of rounding (W. F. Sheppard, Proc. London Math. Soc. s1-29, 1898).
+    """
+    own_v = math.sqrt(max(noise_v**2 - step_v**2 / 12, 0.0))
+    # Within one step: the output in its middle, where it stays the longest.
+    within = math.erf(step_v / (math.sqrt(8) * own_v)) if own_v > 0 else 1.0
+    if step_v <= 0 or within <= 0:
+        return FROZEN_BLOCKS
+    if within >= 1:
+        return math.inf
+    return max(FROZEN_BLOCKS, math.log(FROZEN_BY_CHANCE) / math.log(within) / samples)
 
 
 def output_range(elements: Sequence[Mapping[str, Any]]) -> tuple[np.ndarray, np.ndarray]:
