@@ -198,6 +198,27 @@ def test_a_zero_that_moves_in_most_slides_is_found(sound, tmp_path: Path) -> Non
     assert found == {("drift", "a0_vy")}
 
 
+@pytest.mark.parametrize(("step_v", "dead"), [(5e-4, True), (5e-3, False)])
+def test_an_output_that_does_not_change_is_dead_unless_the_converter_hides_its_noise(
+    sound, tmp_path: Path, step_v: float, dead: bool
+) -> None:
+    folder, recordings = sound
+
+    def read(n: int, recording: Recording) -> Recording:
+        smooth = quiet(np.pad(recording.volts, ((50, 50), (0, 0)), "edge"))[50:-50]
+        volts = smooth + np.random.default_rng(n).normal(0, 1e-3, smooth.shape)
+        if n == 2:
+            volts[:, 1] = volts[0, 1]
+        return replace(recording, volts=step_v * np.round(volts / step_v))
+
+    recordings = [read(n, recording) for n, recording in enumerate(recordings)]
+    sensor = replace(folder.sensor, adc_step_v=step_v)
+    findings = checked(write_folder(tmp_path / "lab", sensor, folder.manifest, recordings)).findings
+    expected = {(recordings[2].name, "a0_vy")} if dead else set()
+    assert {(f.recording, f.channel) for f in findings if f.kind == "dead"} == expected
+    assert "clipped" not in {f.kind for f in findings}
+
+
 def test_an_object_that_stays_on_the_skin_is_no_drift(sound, tmp_path: Path) -> None:
     def stopping(recording: Recording, row: pd.Series) -> None:
         whole_s = row["motion_end_s"] - row["motion_start_s"]

@@ -116,8 +116,9 @@ def compared(folder: Folder, measured: Sequence[Measurements], refused: Sequence
     if wrong_speed := any((unit.level, unit.kind) == ("error", "speed") for unit in units):
         # Where the object is, and so which sign is due, follows from the speed.
         findings, sound = [], False
+    quiet = _quiet(measured, folder.sensor)
     for one, (_, labels) in zip(measured, manifest.iterrows(), strict=True):
-        findings += _signal(one, folder.sensor)
+        findings += _signal(one, folder.sensor, quiet)
         findings += _labels(one, labels, folder.sensor)
         if sound:
             # A wrong wire makes every slide disagree with its labels; it is reported once, above.
@@ -154,8 +155,17 @@ def _units(measured: Sequence[Measurements], folder: Folder) -> Iterator[Finding
         yield Finding(level, "speed", "", "", factor, 1.0, text)
 
 
-def _signal(one: Measurements, sensor: Sensor) -> Iterator[Finding]:
-    """One recording's own signal: clock, rest, gravity, and each output's."""
+def _quiet(measured: Sequence[Measurements], sensor: Sensor) -> np.ndarray:
+    """(C,) bool: outputs that work, whose noise is less than a step of the converter: one may not change by itself."""
+    density, span_v = (
+        np.array([getattr(one, name) for one in measured]) for name in ("noise_v_rthz", "span_v")
+    )
+    noise_v = np.median(density, axis=0) * np.sqrt(sensor.sample_rate_hz / 2)
+    return (noise_v < sensor.adc_step_v) & (np.median(span_v, axis=0) > sensor.adc_step_v)
+
+
+def _signal(one: Measurements, sensor: Sensor, quiet: np.ndarray) -> Iterator[Finding]:
+    """One recording's own signal: clock, rest, gravity, and each output's. quiet: see `_quiet`."""
     off = abs(one.rate_hz / sensor.sample_rate_hz - 1)
     yield from _above(
         *(one, ""),
@@ -174,7 +184,8 @@ def _signal(one: Measurements, sensor: Sensor) -> Iterator[Finding]:
             channel, span_v = sensor.channels[n], float(one.span_v[n])
             if span_v <= sensor.adc_step_v:
                 text = f"{part.unit} between highest and lowest"
-                yield Finding("error", "dead", one.name, channel, span_v, sensor.adc_step_v, text)
+                if not quiet[n]:
+                    yield Finding("error", "dead", one.name, channel, span_v, sensor.adc_step_v, text)
                 continue
             if part.measures_gravity:
                 yield from _acceleration(one, n, channel, part)
