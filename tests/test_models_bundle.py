@@ -1,6 +1,8 @@
 """A bundle is written only if its graph computes what was trained; its ORT format and its page for a hub."""
 
 import json
+from contextlib import nullcontext
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -60,6 +62,23 @@ def test_a_graph_that_computes_something_else_is_refused(tmp_path: Path, windows
     with pytest.raises(ParityError, match="differ by"):
         written(wrong, tmp_path / "bundle")
     assert not (tmp_path / "bundle").exists()
+
+
+@pytest.mark.parametrize(("output", "alike"), [("depth_sd_mm", True), ("depth_mm", False)])
+def test_rounding_may_move_a_deviation_further_than_an_estimate(
+    tmp_path: Path, output: str, alike: bool
+) -> None:
+    """By 5e-4 of the largest."""
+    largest = np.abs(WINDOWS.volts.mean(axis=2)).max(axis=0)
+    plain = a_model(np.zeros(len(WINDOWS)))
+    model = replace(
+        plain,
+        outputs=(output, *OUTPUTS[1:]),
+        original=lambda inputs: plain.original(inputs) + 5e-4 * largest * [1, 0, 0],
+    )
+    with nullcontext() if alike else pytest.raises(ParityError, match=f"in {output} .limit 0.0001"):
+        write_bundle(model, a_sensor(), WINDOWS, {}, tmp_path / "bundle")
+    assert (tmp_path / "bundle").exists() is alike
 
 
 VOLTS = stream(still(0.6), pass_over(1.2), still(0.4))
