@@ -21,8 +21,8 @@ from softslide.pipeline.sensor import Sensor
 from softslide.pipeline.staging import staged
 
 PARITY = 1e-4  # relative difference of graph and original
-# Of what is computed before the last step: rounding of the proposal moves it the most where that step is a long one (the
-# misfit of three accelerometers 1.3e-4, a deviation at its limit 2e-4, the estimates 2e-5; experiments/LOG.md).
+# Of what is computed before the last step: rounding of the proposal moves it the most where that step is a long one (of
+# three accelerometers the misfit 1.3e-4, of one a deviation at its limit 2e-4, estimates 2e-5; experiments/LOG.md).
 BEFORE_LAST_STEP = (
     *("misfit", "strain", "straight", *BENT),
     *("direction_sd_deg", "log_speed_sd", "offset_sd_mm", "depth_sd_mm"),
