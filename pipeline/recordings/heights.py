@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 
+from softslide.features.height import MARGIN_MM
 from softslide.pipeline.recordings.folder import Folder
 
 # Column of a manifest in memory: the skin's height, in mm. No file has it: synthetic recordings have a `height_mm`.
@@ -17,7 +18,6 @@ LASER = "skin_height_mm"  # a laser's reading of it
 # Relative: what a regulator holds a pressure by. The skin's height goes with its cube root.
 SAME_PRESSURE = 0.02
 POWER = 1 / 3
-LASER_SD_MM = 0.05  # of a reading; four of them are what two readings of one height differ by at most
 # At the main pressure, where no laser read it: between two benches' 7.2 and 8.1 mm (docs/method.md).
 USUAL_MM = 7.5
 
@@ -62,9 +62,9 @@ def laser_readings_mm(folder: Folder) -> pd.Series:
 
 def pressures_by_laser(folder: Folder) -> pd.Series:
     """The pressure at each recording that a laser's reading shows, MPa, that of `sensor.toml` at the middle reading;
-    NaN where it read one height."""
+    NaN where it read one height, to what a laser may err by either way."""
     read = laser_readings_mm(folder)
-    if not read.max() - read.min() > 4 * LASER_SD_MM:
+    if not read.max() - read.min() > 2 * MARGIN_MM:
         return pd.Series(np.nan, read.index)
     return folder.sensor.pressure_mpa * (read / read.median()) ** (1 / POWER)
 
