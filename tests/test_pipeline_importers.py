@@ -260,6 +260,30 @@ def test_an_interrupted_import_resumes(tmp_path: Path, monkeypatch) -> None:
     assert sorted(p.name for p in tmp_path.iterdir()) == ["afresh", "lab", "map.toml", "out", "sensor.toml"]
 
 
+@pytest.mark.parametrize("last", ["write_manifest", "shutil.rmtree"])
+def test_an_import_interrupted_as_it_ends_loses_nothing(tmp_path: Path, monkeypatch, last: str) -> None:
+    """Before its folder is there, or after; slides that are read anew do not reach into a folder that is whole."""
+    map_path = write_lab(tmp_path, FORMATS["csv"], ("one", "two"))
+
+    def interrupted(*rest, **more):
+        raise KeyboardInterrupt
+
+    def import_interrupted_at(name: str) -> None:
+        with monkeypatch.context() as patch:
+            patch.setattr(f"softslide.pipeline.importers.run.{name}", interrupted)
+            with pytest.raises(KeyboardInterrupt):
+                imported(map_path, tmp_path / "out")
+
+    import_interrupted_at(last)
+    assert (tmp_path / "out").exists() is (last == "shutil.rmtree")
+    assert import_recordings([tmp_path / "lab"], map_path, tmp_path / "out").resumed == 2
+    import_interrupted_at("shutil.rmtree")
+    before = contents(tmp_path / "out")
+    FORMATS["csv"].write(tmp_path / "lab", "one", *slide(7, 300))
+    import_interrupted_at("_finish")
+    assert contents(tmp_path / "out") == before
+
+
 @pytest.mark.parametrize(
     "left", [{}, {"one.parquet": b"PAR1"}, {"one.parquet": b"PAR1", "one.json": b'{"map"'}]
 )

@@ -33,8 +33,10 @@ class Journal:
                 return entry
         except (FileNotFoundError, ValueError):  # none, or one that was being written
             pass
-        # The slide will be written anew: what was noted of another one no longer holds.
+        # The slide will be written anew: what was noted of another one no longer holds, which the folder of a call that
+        # was killed at its very end may share.
         note.unlink(missing_ok=True)
+        self.slide(job.name).unlink(missing_ok=True)
         return None
 
     def add(self, job: Source, entry: dict[str, Any]) -> dict[str, Any]:

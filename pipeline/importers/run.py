@@ -210,7 +210,7 @@ def _finish(entries: Sequence[dict[str, Any]], mapping: Map, journal: Journal, o
                 mirrored = ((time_s, _mirrored(volts, flips)) for time_s, volts in blocks)
                 write_slide_in_blocks(scratch / file, mirrored, sensor.columns)
             else:
-                os.replace(slide, scratch / file)
+                _link(slide, scratch / file)
         write_sensor(scratch / "sensor.toml", sensor)
         write_manifest(scratch / "manifest.csv", manifest)
         recordings = []
@@ -220,6 +220,14 @@ def _finish(entries: Sequence[dict[str, Any]], mapping: Map, journal: Journal, o
         report = {"kind": mapping.kind, "map": journal.map, "notes": notes, "recordings": recordings}
         (scratch / "import.json").write_text(json.dumps(report, indent=1) + "\n")
     return notes
+
+
+def _link(file: Path, place: Path) -> None:
+    """A second name for the file, which keeps its first until the folder is whole; a copy where a disk has no links."""
+    try:
+        os.link(file, place)
+    except OSError:
+        shutil.copyfile(file, place)
 
 
 def _mirrored(volts: np.ndarray, flips: dict[int, float]) -> np.ndarray:
