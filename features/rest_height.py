@@ -69,13 +69,8 @@ class RestHeight:
         margin_mm = max(LEAST_OFF_MM, MOUNTED_SD * self.sd_mm)
         low, high = (0.0, 0.0) if heights is None else heights.range_off_mm
         self._range_mm = low - margin_mm, high + margin_mm
-
-    @property
-    def shows(self) -> bool:
-        """Whether the static output shows which of the bundle's heights the skin has."""
-        if self._heights is None:
-            return False
-        return self.sd_mm < TELLING_SHARE * (self._heights.highest_mm - self._heights.lowest_mm)
+        # Whether the static output shows which of the bundle's heights the skin has.
+        self.shows = self.sd_mm < TELLING_SHARE * (high - low)
 
     @property
     def sd_mm(self) -> float:
@@ -92,8 +87,10 @@ class RestHeight:
 
     def height_mm(self, static_v: np.ndarray) -> float:
         """The skin's height, within the calibration's; NaN where the static output shows none, or another."""
+        if self._heights is None or not self.shows:
+            return math.nan
         off_mm = self.off_mm(static_v)
-        if self._heights is None or not self.shows or math.isnan(off_mm) or self.is_other(static_v):
+        if not self._range_mm[0] <= off_mm <= self._range_mm[1]:  # so where it is NaN
             return math.nan
         low, high = self._heights.range_off_mm
         return self._heights.height_mm + min(max(off_mm, low), high)

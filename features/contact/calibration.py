@@ -71,10 +71,8 @@ class ContactCalibration:
             return
         channels = len(self.static_v)
         covariance = np.array(self.static_covariance_v2, dtype=float)
-        like_noise = len(self.noise_v) in (
-            channels,
-            2 / 3 * channels,
-        )  # all outputs answer to a touch, or x and y
+        # Of each three outputs all answer to a touch, or x and y.
+        like_noise = 3 * len(self.noise_v) in (3 * channels, 2 * channels)
         if covariance.shape != (channels, channels) or channels % 3 or not like_noise:
             raise ValueError(
                 f"contact: static_v has {channels} channels, static_covariance_v2 or noise_v others"

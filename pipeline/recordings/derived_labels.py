@@ -60,11 +60,11 @@ def with_derived_labels(folder: Folder) -> Folder:
     x, y = (table[f"start_{axis}_mm"] - at for axis, at in zip("xy", folder.sensor.reference_mm, strict=True))
     fill("offset_mm", _share(np.cos(a), y) - _share(np.sin(a), x))
     usual = table["depth_mm"].median()
-    if table["pressure_mpa"].isna().all():
-        fill("pressure_mpa", pressures_by_laser(folder))
     # A press, which has no direction, keeps an unknown depth.
     depth = pd.Series(USUAL_DEPTH_MM if np.isnan(usual) else usual, table.index)
     fill("depth_mm", depth.where(table["direction_deg"].notna()))
+    if table["pressure_mpa"].isna().all():
+        fill("pressure_mpa", pressures_by_laser(folder))
     return replace(folder, manifest=table)
 
 
