@@ -198,6 +198,20 @@ def test_a_zero_that_moves_in_most_slides_is_found(sound, tmp_path: Path) -> Non
     assert found == {("drift", "a0_vy")}
 
 
+@pytest.mark.parametrize("slow", [True, False])
+def test_a_zero_that_creeps_is_found_in_the_slides_that_take_longest(tmp_path: Path, slow: bool) -> None:
+    sample = read_folder(SAMPLE)
+    by_time = sample.manifest.sort_values("motion_end_s")
+    manifest = pd.concat([by_time[:7], by_time[-5:]])
+    creep = set(manifest.index[-5:] if slow else manifest.index[:5])
+    recordings = [sample.load(str(name)) for name in manifest.index]
+    for recording in recordings:
+        if recording.name in creep:
+            recording.volts[:, 1] += np.linspace(0, 0.003, len(recording.time_s))
+    findings = checked(write_folder(tmp_path / "lab", sample.sensor, manifest, recordings)).findings
+    assert (("drift", "a0_vy") in {(f.kind, f.channel) for f in findings}) == slow
+
+
 @pytest.mark.parametrize(("step_v", "dead"), [(5e-4, True), (5e-3, False)])
 def test_an_output_that_does_not_change_is_dead_unless_the_converter_hides_its_noise(
     sound, tmp_path: Path, step_v: float, dead: bool

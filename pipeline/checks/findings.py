@@ -42,7 +42,7 @@ class Limits:
     noise_low = 0.3  # times the data sheet
     mains_g = 0.01  # amplitude
     drift_g = 0.04  # rest after less rest before
-    usual_drift_g = 0.002  # the same of V_x and V_y, median over the slides
+    usual_drift_g = 0.002  # the same of V_x and V_y, median over the slides that take longest
     rest_s = 0.5  # before the slide
     gravity_g = 0.3  # of the output at rest, from 1 g
     inverted = -0.4  # mean agreement with the zones
@@ -110,7 +110,7 @@ def compared(folder: Folder, measured: Sequence[Measurements], refused: Sequence
     manifest = folder.manifest.loc[[one.name for one in measured]]
     findings = list(_wiring(measured, folder.sensor))
     sound = not any(finding.level == "error" for finding in findings)
-    findings += _drifting(measured, folder.sensor)
+    findings += _drifting(measured, manifest, folder.sensor)
     units = list(_units(measured, folder))
     wrong_boards = {unit.channel for unit in units if unit.kind == "unit"}
     if wrong_speed := any((unit.level, unit.kind) == ("error", "speed") for unit in units):
@@ -300,17 +300,21 @@ def _wiring(measured: Sequence[Measurements], sensor: Sensor) -> Iterator[Findin
                 yield Finding("error", "dead", "", channel, own, Limits.follows, text)
 
 
-def _drifting(measured: Sequence[Measurements], sensor: Sensor) -> Iterator[Finding]:
-    """Outputs along the skin's plane that drift in most slides: each is learned with a zero that moves."""
+def _drifting(measured: Sequence[Measurements], manifest: pd.DataFrame, sensor: Sensor) -> Iterator[Finding]:
+    """Outputs along the skin's plane that drift in most long slides: each is learned with a zero that moves."""
     drift_v = np.array([np.abs(one.drift_v) for one in measured])
-    drift_v = drift_v[np.isfinite(drift_v).all(axis=1)]
-    if len(drift_v) < LEAST_SLIDES:
+    known = np.isfinite(drift_v).all(axis=1)
+    if known.sum() < LEAST_SLIDES:
         return
+    # A zero that creeps shows in slow slides, and spoils them alone.
+    lasts_s = (manifest["motion_end_s"] - manifest["motion_start_s"]).to_numpy(float)
+    drift_v = drift_v[known & (lasts_s >= np.median(lasts_s[known]))]
     for k, part in enumerate(sensor.accelerometers):
         for n in (0, 1) if part.measures_gravity else ():
             drift_g = float(np.median(drift_v[:, 3 * k + n])) / part.sensitivity_v_per_g
             if drift_g > Limits.usual_drift_g:
-                text = f"g between rest before and after, median of {len(drift_v)} slides: a warm-up may help"
+                slides = f"the {len(drift_v)} longest slides"
+                text = f"g between rest before and after, median of {slides}: a warm-up may help"
                 channel = sensor.channels[3 * k + n]
                 yield Finding("warning", "drift", "", channel, drift_g, Limits.usual_drift_g, text)
 
