@@ -198,11 +198,16 @@ def test_a_zero_that_moves_in_most_slides_is_found(sound, tmp_path: Path) -> Non
     assert found == {("drift", "a0_vy")}
 
 
-@pytest.mark.parametrize("slow", [True, False])
-def test_a_zero_that_creeps_is_found_in_the_slides_that_take_longest(tmp_path: Path, slow: bool) -> None:
+@pytest.mark.parametrize(("slow", "timed"), [(True, True), (True, False), (False, True)])
+def test_a_zero_that_creeps_is_found_in_the_slides_that_take_longest(
+    tmp_path: Path, slow: bool, timed: bool
+) -> None:
     sample = read_folder(SAMPLE)
     by_time = sample.manifest.sort_values("motion_end_s")
     manifest = pd.concat([by_time[:7], by_time[-5:]])
+    if not timed:
+        manifest["motion_start_s"] = np.nan
+        manifest["travel_mm"] = np.nan  # nor can it be derived
     creep = set(manifest.index[-5:] if slow else manifest.index[:5])
     recordings = [sample.load(str(name)) for name in manifest.index]
     for recording in recordings:

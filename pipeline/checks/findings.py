@@ -306,8 +306,8 @@ def _drifting(measured: Sequence[Measurements], manifest: pd.DataFrame, sensor: 
     known = np.isfinite(drift_v).all(axis=1)
     if known.sum() < LEAST_SLIDES:
         return
-    # A zero that creeps shows in slow slides, and spoils them alone.
-    lasts_s = (manifest["motion_end_s"] - manifest["motion_start_s"]).to_numpy(float)
+    # A zero that creeps shows in slow slides, and spoils them alone. Without a start the rest is the recording's first.
+    lasts_s = (manifest["motion_end_s"] - manifest["motion_start_s"].fillna(0.0)).to_numpy(float)
     drift_v = drift_v[known & (lasts_s >= np.median(lasts_s[known]))]
     for k, part in enumerate(sensor.accelerometers):
         for n in (0, 1) if part.measures_gravity else ():
