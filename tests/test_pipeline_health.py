@@ -10,7 +10,8 @@ import pandas as pd
 import pytest
 
 import softslide
-from softslide.pipeline.checks.findings import Finding
+from softslide.pipeline.checks.findings import Finding, Limits
+from softslide.pipeline.checks.measurements import measure
 from softslide.pipeline.checks.rail_run import MOST_AT_RAIL, rail_run
 from softslide.pipeline.checks.report import checked
 from softslide.pipeline.recordings.folder import SAMPLE, Folder, Recording, read_folder, write_folder
@@ -169,6 +170,22 @@ def test_an_injury_of_one_slide_is_found_there(sound, tmp_path: Path, change: Ch
     assert {f.recording for f in findings if f.level == "error"} <= {recordings[only].name}
 
 
+@pytest.mark.parametrize(("rate_hz", "hz", "mains"), [(100, 60, True), (200, 180, True), (100, 67, False)])
+def test_mains_that_the_sampling_folds_are_neither_a_tone_nor_a_repetition(
+    sound, rate_hz: float, hz: float, mains: bool
+) -> None:
+    """At 100 Hz 60 are read as 40."""
+    folder, _ = sound
+    sensor, time_s = replace(folder.sensor, sample_rate_hz=rate_hz), np.arange(20 * rate_hz) / rate_hz
+    noise = np.random.default_rng(0).normal(0.0, 0.001, (len(time_s), len(sensor.channels)))
+    picked_up = 0.004 * np.sin(2 * np.pi * hz * time_s + 0.1)[:, None]
+    labels = folder.manifest.iloc[0].copy()
+    labels["motion_start_s"] = labels["motion_end_s"] = np.nan
+    figures = measure(Recording("one", time_s, 1.65 + noise + picked_up), labels, sensor)
+    assert (figures.tone_ratio.max() > Limits.tone) != mains
+    assert (figures.echo.max() > Limits.echo) != mains
+
+
 @pytest.mark.parametrize(("share", "found"), [(0.3, False), (0.8, True)])
 def test_the_wrong_sign_of_an_output_shows_another_slide_unless_it_is_small(
     sound, tmp_path: Path, share: float, found: bool
@@ -183,6 +200,27 @@ def test_the_wrong_sign_of_an_output_shows_another_slide_unless_it_is_small(
     labels = sound[0].manifest.reset_index()
     only = int(labels.index[labels["direction_deg"] == 90.0][0])
     findings = injured(sound, tmp_path, inverted, only)
+    channels = {f.channel for f in findings if f.kind == "label against signal"}
+    assert channels == ({"a0_vx"} if found else set())
+
+
+@pytest.mark.parametrize(("share", "found"), [(0.02, False), (0.3, True)])
+def test_a_wrong_sign_shows_another_slide_unless_there_is_next_to_no_output_near_the_board(
+    sound, tmp_path: Path, share: float, found: bool
+) -> None:
+    """An output has its zone's sign where it is large; of what is left elsewhere it may have the other one."""
+
+    def inverted_near(recording: Recording, row: pd.Series) -> None:
+        rest_v = recording.volts[:400, :2].mean(axis=0)
+        x, y = (recording.volts[:, :2] - rest_v).T
+        recording.volts[:, 0] = rest_v[0] - share * np.ptp(y) / np.ptp(x) * x
+        # Farther from the board than is compared.
+        along = (recording.time_s - row["motion_start_s"]) * row["speed_mm_s"] / row["travel_mm"]
+        recording.volts[(along > 0.0) & (along < 0.1), 0] += np.ptp(y)
+
+    labels = sound[0].manifest.reset_index()
+    only = int(labels.index[labels["direction_deg"] == 90.0][0])
+    findings = injured(sound, tmp_path, inverted_near, only)
     channels = {f.channel for f in findings if f.kind == "label against signal"}
     assert channels == ({"a0_vx"} if found else set())
 

@@ -52,6 +52,9 @@ class Limits:
     # Span of an output, a share of the board's other one, below which its sign is not compared: off the chamber's
     # centre a board's zones begin up to 5 mm next to it (synthetic slides of two, experiments/LOG.md).
     zone_share = 0.5
+    # And of the largest span of any output, below which what is compared is none of the slide's (2,600 sound slides,
+    # experiments/LOG.md).
+    compared_share = 0.04
     line_mm = 2.0  # start less line
     speed = 0.05  # the motion's duration against travel over speed, as a portion
     ramp_s = 1.0  # or, if more, as a time
@@ -257,8 +260,9 @@ def _label_against_signal(one: Measurements, sensor: Sensor) -> Iterator[Finding
             continue
         agreement, channels = one.agreement[k], [f"{part.name}_v{axis}" for axis in "xy"]
         own, span_v = agreement[:2].diagonal().tolist(), one.span_v[3 * k : 3 * k + 2]
+        shows = one.compared_v[k, :2].diagonal() > Limits.compared_share * one.span_v.max()
         for i, channel in enumerate(channels):
-            if own[i] < Limits.slide and span_v[i] > Limits.zone_share * span_v[1 - i]:
+            if own[i] < Limits.slide and shows[i] and span_v[i] > Limits.zone_share * span_v[1 - i]:
                 text = "agreement with the zones due for direction and offset: another slide than labelled"
                 yield Finding("error", "label against signal", one.name, channel, own[i], Limits.slide, text)
         if (np.nan_to_num(own) > Limits.follows).any():

@@ -13,6 +13,8 @@ from softslide.pipeline.recordings.successive_means import successive_means
 from softslide.pipeline.sensor import Sensor
 
 MAINS_HZ = (50.0, 60.0)
+# Of the mains, that wires pick up: the seventh is the last that is seldom below the noise.
+HARMONICS = 7
 # A slide bends the skin slowly; above this frequency the spectrum is noise and pick-up.
 NOISE_FROM_HZ = 20.0
 # Half-overlapping seconds that the spectrum averages: 40 leave a standard deviation of 1 / sqrt(40), 16 %, in each
@@ -36,7 +38,7 @@ class Measurements:
     nearer of 50 and 60 Hz. tone_hz, tone_ratio: the strongest other line and its power over the noise
     floor. rest_s: before the motion, NaN if unlabelled. rest_v: mean before it, or of the first half
     second. drift_v: rest after less rest before, NaN if either is absent or the object stays on the skin.
-    agreement: (accelerometers, 3, 2), see `zone_signs.sign_agreement`. landmarks: see `_landmarks`.
+    agreement, compared_v: (accelerometers, 3, 2), see `zone_signs.sign_agreement`. landmarks: see `_landmarks`.
     fingerprint: (n, channels) noise of the first samples, each channel of unit norm. twin: the highest correlation of
     the noise before the motion, when nothing shakes the board, with another output's. echo: the highest
     autocorrelation of the noise at a lag of a fifth of a second or more.
@@ -57,6 +59,7 @@ class Measurements:
     rest_v: np.ndarray
     drift_v: np.ndarray
     agreement: np.ndarray
+    compared_v: np.ndarray
     landmarks: np.ndarray
     fingerprint: np.ndarray
     twin: np.ndarray
@@ -82,7 +85,8 @@ def measure(
     settled = after.sum() > 0.25 * rate and before.any() and not rests_on_skin(labels, sensor)
     floor, frequency, power = _spectrum(volts, rate)
     mains_hz, mains_v = _mains(frequency, power, floor)
-    tone_hz, tone_ratio = _tones(frequency, power, floor)
+    tone_hz, tone_ratio = _tones(frequency, power, floor, rate)
+    agreement, compared_v = sign_agreement(level, labels, sensor)
     return Measurements(
         name=recording.name,
         rate_hz=(len(time_s) - 1) / (time_s[-1] - time_s[0]),
@@ -98,7 +102,8 @@ def measure(
         rest_s=start - time_s[0],
         rest_v=rest_v,
         drift_v=level.volts[after].mean(axis=0) - rest_v if settled else np.full(volts.shape[1], np.nan),
-        agreement=sign_agreement(level, labels, sensor),
+        agreement=agreement,
+        compared_v=compared_v,
         landmarks=_landmarks(volts),
         fingerprint=_noise(volts),
         twin=_twin(volts[before]),
@@ -185,11 +190,13 @@ def _mains(frequency: np.ndarray, power: np.ndarray, floor: np.ndarray) -> tuple
     return MAINS_HZ[strongest], amplitudes[strongest]
 
 
-def _tones(frequency: np.ndarray, power: np.ndarray, floor: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _tones(
+    frequency: np.ndarray, power: np.ndarray, floor: np.ndarray, rate_hz: float
+) -> tuple[np.ndarray, np.ndarray]:
     """The strongest line that is not a harmonic of the mains, (channels,) Hz, and its power over the floor."""
     other = np.ones(len(frequency), bool)
     for mains in MAINS_HZ:
-        other &= _off_harmonics(frequency, mains) > 3
+        other &= _off_harmonics(frequency, mains, rate_hz) > 3
     if not other.any():
         return np.full(power.shape[1], np.nan), np.zeros(power.shape[1])
     ratio = power[other] / np.maximum(floor, 1e-300)
@@ -210,11 +217,14 @@ def _echo(volts: np.ndarray, rate_hz: float) -> np.ndarray:
     spectrum = np.fft.rfft(noise - noise.mean(axis=0), length, axis=0)
     frequency = np.fft.rfftfreq(length, 1 / rate_hz)
     for mains in MAINS_HZ:
-        spectrum[_off_harmonics(frequency, mains) < 1] = 0
+        spectrum[_off_harmonics(frequency, mains, rate_hz) < 1] = 0
     correlation = np.fft.irfft(np.abs(spectrum) ** 2, axis=0)[:count]
     return correlation[lag : count // 2].max(axis=0) / np.maximum(correlation[0], 1e-300)
 
 
-def _off_harmonics(frequency: np.ndarray, mains: float) -> np.ndarray:
-    """How far (f,) Hz are from the nearest harmonic of the mains, 0 among them."""
-    return np.abs((frequency + mains / 2) % mains - mains / 2)
+def _off_harmonics(frequency: np.ndarray, mains: float, rate_hz: float) -> np.ndarray:
+    """How far (f,) Hz are from the nearest harmonic of the mains, or what sampling folds it to; 0 among them."""
+    harmonics = mains * np.arange(max(HARMONICS, int(rate_hz / 2 / mains)) + 1)
+    seen = np.unique(np.abs((harmonics + rate_hz / 2) % rate_hz - rate_hz / 2))
+    above = np.searchsorted(seen, frequency).clip(1, len(seen) - 1)
+    return np.minimum(np.abs(frequency - seen[above - 1]), np.abs(frequency - seen[above]))

@@ -55,22 +55,24 @@ def rests_on_skin(labels: pd.Series, sensor: Sensor) -> bool:
     return bool((np.abs(end) < np.array(sensor.chamber_mm) / 2).all())
 
 
-def sign_agreement(recording: Recording, labels: pd.Series, sensor: Sensor) -> np.ndarray:
-    """How far each output follows the sign due: (accelerometers, 3 outputs, 2 axes), cosines in [-1, 1].
+def sign_agreement(recording: Recording, labels: pd.Series, sensor: Sensor) -> tuple[np.ndarray, np.ndarray]:
+    """How far each output follows the sign due: (accelerometers, 3 outputs, 2 axes), cosines in [-1, 1]; and, of the
+    same shape, the root mean square of what is compared, V.
 
     Entry [k, i, j] compares output i (v_x, v_y, v_z, less the rest before the slide) of accelerometer k with
     the sign due along axis j: +1 agrees, -1 inverted, 0 unrelated. A well-wired board has [k, 0, 0] and
     [k, 1, 1] near +1. NaN where the labels or the path do not say.
     """
     agreement = np.full((len(sensor.accelerometers), 3, 2), np.nan)
+    compared_v = np.zeros_like(agreement)
     if labels[list(NEEDED)].isna().any():
-        return agreement
+        return agreement, compared_v
     # Means over hundredths of a second: the noise goes, the slide stays.
     count = max(int(sensor.sample_rate_hz / 100), 1)
     time_s, volts = (successive_means(values, count) for values in (recording.time_s, recording.volts))
     rest = time_s < labels["motion_start_s"]
     if rest.sum() < 2:
-        return agreement
+        return agreement, compared_v
     path = contact_path(time_s, labels, sensor)
     volts = volts - volts[rest].mean(axis=0)
     for k, part in enumerate(sensor.accelerometers):
@@ -83,6 +85,7 @@ def sign_agreement(recording: Recording, labels: pd.Series, sensor: Sensor) -> n
             due = np.sign(away[known, j])
             for i in range(3):
                 output = volts[known, 3 * k + i]
-                scale = np.linalg.norm(output) * np.sqrt(len(due))
-                agreement[k, i, j] = output @ due / scale if scale > 0 else 0.0
-    return agreement
+                size_v = np.linalg.norm(output) / np.sqrt(len(due))
+                agreement[k, i, j] = output @ due / (size_v * len(due)) if size_v > 0 else 0.0
+                compared_v[k, i, j] = size_v
+    return agreement, compared_v

@@ -156,7 +156,7 @@ def _import_one(
         for moment in ("motion_start_s", "motion_end_s"):
             moved = float(np.clip(float(labels[moment]) + shift, *recording.time_s[[0, -1]]))
             row[moment] = labels[moment] = moved
-    agreement = sign_agreement(recording, labels, mapping.sensor)
+    agreement, _ = sign_agreement(recording, labels, mapping.sensor)
     entry["agreement"] = [
         [None if np.isnan(v) else round(float(v), 4) for v in part.flat] for part in agreement
     ]
