@@ -52,7 +52,7 @@ class Limits:
     # Span of an output, a share of the board's other one, below which its sign is not compared: off the chamber's
     # centre a board's zones begin up to 5 mm next to it (synthetic slides of two, experiments/LOG.md).
     zone_share = 0.5
-    # And of the largest span of any output, below which what is compared is none of the slide's (2,600 sound slides,
+    # And of the largest span of any output, below which what is compared shows no slide (2,500 sound slides,
     # experiments/LOG.md).
     compared_share = 0.04
     line_mm = 2.0  # start less line
