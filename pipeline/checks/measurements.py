@@ -13,7 +13,7 @@ from softslide.pipeline.recordings.successive_means import successive_means
 from softslide.pipeline.sensor import Sensor
 
 MAINS_HZ = (50.0, 60.0)
-# Of the mains, that wires pick up: the seventh is the last that is seldom below the noise.
+# Of the mains, looked for at the least: those beyond half the sample rate are read folded (an assumption).
 HARMONICS = 7
 # A slide bends the skin slowly; above this frequency the spectrum is noise and pick-up.
 NOISE_FROM_HZ = 20.0
