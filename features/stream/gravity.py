@@ -3,6 +3,7 @@
 Whatever touches the skin tilts its accelerometers. What moves the device to and fro, or comes in on the wires, changes
 V_x and V_y alone, or V_z by more than a tilt can. With the output s at rest and s + d now, both in g, the tilt keeps
     a + b = 0,   a = s_x d_x + s_y d_y + (d_x^2 + d_y^2) / 2,   b = s_z d_z + d_z^2 / 2.
+Rubbing shakes the board: what a + b scatters by from block to block is no change of gravity's length.
 """
 
 import math
@@ -29,6 +30,8 @@ MOST_CHANGE_SD = 4.0
 # ZERO_SD_G adds that share of what d_x and d_y change by.
 JUMP_G = 0.018
 JUMP_MEAN, JUMP_APART = 10, 15
+# Of the length's scatter from block to block, in the difference of two such means.
+JUMP_SD = 4.0
 # Zeros of V_x and V_y drift after the calibration: by so much, g, a takes another share of d (40 mV of 0.8 V/g).
 ZERO_SD_G = 0.05
 
@@ -45,8 +48,9 @@ class GravityWatch:
 
     def begin(self) -> None:
         """A contact begins."""
-        # Of each accelerometer: the sums of 1, a, b, a^2, a b, b^2, d_x^2 + d_y^2.
-        self._sums = [[0.0] * 7 for _ in self._nominal]
+        # Of each accelerometer: the sums of 1, a, b, a^2, a b, b^2, d_x^2 + d_y^2 and a sixth of (a + b)'s second
+        # differences squared: the variance of white scatter, of which waves up to 6 Hz have less than a sixteenth.
+        self._sums = [[0.0] * 8 for _ in self._nominal]
         self._lengths = [
             deque[tuple[float, float, float]](maxlen=JUMP_APART + JUMP_MEAN) for _ in self._nominal
         ]
@@ -63,12 +67,13 @@ class GravityWatch:
             dx, dy, dz = (v / sensitivity for v in change[3 * n : 3 * n + 3])
             square = dx * dx + dy * dy
             a, b = x * dx + y * dy + 0.5 * square, z * dz + 0.5 * dz * dz
-            new = (1.0, a, b, a * a, a * b, b * b, square)
-            self._sums[n] = [
-                self._memory * old + value for old, value in zip(self._sums[n], new, strict=True)
-            ]
-            self._lengths[n].append((a + b, dx, dy))
-            self._jumped = self._jumped or _jumps(self._lengths[n])
+            lengths = self._lengths[n]
+            bend = a + b - 2.0 * lengths[-1][0] + lengths[-2][0] if len(lengths) > 1 else 0.0
+            new = (1.0, a, b, a * a, a * b, b * b, square, bend**2 / 6.0)
+            sums = [self._memory * old + value for old, value in zip(self._sums[n], new, strict=True)]
+            lengths.append((a + b, dx, dy))
+            self._sums[n] = sums
+            self._jumped = self._jumped or _jumps(lengths, sums[7] / sums[0])
 
     @property
     def against_g2(self) -> float:
@@ -78,7 +83,7 @@ class GravityWatch:
         Both are judged about their means, since the static V_z may be off by the pressure's swing.
         """
         total = 0.0
-        for weight, a, b, aa, ab, _, _ in self._sums:
+        for weight, a, b, aa, ab, *_ in self._sums:
             if weight > 0.0:
                 total += self._independent * (aa + 2.0 * ab - a * (a + 2.0 * b) / weight)
         return total
@@ -87,15 +92,16 @@ class GravityWatch:
     def change_g(self) -> float:
         """Root mean square change of gravity's length since rest, g: the largest of the accelerometers."""
         squares = [
-            (aa + 2.0 * ab + bb) / weight for weight, _, _, aa, ab, bb, _ in self._sums if weight > 0.0
+            (aa + 2.0 * ab + bb) / weight for weight, _, _, aa, ab, bb, *_ in self._sums if weight > 0.0
         ]
         return math.sqrt(max(0.0, max(squares, default=0.0)))
 
     @property
     def kept(self) -> bool:
         """Whether gravity keeps its length, as far as it is known."""
-        largest = max((sums[6] / sums[0] for sums in self._sums if sums[0] > 0.0), default=0.0)
-        variance = self._sd_g**2 + ZERO_SD_G**2 * largest
+        known = [sums for sums in self._sums if sums[0] > 0.0]
+        largest, scatter = (max((sums[n] / sums[0] for sums in known), default=0.0) for n in (6, 7))
+        variance = self._sd_g**2 + ZERO_SD_G**2 * largest + scatter
         return (
             not self._jumped
             and self.against_g2 <= MOST_AGAINST * 2.0 * variance
@@ -103,8 +109,9 @@ class GravityWatch:
         )
 
 
-def _jumps(blocks: deque[tuple[float, float, float]]) -> bool:
-    """Whether gravity's length changes by more at once than a contact's does. blocks: its change, d_x and d_y, g."""
+def _jumps(blocks: deque[tuple[float, float, float]], scatter_g2: float) -> bool:
+    """Whether gravity's length changes by more at once than a contact's does. blocks: its change, d_x and d_y, g;
+    scatter_g2: the change's variance from block to block."""
     if len(blocks) < JUMP_APART + JUMP_MEAN:
         return False
     after, before = (
@@ -112,4 +119,5 @@ def _jumps(blocks: deque[tuple[float, float, float]]) -> bool:
         for begin in (JUMP_APART, 0)
     )
     length, dx, dy = (new - old for new, old in zip(after, before, strict=True))
-    return abs(length) > JUMP_G + 2.0 * ZERO_SD_G * math.hypot(dx, dy)
+    scattered_g = JUMP_SD * math.sqrt(2.0 * scatter_g2 / JUMP_MEAN)
+    return abs(length) > JUMP_G + 2.0 * ZERO_SD_G * math.hypot(dx, dy) + scattered_g
