@@ -101,11 +101,11 @@ class GravityWatch:
         """Whether gravity keeps its length, as far as it is known."""
         known = [sums for sums in self._sums if sums[0] > 0.0]
         largest, scatter = (max((sums[n] / sums[0] for sums in known), default=0.0) for n in (6, 7))
-        variance = self._sd_g**2 + ZERO_SD_G**2 * largest + scatter
+        variance = self._sd_g**2 + ZERO_SD_G**2 * largest
         return (
             not self._jumped
             and self.against_g2 <= MOST_AGAINST * 2.0 * variance
-            and self.change_g**2 <= MOST_CHANGE_SD**2 * variance
+            and self.change_g**2 - scatter <= MOST_CHANGE_SD**2 * variance
         )
 
 
