@@ -48,7 +48,12 @@ def test_the_bound_follows_the_noise_and_no_label_of_the_place():
     windows = drawn(bump_map(), 40)
     quiet, loud = (
         bump_map(
-            noise_v=np.full(2, noise), drift_v=np.full(2, 1e-7), floor_v=1e-7, level_v=1e-7, gain_sd=1e-4
+            noise_v=np.full(2, noise),
+            zero_v=np.full(2, 1e-7),
+            drift_v_s=np.full(2, 1e-9),
+            floor_v=1e-7,
+            level_v=1e-7,
+            gain_sd=1e-4,
         )
         for noise in (0.05, 0.1)
     )

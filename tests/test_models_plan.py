@@ -66,7 +66,7 @@ def test_a_wrong_map_misleads_least_squares_as_predicted(
         x, y = places(reference_mm, direction + p[0], offset + p[2], way)
         volts = np.exp(p[4]) * response.response(x, y, direction + p[0]) + p[5:]
         return np.concatenate(
-            [((truth - volts) / noise_v).ravel(), [p[4] / GAIN_SD], p[5:] / response.drift_v]
+            [((truth - volts) / noise_v).ravel(), [p[4] / GAIN_SD], p[5:] / response.zero_v]
         )
 
     found = least_squares(residuals, np.zeros(5 + response.channels), x_scale="jac").x[:3]

@@ -152,13 +152,13 @@ def test_a_straight_way_is_taken_for_one():
 
 
 def test_weights_are_the_inverse_of_the_residuals_covariance():
-    response = bump_map(level_v=5e-4, output_share=0.004, place_mm=0.08)
+    response = bump_map(level_v=5e-4, output_share=0.004, place_mm=0.08, drift_v_s=np.full(2, 3e-4))
     refinement = Refinement(response, BLOCK_S, RefinementConfig(cross_axis_sd=0.05))
     generator = torch.Generator().manual_seed(2)
     volts = 0.1 * torch.randn(1, 6, WINDOW_BINS, generator=generator, dtype=torch.float64)[:, :3]
     bins = volts.reshape(3, BINS, -1).mean(2)
     elapsed_s = torch.tensor([4.0], dtype=torch.float64)
-    ripple = bins[2] - bins[2].mean()
+    ripple, since_s = bins[2] - bins[2].mean(), 4.0 * (np.arange(BINS) + 0.5) / BINS
     found = refinement._inverse_covariance(
         bins[:2].reshape(1, 1, 2, 1, BINS),
         ripple.reshape(1, 1, 1, 1, BINS),
@@ -173,7 +173,8 @@ def test_weights_are_the_inverse_of_the_residuals_covariance():
     )
     for inverse, output in zip(found, bins[:2].numpy(), strict=True):
         covariance = np.diag(alike + (0.08 / 1.6 * np.gradient(output)) ** 2)
-        covariance += response.drift_v[0] ** 2 + 0.05**2 * np.outer(ripple, ripple)
+        covariance += response.zero_v[0] ** 2 + 0.05**2 * np.outer(ripple, ripple)
+        covariance += response.drift_v_s[0] ** 2 * np.outer(since_s, since_s)
         np.testing.assert_allclose(inverse @ covariance, np.eye(BINS), atol=1e-9)
 
 

@@ -10,7 +10,7 @@ from calibration_slides import slides_of
 from hypothesis import given
 from hypothesis import strategies as st
 
-from softslide.models.response_map.calibrate import MAP_VARIANCE, RIM_MM, calibrate
+from softslide.models.response_map.calibrate import MAP_VARIANCE, RIM_MM, calibrate, zero_errors
 from softslide.models.response_map.from_atlas import SensorSpread, prior_map
 from softslide.models.response_map.map import spline_basis, spline_coefficients
 from softslide.models.response_map.slide_fit import CalibrationConfig
@@ -230,3 +230,14 @@ def test_slides_count_by_their_weight():
             (found.coefficients[0] * truth.coefficients[0]).sum() / (truth.coefficients[0] ** 2).sum()
         )
     assert size == pytest.approx([1.0, 1.2], abs=0.02)
+
+
+@pytest.mark.parametrize("drift_v_s", [0.0, 4e-5])
+def test_errors_of_the_zero_and_its_drift_are_parted_by_how_long_slides_last(drift_v_s: float) -> None:
+    """Slides of 3 to 150 s whose zeros are off by 0.6 mV and go on straight."""
+    random, zero_v = np.random.default_rng(3), 6e-4
+    lasts_s = np.exp(random.uniform(np.log(3.0), np.log(150.0), 400))
+    drifts = lasts_s / 2 * drift_v_s * random.standard_normal((2, 400))
+    found_v, found_v_s = zero_errors((zero_v * random.standard_normal((2, 400)) + drifts).T, lasts_s)
+    assert found_v == pytest.approx([zero_v] * 2, rel=0.15)
+    assert found_v_s == pytest.approx([drift_v_s] * 2, rel=0.15, abs=5e-6)

@@ -53,7 +53,12 @@ def bundle(skin: Folder, windows: LabelledWindows, tmp_path_factory: pytest.Temp
     assert (conditioning.touch_axes, conditioning.onset) == ("xyz", "touch")
     block_v = NOISE * conditioning.scale / np.sqrt(conditioning.block_samples(RATE_HZ))
     coefficients = UNIT * conditioning.scale * dome_map().coefficients
-    noise = {"noise_v": np.full(3, block_v), "drift_v": np.full(3, block_v / 2), "floor_v": block_v}
+    noise = {
+        "noise_v": np.full(3, block_v),
+        "zero_v": np.full(3, block_v / 2),
+        "drift_v_s": np.zeros(3),
+        "floor_v": block_v,
+    }
     response = replace(dome_map(), coefficients=coefficients, **noise)
     config = NetworkConfig(refinement=RefinementConfig(steps=STEPS))
     source = WindowSource(response, conditioning.block_s, SynthesisConfig(speed_mm_s=(10.0, 60.0)))

@@ -17,7 +17,7 @@ from softslide.experiments.evaluation.readout import open_localizer
 from softslide.experiments.evaluation.scoring import signed_errors
 from softslide.features.errors import InputError
 from softslide.models.response_map.card import response_of
-from softslide.models.response_map.from_atlas import DESIGN_DRIFT_V
+from softslide.models.response_map.from_atlas import DESIGN_DRIFT_V_S, DESIGN_ZERO_V
 from softslide.pipeline.recordings.folder import Folder
 from softslide.pipeline.recordings.windows import labelled_windows
 
@@ -35,7 +35,7 @@ def bounds_of(bundle: Path, folder: Folder, archive: Archive) -> Iterator[pd.Dat
     """The bounds of a bundle's own response map for the labelled recordings, some at a time; without a map none.
 
     One row a window of the calibration's depth, of COLUMNS; bounds are standard deviations. A card does not say how
-    much the static output drifts: it is taken as calibrations find it (DESIGN_DRIFT_V).
+    far the zero is off and drifts: that is taken as before any recording (DESIGN_ZERO_V, DESIGN_DRIFT_V_S).
     """
     if open_localizer(bundle).card.contact is not None:
         yield from archive.tables("bounds", _bounds, bundle, folder, list(folder.labelled().manifest.index))
@@ -47,7 +47,8 @@ def _bounds(bundle: Path, folder: Folder, names: list[str]) -> pd.DataFrame:
 
     card = open_localizer(bundle).card
     response = response_of(card)
-    response = replace(response, drift_v=np.full(response.channels, DESIGN_DRIFT_V))
+    zero_v, drift_v_s = (np.full(response.channels, sd) for sd in (DESIGN_ZERO_V, DESIGN_DRIFT_V_S))
+    response = replace(response, zero_v=zero_v, drift_v_s=drift_v_s)
     try:
         windows = labelled_windows(replace(folder, base_motion=card.base), card.conditioning)
     except InputError:

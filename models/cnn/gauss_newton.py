@@ -73,10 +73,11 @@ class Refinement(WithConstants):
     """Gauss-Newton on (turn, log speed, offset, along, gain, depth) against the response map.
 
     Residuals are weighted by the inverse of their covariance: noise that falls with the number of blocks in a bin, the
-    three parts of the map's own residual (`ResponseMap.level_v`, `output_share`, `place_mm`), the drift of each
-    channel's zero, and V_z's coupling into V_x and V_y of a tilted board (the ripple of the pressure). The last two are
-    rank-one parts of a channel's covariance. Where the map's residuals are correlated between channels
-    (`ResponseMap.whitening`), these are mixed first, as long as no accelerometer is dead. Maps without a rim have no
+    three parts of the map's own residual (`ResponseMap.level_v`, `output_share`, `place_mm`), the error of each
+    channel's zero at the window's start, its straight drift since, and V_z's coupling into V_x and V_y of a tilted
+    board (the ripple of the pressure). The last three are rank-one parts of a channel's covariance. Where the map's
+    residuals are correlated between channels (`ResponseMap.whitening`), these are mixed first, as long as no
+    accelerometer is dead. Maps without a rim have no
     drift, since the static output is known just before a touch, but in each bin errors of place and gain, three
     rank-one parts of the covariance of the bin's channels.
 
@@ -94,7 +95,10 @@ class Refinement(WithConstants):
         middle = (np.arange(BINS) + 0.5) / BINS
         constants = {
             "noise": response.noise_v.reshape(self.boards, self.axes, 1, 1) ** 2,
-            "drift": response.drift_v.reshape(self.boards, self.axes, 1, 1) ** 2,
+            "zero": response.zero_v.reshape(self.boards, self.axes, 1, 1) ** 2,
+            "drift": response.drift_v_s.reshape(self.boards, self.axes, 1, 1) ** 2,
+            "even": np.ones((1, BINS)),
+            "middle": middle[None],
             "pooled": np.float32(pooling() @ np.linalg.inv(bin_means()).T),
             "rippled": pooling() @ (np.eye(BINS) - 1.0 / BINS),
             "ago": np.stack([np.zeros(BINS), 1.0 - middle]),
@@ -309,15 +313,17 @@ class Refinement(WithConstants):
             return weight / variance
         off = (self.place_mm / bin_mm).clamp(max=MOST_OFF) * (touch @ self.change)
         known = weight / (variance + off * off)
-        # Each rank-one part takes from the inverse what Sherman and Morrison's formula says.
-        drifting = self.drift / (1.0 + self.drift * known.sum(4, keepdim=True))
-        inverse = known * self.whole - known.transpose(3, 4) * known * drifting
-        if ripple is None:
-            return inverse
-        pulled = ripple @ inverse
-        square = (pulled * ripple).sum(4, keepdim=True)
-        picked = self.cross_axis_sd**2 / (1.0 + self.cross_axis_sd**2 * square)
-        return inverse - pulled.transpose(3, 4) * pulled * picked
+        inverse = _with_part(known * self.whole, self.even, self.zero)
+        inverse = _with_part(inverse, elapsed_s * self.middle, self.drift)
+        return inverse if ripple is None else _with_part(inverse, ripple, self.cross_axis_sd**2)
+
+
+def _with_part(inverse: Tensor, shape: Tensor, variance: Tensor | float) -> Tensor:
+    """The inverse (..., 16, 16) of a covariance to which a rank-one part is added, a shape (..., 1, 16) times an
+    unknown of that variance: Sherman and Morrison's formula."""
+    pulled = shape @ inverse
+    square = (pulled * shape).sum(4, keepdim=True)
+    return inverse - pulled.transpose(3, 4) * pulled * (variance / (1.0 + variance * square))
 
 
 def inverted(normal: Tensor) -> Tensor:

@@ -28,7 +28,6 @@ LEAST_SEEN = 0.06  # share of a slide at which the first windows end
 LONGEST_PAUSE = 0.3  # share of the slide's own time
 # Lengths of the map residual's waves: well above the splines' spacing and up to the chamber's size.
 WAVE_MM = (15.0, 50.0)
-ZERO_SHARE = 0.3  # share of the slide at which the moving part of the drift is zero
 TRIGGER_SAMPLES = 3  # that the trigger averages
 LEAST_SAMPLES = 8  # after the trigger, for a window's bins to differ
 LEAST_BLOCKS = 6  # and blocks; the runtime estimates from 8 on (features/stream/conditioning.py)
@@ -111,7 +110,8 @@ class WindowSource:
         self._table = torch.tensor(np.concatenate(parts, axis=1), dtype=torch.float32)
         self._origin, self._size = float(grid[0]), len(grid)
         self._noise = torch.tensor(response.noise_v, dtype=torch.float32)
-        self._drift = torch.tensor(response.drift_v, dtype=torch.float32)
+        self._zero = torch.tensor(response.zero_v, dtype=torch.float32)
+        self._drift = torch.tensor(response.drift_v_s, dtype=torch.float32)
 
     def draw(self, count: int, generator: torch.Generator) -> WindowBatch:
         """About `count` windows (slides that never pass the trigger are left out).
@@ -186,9 +186,8 @@ class WindowSource:
             1 + response.gain_sd * random.normal(random.count, 1, 1) + c.channel_gain * random.normal(*each)
         )
         blocks = (slides.seconds / self.block_s / SAMPLES).clamp(min=LEAST_BLOCK_SHARE)
-        # The static output is off by its drift at the start, and drifts on by as much again.
-        zero = self._drift * random.normal(*each)
-        zero = zero + self._drift * random.normal(*each) * (share[:, None] - ZERO_SHARE)
+        zero = self._zero * random.normal(*each)
+        zero = zero + self._drift * random.normal(*each) * (slides.seconds[:, None] * share)[:, :, None]
         zero = zero + self._map_residual(clean, path_mm, share, random)
         noise = self._noise * blocks.rsqrt()[:, None, None]
         return gain * clean + zero + noise * random.normal(random.count, SAMPLES, clean.shape[2]), depth

@@ -23,7 +23,7 @@ from softslide.models.design.line_information import (
     with_gain_prior,
     without_static,
 )
-from softslide.models.response_map.from_atlas import DESIGN_DRIFT_V, DESIGN_NOISE_V
+from softslide.models.response_map.from_atlas import DESIGN_NOISE_V, DESIGN_ZERO_V
 from softslide.models.response_map.map import PARTS, ResponseMap, half_of, spline_coefficients, spline_grid
 from softslide.pipeline.atlas.bare_skin import TiltField
 from softslide.pipeline.sensor import Sensor
@@ -53,7 +53,7 @@ def information(field: TiltField, sensor: Sensor, lines: Sequence[Line]) -> np.n
     found = np.empty((len(field.places_mm), len(lines), len(STEPS), len(STEPS)))
     for n, line in enumerate(lines):
         jacobian = slopes(response, line)
-        left = without_static(jacobian, DESIGN_DRIFT_V, variance)
+        left = without_static(jacobian, DESIGN_ZERO_V, variance)
         one, other = (each.reshape(len(each), -1, 2, len(STEPS)) for each in (left, jacobian))
         found[:, n] = np.einsum("npcj,npck->pjk", one, other, optimize=True) / variance
     return found

@@ -79,12 +79,12 @@ def reading_variance(noise_v: float) -> float:
     return noise_v**2 * (1 / blocks + MAP_VARIANCE)
 
 
-def without_static(jacobian: np.ndarray, drift_v: np.ndarray | float, variance: float) -> np.ndarray:
-    """Derivatives (n, C, 5) less what a static output of each channel, known to its drift, takes from them.
+def without_static(jacobian: np.ndarray, zero_v: np.ndarray | float, variance: float) -> np.ndarray:
+    """Derivatives (n, C, 5) less what a static output of each channel, known to within zero_v (V), takes from them.
 
     J' of these times J over the variance is the information that is left.
     """
-    known = variance / np.broadcast_to(drift_v, jacobian.shape[1:2]) ** 2
+    known = variance / np.broadcast_to(zero_v, jacobian.shape[1:2]) ** 2
     return jacobian - jacobian.sum(axis=0) / (len(jacobian) + known)[:, None]
 
 

@@ -178,7 +178,7 @@ def _observation(unknowns: Unknowns, row: pd.Series, config: CalibrationConfig) 
     blocks = max(1.0, STRETCH_MM / row["speed_mm_s"] / Conditioning.block_s)
     # As the calibration weighs a stretch, for the stretches between two places.
     variance = np.median(response.noise_v) ** 2 * (1 / blocks + MAP_VARIANCE) * STRETCH_MM / PLACES_MM
-    static = np.repeat(np.diag(np.broadcast_to(response.drift_v, response.channels)), len(x), axis=0)
+    static = np.repeat(np.diag(np.broadcast_to(response.zero_v, response.channels)), len(x), axis=0)
     own = np.column_stack([config.gain_sd * volts.T.ravel(), config.shift_sd_mm * slope.T.ravel(), static])
     noise = variance * np.eye(volts.size) + own @ own.T
     return Rows(rows.by_parameter.astype(np.float32), rows.by_mode.astype(np.float32)), noise.astype(
@@ -196,7 +196,7 @@ def _line_error(unknowns: Unknowns, line: Line) -> np.ndarray:
     """(3, R) for one line: least squares over direction, log speed, offset, place, gain and static output."""
     response = unknowns.response
     jacobian, variance = slopes(response, line), reading_variance(float(np.median(response.noise_v)))
-    weighted = without_static(jacobian, response.drift_v, variance) / variance
+    weighted = without_static(jacobian, response.zero_v, variance) / variance
     information = np.einsum("ncj,nck->jk", weighted, jacobian)
     by_channel = weighted.transpose(2, 1, 0).reshape(len(STEPS), -1)
     answer = np.linalg.solve(with_gain_prior(information), by_channel)[:ERRORS]

@@ -30,9 +30,11 @@ from softslide.models.response_map.slide_fit import (
 from softslide.models.response_map.slides import CalibrationSlide, at_height, main_height_mm, several
 from softslide.pipeline.sensor import Sensor
 
-LEAST_DRIFT_V = 5e-4  # the static output is never known better: one step of the article's converter
+# Priors' medians of a zero's error at a slide's start and of its drift: one step of the article's converter, and what
+# the synthesis draws, 1 mg a minute of 0.8 V/g.
+USUAL_ZERO_V, USUAL_DRIFT_V_S = 5e-4, 1.3e-5
 OUTLIER = 4.0  # times the median residual: a slide beyond it has a wrong label
-PRIOR_SLIDES = 4  # how many slides' worth the priors of gain and drift count
+PRIOR_SLIDES = 4  # how many slides' worth the prior of the gain counts
 CLEAR = 0.3  # share of the largest peak below which a slide's gain is mostly noise
 SHRINKAGE = 0.1  # of the residuals' covariance; without it errors were the same within 0.02 deg
 # Variance of the map's own residual, which no averaging lessens, in units of a block's noise variance: on bench-a the
@@ -97,8 +99,9 @@ def calibrate(
     if not response.rim:
         gain_sd = float(np.hypot(gain_sd, config.day_gain_sd))
         response = replace(response, whitening=_whitening(residuals))
-    drift = _deviation(means[keep], LEAST_DRIFT_V)
-    response = replace(response, gain_sd=gain_sd, floor_v=residual, drift_v=drift)
+    lasts_s = np.array([slide.volts.shape[0] * slide.step_s for slide in slides])
+    zero_v, drift_v_s = zero_errors(means[keep], lasts_s[keep])
+    response = replace(response, gain_sd=gain_sd, floor_v=residual, zero_v=zero_v, drift_v_s=drift_v_s)
     if response.rim:
         left = _some(residuals, keep)
         weak_v, share = _growth(_some(slides, keep), left)
@@ -116,6 +119,16 @@ def calibrate(
         "gain_sd": response.gain_sd,
         "lag_s": float(response.lag_s),
     }
+
+
+def zero_errors(means: np.ndarray, lasts_s: np.ndarray) -> np.ndarray:
+    """(2, C): standard deviations of the zero's error at a slide's start (V) and of its drift (V/s), by likelihood.
+
+    means: (n, C) V of slides' residuals: of a straight drift half of what it comes to. lasts_s: (n,) s, of the slides.
+    """
+    each = np.ones_like(lasts_s)
+    shapes, usual = np.array([each, (lasts_s / 2) ** 2]), (USUAL_ZERO_V, USUAL_DRIFT_V_S)
+    return np.transpose([_likeliest(mean**2, shapes, each, usual, spread=PARTS_SPREAD) for mean in means.T])
 
 
 def _some(each: list[T], mask: np.ndarray) -> list[T]:

@@ -36,8 +36,9 @@ PIECES = 8.0
 DESIGN_RESIDUAL_G = 0.01
 # Of it, what is alike everywhere along a slide.
 DESIGN_LEVEL_SHARE = 0.6
-# Noise of a block, drift and gain before any recording: of the article's sensor (0.8 V/g), as calibrations find them.
-DESIGN_NOISE_V, DESIGN_DRIFT_V, DESIGN_GAIN_SD = 1.4e-3, 7e-4, 0.1
+# Noise of a block, zero, drift and gain before any recording: of the article's sensor (0.8 V/g), as calibrations find
+# them; the drift is what the synthesis draws, 1 mg a minute.
+DESIGN_NOISE_V, DESIGN_ZERO_V, DESIGN_DRIFT_V_S, DESIGN_GAIN_SD = 1.4e-3, 7e-4, 1.3e-5, 0.1
 # How near to the rim the skin moves as it does further in: 16 is as good as 32 and better than 8 (experiments/LOG.md).
 RIM_POWER = 16
 COMMON = 4  # parameters that all boards share: height, friction, lag, width
@@ -110,7 +111,8 @@ def design_map(atlas: Atlas, sensor: Sensor, height_mm: float, depth_mm: float) 
         sensor.reference_mm,
         depth_mm=depth_mm,
         noise_v=np.full(channels, DESIGN_NOISE_V),
-        drift_v=np.full(channels, DESIGN_DRIFT_V),
+        zero_v=np.full(channels, DESIGN_ZERO_V),
+        drift_v_s=np.full(channels, DESIGN_DRIFT_V_S),
         floor_v=floor_v,
         level_v=DESIGN_LEVEL_SHARE * floor_v,
         gain_sd=DESIGN_GAIN_SD,

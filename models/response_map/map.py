@@ -42,8 +42,8 @@ class ResponseMap:
     depth_sd_mm: standard deviation about d0 of the depths that are to be expected, where the recordings have several;
         0: they have one.
     lag_s: the skin's lag behind the contact.
-    noise_v: (C,) V, standard deviation of one block's mean at rest. Empty: not known; drift_v likewise.
-    drift_v: (C,) V, standard deviation of the static output between a slide's start and end.
+    noise_v: (C,) V, standard deviation of one block's mean at rest. Empty: not known; zero_v and drift_v_s likewise.
+    zero_v: (C,) V, standard deviation of the zero's error at a slide's start. drift_v_s: (C,) V/s, of its drift.
     floor_v: V, standard deviation of the map's residual. weak_floor_v, floor_share: where there is no output, and what
         is added in quadrature as a share of the largest output of the channels; None: not known.
     level_v, output_share, place_mm: the residual's parts along a slide, which add in quadrature: one that is alike
@@ -60,7 +60,8 @@ class ResponseMap:
     depth_sd_mm: float = 0.0
     lag_s: float = 0.0
     noise_v: np.ndarray = field(default_factory=lambda: np.zeros(0))
-    drift_v: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    zero_v: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    drift_v_s: np.ndarray = field(default_factory=lambda: np.zeros(0))
     floor_v: float = 1e-3
     weak_floor_v: float | None = None
     floor_share: float | None = None

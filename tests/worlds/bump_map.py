@@ -34,7 +34,8 @@ def bump_map(places: tuple[tuple[float, float], ...] = (REFERENCE_MM,), **change
         "reference_mm": REFERENCE_MM,
         "lag_s": 0.0,
         "noise_v": np.full(2 * len(places), 1.4e-3),
-        "drift_v": np.full(2 * len(places), 5e-4),
+        "zero_v": np.full(2 * len(places), 5e-4),
+        "drift_v_s": np.zeros(2 * len(places)),
         "floor_v": 8e-4,
         "gain_sd": 0.02,
     }

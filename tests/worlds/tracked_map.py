@@ -44,7 +44,9 @@ CLEAR = Track(
 def noisy_map(**changes) -> ResponseMap:
     response = bump_map(**changes)
     one = np.ones(response.channels)
-    return replace(response, noise_v=1e-3 * one, drift_v=5e-4 * one, floor_v=5e-4, gain_sd=0.02)
+    return replace(
+        response, noise_v=1e-3 * one, zero_v=5e-4 * one, drift_v_s=0.0 * one, floor_v=5e-4, gain_sd=0.02
+    )
 
 
 def tracker(
