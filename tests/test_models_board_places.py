@@ -20,7 +20,7 @@ from softslide.models.design.board_places import (
 )
 from softslide.models.design.line_information import GAIN_SD, LINE_SPEED_MM_S, Line, places, slopes
 from softslide.models.response_map.calibrate import MAP_VARIANCE
-from softslide.models.response_map.from_atlas import DESIGN_DRIFT_V, DESIGN_NOISE_V, SAMPLE_MM
+from softslide.models.response_map.from_atlas import DESIGN_NOISE_V, DESIGN_ZERO_V, SAMPLE_MM
 from softslide.pipeline.atlas.atlas import read_atlas
 from softslide.pipeline.atlas.bare_skin import TiltField, board_places, solve_tilts
 from softslide.pipeline.recordings.folder import SAMPLE
@@ -77,11 +77,11 @@ def test_the_bound_is_the_scatter_of_least_squares(
     variance = DESIGN_NOISE_V**2 * (LINE_SPEED_MM_S * Conditioning.block_s / SAMPLE_MM + MAP_VARIANCE)
     own = slopes(response, line)[:, 2 * board : 2 * board + 2]
     jacobian = np.concatenate([own, np.tile(np.eye(2), (len(own), 1, 1))], axis=-1).reshape(-1, 7)
-    prior = np.diag([0, 0, 0, 0, GAIN_SD**-2, *[DESIGN_DRIFT_V**-2] * 2])
+    prior = np.diag([0, 0, 0, 0, GAIN_SD**-2, *[DESIGN_ZERO_V**-2] * 2])
     random = np.random.default_rng(0)
     draws = 4000
     unknown = np.zeros((draws, 7))
-    unknown[:, 4:] = random.standard_normal((draws, 3)) * [GAIN_SD, DESIGN_DRIFT_V, DESIGN_DRIFT_V]
+    unknown[:, 4:] = random.standard_normal((draws, 3)) * [GAIN_SD, DESIGN_ZERO_V, DESIGN_ZERO_V]
     seen = unknown @ jacobian.T + np.sqrt(variance) * random.standard_normal((draws, len(jacobian)))
     fitted = seen @ jacobian / variance @ np.linalg.inv(jacobian.T @ jacobian / variance + prior)
     scatter = (fitted - unknown).std(axis=0)[:3]
