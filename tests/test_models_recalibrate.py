@@ -160,6 +160,8 @@ def test_accelerometers_gains_are_found_along_one_stroke() -> None:
     gains = fit_gains(response, [slide], [])
     np.testing.assert_allclose(gains.gain, true, atol=0.01)
     assert gains.residual_v < 0.1 * gains.before_v
+    assert (gains.sd > response.gain_sd).all()
+    assert (fit_gains(response, [slide] * 4, []).sd < 0.6 * response.gain_sd).all()
 
 
 def test_what_cannot_be_renewed_is_refused_in_one_line(

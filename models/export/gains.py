@@ -66,7 +66,9 @@ def fit_gains(response: ResponseMap, slides: list[CalibrationSlide], presses: li
         information = (weight[:, None] * shown**2).sum(axis=0) / noise_v**2
         covariance = np.linalg.inv(np.linalg.inv(prior) + np.diag(information))
         gain = 1.0 + covariance @ ((weight[:, None] * shown * (volts - shown)).sum(axis=0) / noise_v**2)
-    return Gains(gain, np.sqrt(np.diag(covariance)), _rms(volts - gain * shown), left_v[0])
+    # Contacts of one day scatter, each alike in all channels. A map without a rim holds the days' scatter besides.
+    scatter = response.gain_sd**2 / (len(slides) + len(presses)) if response.rim else 0.0
+    return Gains(gain, np.sqrt(np.diag(covariance) + scatter), _rms(volts - gain * shown), left_v[0])
 
 
 def _rms(values: np.ndarray) -> float:
