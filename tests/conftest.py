@@ -47,6 +47,12 @@ def bundle(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_small_bundle(tmp_path_factory.mktemp("one") / "b", a_sensor(), offset_mm_per_v=50.0)
 
 
+@pytest.fixture
+def mine(bundle: Path, tmp_path: Path) -> Path:
+    """A copy to alter."""
+    return Path(shutil.copytree(bundle, tmp_path / "mine"))
+
+
 @pytest.fixture(scope="session")
 def two_boards(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The same of two."""

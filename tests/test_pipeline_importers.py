@@ -1,185 +1,29 @@
-"""A lab's files come in as they were written; broken ones leave nothing; an interrupted import goes on."""
+"""A lab's files come in as they were written; broken ones leave nothing."""
 
 import json
 import shutil
-import tracemalloc
-import zipfile
 from dataclasses import replace
 from pathlib import Path
 
 import h5py
 import numpy as np
-import openpyxl
 import pandas as pd
 import pytest
 from front_door import refused as refused_command
+from imported_lab import imported, refused
 from lab_files import FORMATS, a_sensor, slide, write_lab, write_two_topics
 from long_commands import contents
-from mcap.writer import CompressionType, Writer
 
 import softslide
-from softslide.features.errors import InputError
 from softslide.pipeline.checks.report import checked
-from softslide.pipeline.importers import run
 from softslide.pipeline.importers.import_map import read_map, template
-from softslide.pipeline.importers.readers import chunk, matlab
 from softslide.pipeline.importers.readers.hdf5 import read_hdf5
-from softslide.pipeline.importers.readers.mcap_log import TOPIC, read_mcap
 from softslide.pipeline.importers.readers.registry import READERS
-from softslide.pipeline.importers.readers.workbook import ExcelLayout, read_workbook
-from softslide.pipeline.importers.resume import Journal
 from softslide.pipeline.importers.run import import_recordings
-from softslide.pipeline.importers.sources import find_sources
 from softslide.pipeline.recordings.folder import SAMPLE, read_folder
 from softslide.pipeline.sensor import Accelerometer, write_sensor
 
 HAPMAT = Path(__file__).parents[1].parent / "shared" / "recordings" / "hapmat"
-
-
-def imported(map_path: Path, out: Path, source: Path | None = None):
-    """The folder that an import makes, read back."""
-    import_recordings([source or map_path.parent / "lab"], map_path, out)
-    folder = read_folder(out)
-    for name in folder.manifest.index:
-        folder.load(name)
-    return folder
-
-
-def refused(map_path: Path, capsys: pytest.CaptureFixture[str]) -> str:
-    """The front door's one line; nothing is left next to the sources."""
-    root = map_path.parent
-    before = sorted(root.iterdir())
-    said = refused_command(capsys, "import", root / "lab", "--map", map_path, "--out", root / "out")
-    assert sorted(root.iterdir()) == before
-    return said
-
-
-def test_what_unpacks_to_too_much_is_refused_before_it_is_read(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    map_path = write_lab(tmp_path, FORMATS["mat"])
-    monkeypatch.setattr(matlab, "MOST_UNPACKED_BYTES", 5_000)
-    monkeypatch.setattr(matlab.scipy.io, "loadmat", lambda *_, **__: pytest.fail("it was read"))
-    assert "unpacks to more than 0.005 MB; save the variables" in refused(map_path, capsys)
-
-
-@pytest.mark.parametrize("name", ["parquet", "hdf5", "tdms", "mat"])
-def test_more_samples_than_a_recording_has_are_refused(
-    tmp_path: Path, capsys, monkeypatch, name: str
-) -> None:
-    map_path = write_lab(tmp_path, FORMATS[name])
-    monkeypatch.setattr(chunk, "MOST_SAMPLES", 100)
-    assert "says it holds 250 samples; 100 at most are read: record shorter" in refused(map_path, capsys)
-
-
-@pytest.mark.parametrize(
-    ("shape", "made", "column", "says"),
-    [
-        ((10**12,), {"chunks": (1000,)}, "x", "says it holds 1000000000000 samples"),
-        (
-            (20_000_000,),
-            {"chunks": (1000,)},
-            "x",
-            "stores 0 bytes for 160 MB, so most of it was never written",
-        ),
-        (
-            (1 << 24,),
-            {"chunks": (1 << 24,), "compression": "gzip"},
-            "x",
-            "chunks of 134 MB, and 67.1 at most",
-        ),
-        ((1, 1 << 27), {"chunks": (1, 1000)}, "x:2", "says it holds 134217728 samples"),
-        ((10,), {"dtype": "S5000"}, "x", "values of 5000 bytes; name a dataset of numbers"),
-    ],
-)
-def test_an_hdf5_dataset_that_is_larger_than_it_looks_is_refused(tmp_path, shape, made, column, says) -> None:
-    with h5py.File(tmp_path / "x.h5", "w") as file:
-        dataset = file.create_dataset("x", shape, **{"dtype": "f8", **made})
-        if "compression" in made:
-            dataset[:10] = 1.0
-    with pytest.raises(InputError, match=f"x.h5: .*{says}"):
-        next(read_hdf5(tmp_path / "x.h5", [column]))
-
-
-@pytest.mark.parametrize("compression", [CompressionType.ZSTD, CompressionType.LZ4])
-def test_an_mcap_chunk_that_unpacks_to_more_than_any_is_refused(tmp_path: Path, compression) -> None:
-    path = tmp_path / "x.mcap"
-    for padding in (0, 70 << 20):
-        with path.open("wb") as file:
-            writer = Writer(file, 1 << 30, compression)
-            writer.start()
-            channel = writer.register_channel(TOPIC, "json", writer.register_schema("x", "jsonschema", b"{}"))
-            writer.add_message(channel, 0, b'{"t": 0}' + padding * b" ", 0)
-            writer.finish()
-        if not padding:
-            assert len(next(read_mcap(path, ["t"]))) == 1
-    with pytest.raises(InputError, match=r"x.mcap: a chunk unpacks to .* and 67.1 at most are read"):
-        next(read_mcap(path, ["t"]))
-
-
-def workbook_with(path: Path, part: str, old: bytes, new: bytes, **further: bytes) -> None:
-    """A workbook of two columns and five rows, of which one part is changed; further: parts to add, by their names."""
-    book = openpyxl.Workbook()
-    for row in (["t", "x"], *([k, 1.0] for k in range(5))):
-        book.active.append(row)
-    book.save(path)
-    with zipfile.ZipFile(path) as packed:
-        parts = {name: packed.read(name) for name in packed.namelist()}
-    assert old in parts[part]
-    parts |= {part: parts[part].replace(old, new, 1)} | further
-    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as packed:
-        for name, content in parts.items():
-            packed.writestr(name, content)
-
-
-def test_parts_of_a_workbook_are_limited_by_what_they_are(tmp_path: Path) -> None:
-    path, end = tmp_path / "x.xlsx", b"</styleSheet>"
-    workbook_with(path, "xl/styles.xml", end, end + b" " * (5 << 20))
-    with pytest.raises(InputError, match=r"x.xlsx: xl/styles.xml unpacks to 5.25 MB, more than is read"):
-        next(read_workbook(path, ["t"], ExcelLayout()))
-    texts = b'<sst xmlns="http://schemas.openxmlformats.org/spreadsheetml/2006/main"/>' + b" " * (65 << 20)
-    place, kind = "xl/worksheets/other.xml", b"application/vnd.openxmlformats-officedocument.spreadsheetml."
-    named = b'<Override PartName="/%s" ContentType="%ssharedStrings+xml"/></Types>' % (place.encode(), kind)
-    workbook_with(path, "[Content_Types].xml", b"</Types>", named, **{place: texts})
-    with pytest.raises(InputError, match=r"x.xlsx: xl/worksheets/other.xml unpacks to 68.2 MB"):
-        next(read_workbook(path, ["t"], ExcelLayout()))
-
-
-def test_a_far_cell_of_a_workbook_takes_no_memory(tmp_path: Path) -> None:
-    path, sheet, end = tmp_path / "x.xlsx", "xl/worksheets/sheet1.xml", b"</sheetData>"
-    row = b'<row r="%d"><c r="B%d"><v>1</v></c><c r="XFD%d"><v>1</v></c></row>'
-    workbook_with(path, sheet, end, b"".join(row % (k, k, k) for k in range(8, 308)) + end)
-    tracemalloc.start()
-    try:
-        (rows,) = read_workbook(path, ["t", "x"], ExcelLayout())
-        assert tracemalloc.get_traced_memory()[1] < 20e6
-    finally:
-        tracemalloc.stop()
-    np.testing.assert_array_equal(rows.columns["t"], [*range(5), *[np.nan] * 301])
-    np.testing.assert_array_equal(rows.columns["x"], [*[1.0] * 5, np.nan, *[1.0] * 300])
-    workbook_with(path, sheet, end, b'<row r="1048577"><c r="A1048577"><v>1</v></c></row>' + end)
-    with pytest.raises(InputError, match=r"x.xlsx: has rows beyond 1048576, the last of a sheet"):
-        list(read_workbook(path, ["t"], ExcelLayout()))
-
-
-@pytest.mark.parametrize("kind", ["external", "virtual"])
-def test_data_in_other_files_are_not_read(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], kind: str
-) -> None:
-    map_path = write_lab(tmp_path, FORMATS["hdf5"])
-    (tmp_path / "secret").write_bytes(np.arange(3000.0).tobytes())
-    for path in (tmp_path / "lab").glob("*.h5"):
-        with h5py.File(path, "r+") as file:
-            shape = file["daq/v"].shape
-            del file["daq/v"]
-            if kind == "external":
-                place = [(str(tmp_path / "secret"), 0, h5py.h5f.UNLIMITED)]
-                file.create_dataset("daq/v", shape, float, external=place)
-            else:
-                layout = h5py.VirtualLayout(shape, float)
-                layout[:] = h5py.VirtualSource(tmp_path / "other.h5", "v", shape)
-                file.create_virtual_dataset("daq/v", layout)
-    assert "lies in other files" in refused(map_path, capsys)
 
 
 def test_a_row_of_values_has_columns(tmp_path: Path) -> None:
@@ -236,98 +80,6 @@ def test_two_imports_are_identical(tmp_path: Path, name: str) -> None:
         imported(map_path, tmp_path / out)
     assert len(contents(tmp_path / "first")) == 5
     assert contents(tmp_path / "first") == contents(tmp_path / "second")
-
-
-def test_an_interrupted_import_resumes(tmp_path: Path, monkeypatch) -> None:
-    map_path = write_lab(tmp_path, FORMATS["csv"], ("one", "two", "three"))
-    read, begun = run.write_even, []
-
-    def interrupted(source, *rest):
-        begun.append(source.name)
-        if len(begun) == 3:
-            raise KeyboardInterrupt
-        return read(source, *rest)
-
-    monkeypatch.setattr(run, "write_even", interrupted)
-    with pytest.raises(KeyboardInterrupt):
-        imported(map_path, tmp_path / "out")
-    assert not (tmp_path / "out").exists()
-    monkeypatch.setattr(run, "write_even", read)
-    done = import_recordings([tmp_path / "lab"], map_path, tmp_path / "out")
-    assert done.resumed == 2
-    imported(map_path, tmp_path / "afresh")
-    assert contents(tmp_path / "out") == contents(tmp_path / "afresh")
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["afresh", "lab", "map.toml", "out", "sensor.toml"]
-
-
-@pytest.mark.parametrize("last", ["write_manifest", "shutil.rmtree"])
-def test_an_import_interrupted_as_it_ends_loses_nothing(tmp_path: Path, monkeypatch, last: str) -> None:
-    """Before its folder is there, or after; slides that are read anew do not reach into a folder that is whole."""
-    map_path = write_lab(tmp_path, FORMATS["csv"], ("one", "two"))
-
-    def interrupted(*rest, **more):
-        raise KeyboardInterrupt
-
-    def import_interrupted_at(name: str) -> None:
-        with monkeypatch.context() as patch:
-            patch.setattr(f"softslide.pipeline.importers.run.{name}", interrupted)
-            with pytest.raises(KeyboardInterrupt):
-                imported(map_path, tmp_path / "out")
-
-    import_interrupted_at(last)
-    assert (tmp_path / "out").exists() is (last == "shutil.rmtree")
-    assert import_recordings([tmp_path / "lab"], map_path, tmp_path / "out").resumed == 2
-    import_interrupted_at("shutil.rmtree")
-    before = contents(tmp_path / "out")
-    FORMATS["csv"].write(tmp_path / "lab", "one", *slide(7, 300))
-    import_interrupted_at("_finish")
-    assert contents(tmp_path / "out") == before
-
-
-@pytest.mark.parametrize(
-    "left", [{}, {"one.parquet": b"PAR1"}, {"one.parquet": b"PAR1", "one.json": b'{"map"'}]
-)
-def test_what_a_killed_import_leaves_does_not_stop_the_next(tmp_path: Path, left: dict[str, bytes]) -> None:
-    map_path = write_lab(tmp_path, FORMATS["csv"])
-    imported(map_path, tmp_path / "out")
-    before = contents(tmp_path / "out")
-    (tmp_path / ".out.partial" / "raw").mkdir(parents=True)
-    for name, content in left.items():
-        (tmp_path / ".out.partial" / "raw" / name).write_bytes(content)
-    imported(map_path, tmp_path / "out")
-    assert contents(tmp_path / "out") == before
-    assert not (tmp_path / ".out.partial").exists()
-
-
-@pytest.mark.parametrize("change", ["map", "source"])
-def test_what_another_map_or_source_made_is_done_again(tmp_path: Path, monkeypatch, change) -> None:
-    map_path = write_lab(tmp_path, FORMATS["csv"])
-
-    def interrupted(*rest):
-        raise KeyboardInterrupt
-
-    with monkeypatch.context() as patch:
-        patch.setattr(run, "_finish", interrupted)
-        with pytest.raises(KeyboardInterrupt):
-            imported(map_path, tmp_path / "out")
-    if change == "map":
-        map_path.write_text(map_path.read_text() + '[labels.split]\nvalue = "test"\n')
-    else:
-        FORMATS["csv"].write(tmp_path / "lab", "one", *slide(7, 300))
-    done = import_recordings([tmp_path / "lab"], map_path, tmp_path / "out")
-    assert done.resumed == (0 if change == "map" else 1)
-    folder = read_folder(tmp_path / "out")
-    assert len(folder.load("one").time_s) == (250 if change == "map" else 300)
-
-
-def test_a_note_of_another_map_is_gone_before_the_slide_is_written_anew(tmp_path: Path) -> None:
-    mapping = read_map(write_lab(tmp_path, FORMATS["csv"]))
-    (job, _), journal = find_sources([tmp_path / "lab"], mapping), Journal(tmp_path / "work", mapping)
-    journal.add(job, {})
-    journal.slide(job.name).touch()
-    assert journal.find(job) is not None
-    assert Journal(tmp_path / "work", replace(mapping, signs="zones")).find(job) is None
-    assert journal.find(job) is None
 
 
 @pytest.mark.parametrize("kind", READERS)
