@@ -48,9 +48,7 @@ MAP_STEP_MM = 0.03
 _OUTPUT = ["estimate"]
 # What forbids it whatever the skin's height and attitude.
 _WITHOUT_REST = (Reason.DEAD_CHANNEL, Reason.UNKNOWN_ZERO)
-
-
-# And whatever comes after or before it.
+# With a lag: what forbids the estimate of its own moment and of those before it that are not given yet.
 _OF_ANY_LAG = (
     *(Reason.DEAD_CHANNEL, Reason.DRIFT, Reason.STRENGTH, Reason.UNKNOWN_ZERO),
     *(Reason.ATTITUDE, Reason.SKIN_HEIGHT),
