@@ -14,6 +14,7 @@ from softslide.pipeline.checks.findings import Finding, Limits
 from softslide.pipeline.checks.measurements import measure
 from softslide.pipeline.checks.rail_run import MOST_AT_RAIL, rail_run
 from softslide.pipeline.checks.report import checked
+from softslide.pipeline.checks.zone_signs import sign_agreement
 from softslide.pipeline.recordings.folder import SAMPLE, Folder, Recording, read_folder, write_folder
 
 BENCH = Path(__file__).parents[1].parent / "shared" / "recordings"
@@ -209,6 +210,17 @@ def test_the_wrong_sign_of_an_output_shows_another_slide_unless_it_is_small(
     findings = injured(sound, tmp_path, inverted, only)
     channels = {f.channel for f in findings if f.kind == "label against signal"}
     assert channels == ({"a0_vx"} if found else set())
+
+
+@pytest.mark.parametrize(("off_mm", "compared"), [(-6.0, True), (-4.0, False), (4.0, False), (6.0, True)])
+def test_no_sign_is_due_where_a_slide_passes_next_to_a_board(off_mm: float, compared: bool) -> None:
+    """Along x past the sample's board, which lies at y = 0; off the centre an output turns next to its board."""
+    folder = read_folder(SAMPLE)
+    labels = folder.manifest.loc["a0032"].copy()
+    labels[["offset_mm", "start_x_mm", "start_y_mm"]] = off_mm, np.nan, np.nan
+    agreement, _ = sign_agreement(folder.load("a0032"), labels, folder.sensor)
+    assert np.isfinite(agreement[0, 1, 1]) == compared
+    assert np.isfinite(agreement[0, 0, 0])
 
 
 def test_a_zero_that_moves_in_most_slides_is_found(sound, tmp_path: Path) -> None:
