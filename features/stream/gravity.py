@@ -30,7 +30,7 @@ MOST_CHANGE_SD = 4.0
 # ZERO_SD_G adds that share of what d_x and d_y change by.
 JUMP_G = 0.018
 JUMP_MEAN, JUMP_APART = 10, 15
-# Of the length's scatter from block to block, in the difference of two such means.
+# A jump is beyond that by so many standard deviations of two such means' difference, where the length scatters.
 JUMP_SD = 4.0
 # Zeros of V_x and V_y drift after the calibration: by so much, g, a takes another share of d (40 mV of 0.8 V/g).
 ZERO_SD_G = 0.05

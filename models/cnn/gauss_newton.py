@@ -77,9 +77,9 @@ class Refinement(WithConstants):
     channel's zero at the window's start, its straight drift since, and V_z's coupling into V_x and V_y of a tilted
     board (the ripple of the pressure). The last three are rank-one parts of a channel's covariance. Where the map's
     residuals are correlated between channels (`ResponseMap.whitening`), these are mixed first, as long as no
-    accelerometer is dead. Maps without a rim have no
-    drift, since the static output is known just before a touch, but in each bin errors of place and gain, three
-    rank-one parts of the covariance of the bin's channels.
+    accelerometer is dead. Maps without a rim have no error of the zero and no drift, since the static output is known
+    just before a touch, but in each bin errors of place and gain, three rank-one parts of the covariance of the bin's
+    channels.
 
     settled: whether variances become huge where the steps have not converged (maps without a rim); a bound takes them
     as they are.

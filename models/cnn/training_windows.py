@@ -186,6 +186,7 @@ class WindowSource:
             1 + response.gain_sd * random.normal(random.count, 1, 1) + c.channel_gain * random.normal(*each)
         )
         blocks = (slides.seconds / self.block_s / SAMPLES).clamp(min=LEAST_BLOCK_SHARE)
+        # The zero is off when the slide begins, and drifts straight on.
         zero = self._zero * random.normal(*each)
         zero = zero + self._drift * random.normal(*each) * (slides.seconds[:, None] * share)[:, :, None]
         zero = zero + self._map_residual(clean, path_mm, share, random)

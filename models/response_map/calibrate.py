@@ -20,6 +20,7 @@ from scipy import sparse
 from scipy.linalg import solveh_banded
 from scipy.optimize import minimize
 
+from softslide.models.response_map.from_atlas import DESIGN_DRIFT_V_S
 from softslide.models.response_map.map import PARTS, SPACING_MM, ResponseMap, half_of, knots, tensor_splines
 from softslide.models.response_map.slide_fit import (
     LEAST_RESIDUAL_V,
@@ -30,9 +31,7 @@ from softslide.models.response_map.slide_fit import (
 from softslide.models.response_map.slides import CalibrationSlide, at_height, main_height_mm, several
 from softslide.pipeline.sensor import Sensor
 
-# Priors' medians of a zero's error at a slide's start and of its drift: one step of the article's converter, and what
-# the synthesis draws, 1 mg a minute of 0.8 V/g.
-USUAL_ZERO_V, USUAL_DRIFT_V_S = 5e-4, 1.3e-5
+USUAL_ZERO_V = 5e-4  # prior's median of a zero's error: one step of the article's converter
 OUTLIER = 4.0  # times the median residual: a slide beyond it has a wrong label
 PRIOR_SLIDES = 4  # how many slides' worth the prior of the gain counts
 CLEAR = 0.3  # share of the largest peak below which a slide's gain is mostly noise
@@ -127,7 +126,7 @@ def zero_errors(means: np.ndarray, lasts_s: np.ndarray) -> np.ndarray:
     means: (n, C) V of slides' residuals: of a straight drift half of what it comes to. lasts_s: (n,) s, of the slides.
     """
     each = np.ones_like(lasts_s)
-    shapes, usual = np.array([each, (lasts_s / 2) ** 2]), (USUAL_ZERO_V, USUAL_DRIFT_V_S)
+    shapes, usual = np.array([each, (lasts_s / 2) ** 2]), (USUAL_ZERO_V, DESIGN_DRIFT_V_S)
     return np.transpose([_likeliest(mean**2, shapes, each, usual, spread=PARTS_SPREAD) for mean in means.T])
 
 
@@ -353,7 +352,7 @@ def _slope(speeds: np.ndarray, shifts: np.ndarray) -> float:
 
 
 def _deviation(errors: np.ndarray, prior_sd: float) -> np.ndarray:
-    """Root mean square over slides (n, ...) -> (...), the prior counting as PRIOR_SLIDES further ones."""
+    """Root mean square over slides (n,), the prior counting as PRIOR_SLIDES further ones."""
     return np.sqrt((np.sum(errors**2, axis=0) + PRIOR_SLIDES * prior_sd**2) / (len(errors) + PRIOR_SLIDES))
 
 
