@@ -27,9 +27,7 @@ class Contact:
     def __init__(self, field: Any, mesh: Mesh, material: Material) -> None:
         self.field, self.mesh = field, mesh
         self.elements = mesh.elements[mesh.is_top].astype(int)
-        corners = mesh.nodes[self.elements[:, 4:]]
-        across = np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1])
-        self.areas = np.linalg.norm(across, axis=1) / 2 / loads.POINTS**2
+        self.areas = mesh.face_areas[mesh.is_top] / loads.POINTS**2
         self.law, self.shapes = material.touch_law, loads.face_shapes()
         self.centre = self.before = np.array([1e3, 0.0, 0.0])
         self.old = mesh.nodes.copy()
@@ -39,15 +37,15 @@ class Contact:
 
     def _sum(self, wants_tangent: bool) -> tuple[sparse.csr_matrix, sparse.csr_matrix]:
         places, moved = self.mesh.nodes + self.field[0].values, self.centre - self.before
-        travel, total, forces = float(np.linalg.norm(moved)), np.zeros(4), np.zeros_like(places)
+        indenter = (self.centre, moved, self.law, self.shapes)
+        total, forces = np.zeros(4), np.zeros_like(places)
         at, values = [np.zeros((2, 0), int)], [np.zeros(0)]
         # Faces whose nodes are all far from the indenter are not in contact.
         near = np.hypot(*(places[self.elements[:, 4]] - self.centre)[:, :2].T) < self.law[0] + 8.0
         for element, area in zip(self.elements[near], self.areas[near], strict=True):
             force, block = np.zeros((3, 8, 1)), np.zeros((8, 8, 3, 3, 1))
             x, before = places[element].T[..., None], self.old[element].T
-            motion = (self.centre, moved, travel, self.law, self.shapes)
-            loads.touch(0, x, before, area, *motion, wants_tangent, force, block, total)
+            loads.touch(0, x, before, area, indenter, wants_tangent, force, block, total)
             np.add.at(forces, element, force[..., 0].T)
             unknowns = (3 * element[:, None] + np.arange(3)).ravel()
             at.append(np.stack(np.meshgrid(unknowns, unknowns, indexing="ij")).reshape(2, -1))

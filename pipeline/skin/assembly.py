@@ -12,42 +12,24 @@ from softslide.pipeline.skin import loads, material
 
 @njit(cache=True, fastmath=material.FAST, error_model="numpy")
 def sum_elements(
-    elements,
-    places,
-    old_places,
-    gradients,
-    volumes,
-    shear,
-    bulk,
-    is_bottom,
-    pressure,
-    pressed_shapes,
-    is_top,
-    areas,
-    centre,
-    moved,
-    law,
-    face_shapes,
-    wants_tangent,
-    first,
-    count,
-    motion,
-    positions,
-    forces,
-    data,
-    total,
+    elements, places, old_places, solid, air, indenter, layout, wants_tangent, forces, data, total
 ):
     """Adds up forces (nodes, 3) N, the tangent's data in N/mm and the indenter's `total` (4,) as `loads.touch`.
 
     Args:
         places, old_places: (nodes, 3) mm, now and at the indenter's last position.
-        gradients, volumes: of each block of elements, as `material.forces`.
-        first, count: (nodes,) each node's first unknown and how many it has: 0 clamped, 3 free, 6 on a board.
-        motion: (nodes, 3, 6) the boards' B. positions: (e, 8, 8, 6) where each block's rows begin in `data`.
+        solid: gradients and volumes of each block of elements, G and K, as `material.forces`.
+        air: (e,) bool: the elements that it presses, its pressure and shapes as `loads.air`.
+        indenter: (e,) bool: the elements that it may touch, (e,) areas, and what `loads.touch` calls so.
+        layout: (nodes,) each node's first unknown and how many it has: 0 clamped, 3 free, 6 on a board;
+            (nodes, 3, 6) the boards' B; (e, 8, 8, 6) where each block's rows begin in `data`.
 
     Returns:
         False if an element is inside out; the sums are void then.
     """
+    gradients, volumes, shear, bulk = solid
+    is_pressed, pressure, pressed_shapes = air
+    may_touch, areas, touching = indenter
     x = np.empty(material.NODAL)
     force = np.empty(material.NODAL)
     room = np.empty(material.ROOM)
@@ -58,7 +40,6 @@ def sum_elements(
     nodal_force = force.reshape(3, 8, material.LANES)
     nodal_stiffness = stiffness.reshape(8, 8, 3, 3, material.LANES)
     before = np.empty((3, 8))
-    travel = np.sqrt(moved[0] * moved[0] + moved[1] * moved[1] + moved[2] * moved[2])
     for block in range(len(gradients)):
         begin = block * material.LANES
         lanes = min(material.LANES, len(elements) - begin)
@@ -73,50 +54,31 @@ def sum_elements(
             material.tangent(gradients[block], volumes[block], shear, room, slopes, swelling, stiffness)
         for l in range(lanes):
             e = begin + l
-            if is_bottom[e] and pressure != 0.0:
-                loads.air(
-                    l,
-                    nodal_x,
-                    pressure,
-                    pressed_shapes,
-                    wants_tangent,
-                    nodal_force,
-                    nodal_stiffness,
-                )
-            if is_top[e] and loads.is_near(elements[e], places, centre, law):
+            if is_pressed[e] and pressure != 0.0:
+                loads.air(l, nodal_x, pressure, pressed_shapes, wants_tangent, nodal_force, nodal_stiffness)
+            if may_touch[e] and loads.is_near(elements[e], places, touching):
                 for a in range(8):
                     for i in range(3):
                         before[i, a] = old_places[elements[e, a], i]
                 loads.touch(
-                    l,
-                    nodal_x,
-                    before,
-                    areas[e],
-                    centre,
-                    moved,
-                    travel,
-                    law,
-                    face_shapes,
-                    wants_tangent,
-                    nodal_force,
-                    nodal_stiffness,
-                    total,
+                    l, nodal_x, before, areas[e], touching, wants_tangent, nodal_force, nodal_stiffness, total
                 )
             for a in range(8):
                 for i in range(3):
                     forces[elements[e, a], i] += nodal_force[i, a, l]
             if wants_tangent:
-                add_tangent(e, l, elements, nodal_stiffness, first, count, motion, positions, data)
+                add_tangent(e, l, elements, nodal_stiffness, layout, data)
     return True
 
 
 @njit(cache=True, fastmath=material.FAST, error_model="numpy")
-def add_tangent(e, l, elements, stiffness, first, count, motion, positions, data):
+def add_tangent(e, l, elements, stiffness, layout, data):
     """Adds the tangent of element e, which lies in lane l of a block's, to `data`.
 
     Args:
         stiffness: (8 a, 8 b, 3 i, 3 j, lanes) N/mm, read where b >= a. The rest: as `sum_elements`.
     """
+    first, count, motion, positions = layout
     block = np.empty((3, 3))
     carried = np.empty((3, 6))
     for a in range(8):

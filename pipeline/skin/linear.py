@@ -9,27 +9,13 @@ import ctypes
 import os
 import sys
 import warnings
-from typing import Protocol
 
 import numpy as np
 import scipy.sparse as sparse
 from scipy.sparse.linalg import splu
 
 
-class LinearSolver(Protocol):
-    """Factors of the matrix whose upper triangle is handed over."""
-
-    def factor(self, upper: sparse.csr_matrix) -> None: ...
-
-    def solve(self, right: np.ndarray) -> np.ndarray: ...
-
-    @property
-    def negative(self) -> int:
-        """How many pivots are negative: none where the posture is stable."""
-        ...
-
-
-def linear_solver() -> LinearSolver:
+def linear_solver() -> "Pardiso | SuperLU":
     """PARDISO, or where it is not installed SuperLU."""
     try:
         return Pardiso()
@@ -61,6 +47,7 @@ class Pardiso:
             self._mkl.iparm[place - 1] = value
 
     def factor(self, upper: sparse.csr_matrix) -> None:
+        """Of the matrix whose upper triangle is given."""
         single = sparse.csr_matrix((upper.data.astype(np.float32), upper.indices, upper.indptr), upper.shape)
         if self._upper is None:
             self._call(11, single, np.zeros(upper.shape[0], np.float32))
@@ -73,6 +60,7 @@ class Pardiso:
 
     @property
     def negative(self) -> int:
+        """How many pivots are negative: none where the posture is stable."""
         return int(self._mkl.iparm[22])
 
     def _call(self, phase: int, upper: sparse.csr_matrix, right: np.ndarray) -> np.ndarray:

@@ -83,8 +83,9 @@ def air(l, x, pressure, shapes, wants_tangent, force, stiffness):
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
-def is_near(nodes, places, centre, law):
-    """Whether the indenter can touch the upper face of an element with these nodes (8,). law: as in `touch`."""
+def is_near(nodes, places, indenter):
+    """Whether the indenter, as in `touch`, can touch the upper face of an element with these nodes (8,)."""
+    centre, _, law, _ = indenter
     near = 1e30
     size = 0.0
     for a in range(4, 8):
@@ -96,17 +97,19 @@ def is_near(nodes, places, centre, law):
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
-def touch(l, x, before, area, centre, moved, travel, law, shapes, wants_tangent, force, stiffness, total):
+def touch(l, x, before, area, indenter, wants_tangent, force, stiffness, total):
     """Adds the indenter's contact on an element's upper face (nodes 4..7) to its force and tangent.
 
     Args:
         l, x, force, stiffness: as in `air`. before: (3, 8) the nodes' places at the last position, mm.
         area: of one point, mm^2.
-        centre: (3,) the hemisphere's, or the edge's middle. moved: (3,) since the last position. travel: its length,
-            mm; 0 = no friction.
-        law: (6,) radius mm, friction, k MPa/mm^2, eps, half of the edge along x and y mm. shapes: `face_shapes`.
+        indenter: (3,) its hemisphere's centre, or the edge's middle, mm; (3,) how far it moved since the last position,
+            mm, without friction where it did not; (6,) radius mm, friction, k MPa/mm^2, eps, half of the edge along x
+            and y mm; `face_shapes`.
         total: (4,) the force on the indenter, N, added to, and the deepest gap so far, mm.
     """
+    centre, moved, law, shapes = indenter
+    travel = math.sqrt(moved[0] * moved[0] + moved[1] * moved[1] + moved[2] * moved[2])
     radius, friction, penalty, clinging, half_x, half_y = law
     half_squared = half_x * half_x + half_y * half_y
     point = np.empty(3)

@@ -45,6 +45,13 @@ class Mesh:
         gradients *= [self.prestretch, self.prestretch, self.prestretch**-2]
         return np.ascontiguousarray(gradients), np.linalg.det(jacobian)
 
+    @property
+    def face_areas(self) -> np.ndarray:
+        """(e,) mm^2: the upper faces' areas as cast."""
+        corners = self.nodes[self.elements[:, 4:]]
+        diagonals = np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1])
+        return np.linalg.norm(diagonals, axis=1) / 2
+
 
 def shape_gradients(points: np.ndarray) -> np.ndarray:
     """dN_a/dxi_i of the trilinear element at reference points (q, 3), as (q, 8, 3)."""

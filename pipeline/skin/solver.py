@@ -19,7 +19,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from softslide.pipeline.skin.anderson import AndersonMixing
-from softslide.pipeline.skin.linear import LinearSolver, linear_solver
+from softslide.pipeline.skin.linear import linear_solver
 from softslide.pipeline.skin.mesh import Mesh
 from softslide.pipeline.skin.system import Load, Material, State, System
 
@@ -66,16 +66,15 @@ class Skin:
 
     def __post_init__(self) -> None:
         self.system = System(self.mesh, self.material)
-        self.linear: LinearSolver = linear_solver()
+        self.linear = linear_solver()
         self._mixing = AndersonMixing(self.system.size)
         self.forget()
 
     def forget(self) -> None:
         """Drops the held factor and the last step, so that what follows does not depend on what was before."""
         self._has_factor = False
-        self._last: tuple[State, float] | None = (
-            None  # the posture before the last step, and its length in mm
-        )
+        # The posture before the last step, and its length in mm.
+        self._last: tuple[State, float] | None = None
 
     def equilibrium(
         self, start: State, load: Load, tolerance_n: float = TOLERANCE_N
@@ -99,7 +98,7 @@ class Skin:
             if fresh:
                 if factors == MOST_FACTORS:
                     raise NoEquilibrium(f"{norm:.2g} N out of balance after {factors} factorisations")
-                self.system.tangent(state, load)
+                self.system.residual(state, load, wants_tangent=True)
                 self.linear.factor(self.system.pattern)
                 self._has_factor = True
                 factors += 1
@@ -137,7 +136,7 @@ class Skin:
         for n in range(len(self.mesh.centres)):
             weight[self.system.board_slice(n)] = [25.0] * 3 + [400.0] * 3
         for _ in range(CREEP_STEPS):
-            residual, force = self.system.tangent(state, load)
+            residual, force = self.system.residual(state, load, wants_tangent=True)
             if residual is None:
                 break
             undamped = pattern.data[diagonal].copy()

@@ -77,13 +77,13 @@ class System:
         self.count = np.where(on_board, 6, np.where(free, 3, 0)).astype(np.int32)
         self.size = int(3 * free.sum() + 6 * boards)
         gradients, volumes = mesh.gradients
-        self._gradients = material.in_lanes(gradients.transpose(0, 1, 3, 2))
-        self._volumes = material.in_lanes(volumes)
+        blocks = (material.in_lanes(gradients.transpose(0, 1, 3, 2)), material.in_lanes(volumes))
+        self._solid = (*blocks, self.material.shear_mpa, self.material.bulk_mpa)
         self._free = np.flatnonzero(free)
         self._springs = mesh.springs[self._free].ravel()
         self._members = [np.flatnonzero(mesh.board_of == n) for n in range(boards)]
         self._motion = np.zeros((len(mesh.nodes), 3, 6))  # the boards' B
-        self._areas = _face_areas(mesh) / loads.POINTS**2
+        self._areas = mesh.face_areas / loads.POINTS**2
         self._face_shapes = loads.face_shapes()
         self._pressed_shapes = loads.pressed_shapes()
         self._make_pattern()
@@ -124,23 +124,20 @@ class System:
             step[self.board_slice(n)][3:] = (turn[[2, 0, 1], [1, 2, 0]] - turn[[1, 2, 0], [2, 0, 1]]) / 2
         return State(now.unknowns + share * step, now.rotations)
 
-    def residual(self, state: State, load: Load) -> tuple[np.ndarray | None, np.ndarray]:
-        """Out-of-balance force (n,) N (None if an element is inside out), and of the indenter (4,) the
-        force on it in N and how deep it sinks into the skin in mm."""
-        return self._assemble(state, load, False)
-
-    def tangent(self, state: State, load: Load) -> tuple[np.ndarray | None, np.ndarray]:
-        """As `residual`; the tangent's upper triangle is then in `pattern`."""
-        return self._assemble(state, load, True)
-
-    def _assemble(
-        self, state: State, load: Load, wants_tangent: bool
+    def residual(
+        self, state: State, load: Load, wants_tangent: bool = False
     ) -> tuple[np.ndarray | None, np.ndarray]:
-        mesh, stuff = self.mesh, self.material
+        """Out-of-balance force (n,) N (None if an element is inside out), and of the indenter (4,) the
+        force on it in N and how deep it sinks into the skin in mm.
+
+        wants_tangent: its upper triangle is then in `pattern`.
+        """
+        mesh = self.mesh
         places = self.places(state)
         touched = load.centre is not None
         centre = load.centre if load.centre is not None else np.zeros(3)
         before = load.before if load.before is not None else centre
+        indenter = (centre, centre - before, self.material.touch_law, self._face_shapes)
         forces = np.zeros_like(places)
         total = np.zeros(4)
         if wants_tangent:
@@ -151,24 +148,11 @@ class System:
             mesh.elements,
             places,
             load.old_places if load.old_places is not None else places,
-            self._gradients,
-            self._volumes,
-            stuff.shear_mpa,
-            stuff.bulk_mpa,
-            mesh.is_bottom,
-            load.pressure_mpa,
-            self._pressed_shapes,
-            mesh.is_top & touched,
-            self._areas,
-            centre,
-            centre - before,
-            stuff.touch_law,
-            self._face_shapes,
+            self._solid,
+            (mesh.is_bottom, load.pressure_mpa, self._pressed_shapes),
+            (mesh.is_top & touched, self._areas, indenter),
+            (self.first, self.count, self._motion, self._positions),
             wants_tangent,
-            self.first,
-            self.count,
-            self._motion,
-            self._positions,
             forces,
             self.pattern.data,
             total,
@@ -208,35 +192,23 @@ class System:
             self.pattern.data[row : row + 3 - i] += block[i, i:]
 
     def _make_pattern(self) -> None:
-        """The upper triangle's pattern and where each element's blocks begin in it."""
-        elements = self.mesh.elements
-        first, count = self.first[elements], self.count[elements]  # (e, 8)
-        rows, columns = [], []
-        for a in range(8):
-            for b in range(8):
-                for i in range(6):
-                    for j in range(6):
-                        row, column = first[:, a] + i, first[:, b] + j
-                        use = (i < count[:, a]) & (j < count[:, b]) & (column >= row)
-                        rows.append(row[use])
-                        columns.append(column[use])
-        keys = np.unique(
-            np.concatenate(rows).astype(np.int64) * self.size + np.concatenate(columns).astype(np.int64)
+        """The upper triangle's pattern, of unknowns that share an element; where each element's blocks begin in it."""
+        elements, each = self.mesh.elements, np.arange(6)
+        first, count = self.first[elements].astype(np.int64), self.count[elements]  # (e, 8)
+        element, node, n = np.nonzero(each < count[..., None])
+        moves = sparse.csr_matrix(
+            (np.ones(len(element)), (element, first[element, node] + n)), (len(elements), self.size)
         )
-        row, column = np.divmod(keys, self.size)
-        start = np.searchsorted(row, np.arange(self.size + 1)).astype(np.int32)
-        self.pattern = sparse.csr_matrix(
-            (np.zeros(len(keys)), column.astype(np.int32), start), shape=(self.size, self.size)
-        )
-        # A block's row begins at its first column, or at the diagonal in a block on the diagonal.
-        self._positions = np.full((len(elements), 8, 8, 6), -1, np.int32)
-        for a in range(8):
-            for b in range(8):
-                for i in range(6):
-                    use = (i < count[:, a]) & (count[:, b] > 0) & (first[:, b] >= first[:, a])
-                    at = np.where(first[:, b] == first[:, a], first[:, b] + i, first[:, b])
-                    key = (first[use, a] + i).astype(np.int64) * self.size + at[use]
-                    self._positions[use, a, b, i] = np.searchsorted(keys, key)
+        self.pattern = sparse.triu(moves.T @ moves, format="csr")
+        self.pattern.sort_indices()
+        entries = self.pattern.tocoo()
+        # A block's row begins at its first column, or at the diagonal in a block on the diagonal. What is not in the
+        # triangle is not asked for.
+        is_diagonal = first[:, :, None] == first[:, None, :]
+        rows = first[:, :, None, None] + each
+        begins = first[:, None, :, None] + np.where(is_diagonal[..., None], each, 0)
+        keys = entries.row.astype(np.int64) * self.size + entries.col
+        self._positions = np.searchsorted(keys, rows * self.size + begins).astype(np.int32)
 
 
 def rotation(w: np.ndarray) -> np.ndarray:
@@ -264,10 +236,3 @@ def skew(v: np.ndarray) -> np.ndarray:
     result = np.zeros((*v.shape, 3))
     result[..., 0, 1], result[..., 0, 2], result[..., 1, 2] = -v[..., 2], v[..., 1], -v[..., 0]
     return result - np.swapaxes(result, -1, -2)
-
-
-def _face_areas(mesh: Mesh) -> np.ndarray:
-    """(e,) mm^2: the upper faces' areas as cast."""
-    corners = mesh.nodes[mesh.elements[:, 4:]]
-    diagonals = np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1])
-    return np.linalg.norm(diagonals, axis=1) / 2
