@@ -18,11 +18,10 @@ from softslide.pipeline.sensor import Sensor, check_design, design_hash, design_
 from softslide.pipeline.skin.lines import (
     PER_BOARD,
     Line,
+    all_lines,
     join_families,
-    lines,
-    mirror,
+    lines_to_solve,
     reach_mm,
-    representative,
 )
 from softslide.pipeline.skin.solved_line import gravity, skin_of, solve_line
 from softslide.pipeline.skin.solver import TOLERANCE_N, NoEquilibrium, Statistics
@@ -49,12 +48,13 @@ class Grid:
         if self.line_mm / self.steps_per_line > 1.26:
             raise ValueError(f"steps of {self.line_mm / self.steps_per_line:g} mm are too long; at most 1.25")
 
-    def axis(self, reach: float) -> tuple[np.ndarray, np.ndarray]:
-        """Lines' offsets and positions along them, symmetric, from clear of the skin to clear of it."""
-        cells = math.ceil((reach + 0.5) / self.line_mm)
-        steps = cells * self.steps_per_line
-        along = self.line_mm / self.steps_per_line * np.arange(-steps, steps + 1)
-        return self.line_mm * np.arange(-cells, cells + 1), along
+    def axes(self, sensor: Sensor) -> tuple[np.ndarray, ...]:
+        """Places along x and along y, and the lines' y and x, symmetric, from clear of the skin to clear of it."""
+        cells = [math.ceil((reach + 0.5) / self.line_mm) for reach in reach_mm(sensor)]
+        steps = [self.steps_per_line * each for each in cells]
+        x, y = (self.line_mm / self.steps_per_line * np.arange(-each, each + 1) for each in steps)
+        line_x, line_y = (self.line_mm * np.arange(-each, each + 1) for each in cells)
+        return x, y, line_y, line_x
 
 
 COARSE = Grid(depth_mm=(0.3, 1.0), line_mm=5.0, steps_per_line=4)
@@ -95,10 +95,8 @@ def solve_atlas(
     grid = grid or Grid()
     check_design(sensor, source)
     levels = _levels(sensor, source)
-    reach = reach_mm(sensor)
-    line_x, x = grid.axis(reach[0])
-    line_y, y = grid.axis(reach[1])
-    wanted = sorted({representative(line, sensor)[0] for line in lines((line_x, line_y), sensor)}, key=str)
+    grids = grid.axes(sensor)
+    wanted = lines_to_solve(grids, sensor)
     # The highest pressure takes longest: first, so that no worker is left with it at the end.
     tasks = [
         (level, depth, line)
@@ -109,16 +107,17 @@ def solve_atlas(
     key = [design_of(sensor), asdict(sensor.mesh), asdict(grid), [round(p, 9) for p, _ in levels]]
     store = None if work is None else LineStore(work, key)
     done = {} if store is None else store.finished(tasks)
-    left = [task for task in tasks if task not in done]
     calls = [
-        (sensor, line, (x, y)[line.axis], grid.depth_mm[depth], *levels[level]) for level, depth, line in left
+        ((level, depth, line), sensor, line, grids[line.axis], grid.depth_mm[depth], *levels[level])
+        for level, depth, line in tasks
+        if (level, depth, line) not in done
     ]
-    stream = _parallel(list(zip(left, calls, strict=True)), workers, backend, scheduler)
-    for task, values, statistics in progress(stream, len(left)) if progress else stream:
+    stream = _parallel(calls, workers, backend, scheduler)
+    for task, values, statistics in progress(stream, len(calls)) if progress else stream:
         done[task] = (values, statistics)
         if store is not None:
             store.keep(task, values, statistics)
-    atlas = _gather(sensor, grid, levels, done, (x, y, line_y, line_x))
+    atlas = _gather(sensor, grid, levels, done, grids)
     if store is not None:
         store.remove()
     return atlas
@@ -203,12 +202,12 @@ def _levels(sensor: Sensor, source: str) -> list[tuple[float, State]]:
     return levels
 
 
-def _solve(task: Task, call: tuple) -> tuple[Task, np.ndarray, dict[str, float]]:
+def _solve(task: Task, *call: Any) -> tuple[Task, np.ndarray, dict[str, float]]:
     values, statistics = solve_line(*call)
     return task, values, asdict(statistics)
 
 
-def _parallel(jobs: list[tuple[Task, tuple]], workers: int, backend: str, scheduler: str) -> Iterator[Any]:
+def _parallel(calls: list[tuple], workers: int, backend: str, scheduler: str) -> Iterator[Any]:
     """Results in the order they finish; in this process when one worker is asked for."""
     with ExitStack() as stack:
         if backend == "dask" and not scheduler:
@@ -219,7 +218,7 @@ def _parallel(jobs: list[tuple[Task, tuple]], workers: int, backend: str, schedu
             except ValueError:
                 client = stack.enter_context(Client(n_workers=workers, threads_per_worker=1))
             scheduler = client.scheduler_info()["address"]
-        yield from results(_solve, jobs, workers, scheduler, ordered=False)
+        yield from results(_solve, calls, workers, scheduler, ordered=False)
 
 
 def _gather(
@@ -230,7 +229,7 @@ def _gather(
     grids: tuple[np.ndarray, ...],
 ) -> Atlas:
     """The lines' results on one grid, without the cells next to a position that was not solved."""
-    x, y, line_y, line_x = grids
+    x, y = grids[:2]
     channels = next(iter(done.values()))[0].shape[1]
     shape = (len(x), len(y), len(grid.depth_mm), len(levels))
     parts = np.zeros((3, *shape, channels), np.float32)
@@ -238,11 +237,10 @@ def _gather(
     heights = [skin_of(sensor).height(state) for _, state in levels]
     failed = []
     for level, depth in np.ndindex(len(levels), len(grid.depth_mm)):
-        solved = {
-            line: _line_values(line, level, depth, done, sensor) for line in lines((line_x, line_y), sensor)
-        }
-        parts[:, :, :, depth, level] = on_grid(solved, grids)
-        for line, values in solved.items():
+        solved = {line: values for (*at, line), (values, _) in done.items() if at == [level, depth]}
+        found = all_lines(solved, grids, sensor)
+        parts[:, :, :, depth, level] = on_grid(found, grids)
+        for line, values in found.items():
             for at in (x, y)[line.axis][np.isnan(values[:, 0])]:
                 place = (at, line.offset_mm) if line.axis == 0 else (line.offset_mm, at)
                 heading = HEADING_DEG[line.axis, line.sense]
@@ -253,15 +251,6 @@ def _gather(
     pressures = np.array([p for p, _ in levels])
     meta = _meta(sensor, grid, done, failed)
     return Atlas(x, y, np.array(grid.depth_mm), pressures, np.array(heights), statics, parts, valid, meta)
-
-
-def _line_values(line: Line, level: int, depth: int, done: Done, sensor: Sensor) -> np.ndarray:
-    """One line's channels (n, channels), mirrored from the line that was solved instead of it; NaN where it failed."""
-    solved, axes = representative(line, sensor)
-    values = done[level, depth, solved][0]
-    for axis in axes:
-        values = mirror(values, line, axis, sensor)
-    return values
 
 
 def on_grid(solved: dict[Line, np.ndarray], grids: tuple[np.ndarray, ...]) -> np.ndarray:

@@ -4,7 +4,7 @@ Results keep their positions in ascending order of the coordinate along the line
 motion.
 """
 
-import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -51,24 +51,40 @@ def reach_mm(sensor: Sensor) -> tuple[float, float]:
 
 def mirrored_boards(sensor: Sensor, axis: int) -> tuple[int, ...] | None:
     """The board that each becomes when the design is mirrored in x (0) or y (1); None if asymmetric."""
-    places = [(a.x_mm, a.y_mm) for a in sensor.accelerometers]
-    images = [(-x, y) if axis == 0 else (x, -y) for x, y in places]
-    found = [
-        next((n for n, place in enumerate(places) if math.dist(place, image) < 1e-9), -1) for image in images
-    ]
-    return None if -1 in found else tuple(found)
+    places = np.array([(a.x_mm, a.y_mm) for a in sensor.accelerometers])
+    images = places * np.where(np.arange(2) == axis, -1.0, 1.0)
+    alike = np.linalg.norm(images[:, None] - places, axis=2) < 1e-9
+    return tuple(map(int, alike.argmax(axis=1))) if alike.any(axis=1).all() else None
 
 
-def lines(offsets: tuple[np.ndarray, np.ndarray], sensor: Sensor) -> list[Line]:
-    """Every line along x at the given y, and along y at the given x, forward and backward, that touches."""
+def lines(grids: tuple[np.ndarray, ...], sensor: Sensor) -> list[Line]:
+    """Every line along x and along y, forward and backward, that touches. grids: as in `join_families`."""
     reach = reach_mm(sensor)
     return [
         Line(axis, sense, float(offset))
         for axis in (0, 1)
         for sense in (1, -1)
-        for offset in offsets[1 - axis]
+        for offset in grids[2 + axis]
         if abs(offset) < reach[1 - axis] - 1.0
     ]
+
+
+def lines_to_solve(grids: tuple[np.ndarray, ...], sensor: Sensor) -> list[Line]:
+    """Those of `lines` that all follow from by mirroring."""
+    return sorted({representative(line, sensor)[0] for line in lines(grids, sensor)}, key=str)
+
+
+def all_lines(
+    solved: Mapping[Line, np.ndarray], grids: tuple[np.ndarray, ...], sensor: Sensor
+) -> dict[Line, np.ndarray]:
+    """The results (positions, channels) of all `lines`, from those of `lines_to_solve`."""
+    found = {}
+    for line in lines(grids, sensor):
+        of, axes = representative(line, sensor)
+        found[line] = solved[of]
+        for axis in axes:
+            found[line] = mirror(found[line], line, axis, sensor)
+    return found
 
 
 def representative(line: Line, sensor: Sensor) -> tuple[Line, tuple[int, ...]]:
@@ -87,18 +103,13 @@ def representative(line: Line, sensor: Sensor) -> tuple[Line, tuple[int, ...]]:
 
 
 def mirror(values: np.ndarray, line: Line, axis: int, sensor: Sensor) -> np.ndarray:
-    """Results (positions, channels) of the mirrored line."""
+    """Results (positions, channels) of the mirrored line. Of each board there may be the first channels alone."""
     boards = len(sensor.accelerometers)
     other = mirrored_boards(sensor, axis)
     assert other is not None
-    posture = values[:, : PER_BOARD * boards].reshape(-1, boards, PER_BOARD)[:, list(other)]
-    result = np.concatenate(
-        [
-            (posture * MIRROR_BOARD[axis]).reshape(len(values), -1),
-            values[:, PER_BOARD * boards :] * MIRROR_FORCE[axis],
-        ],
-        axis=1,
-    )
+    posture = values[:, :-3].reshape(len(values), boards, -1)[:, list(other)]
+    posture = posture * MIRROR_BOARD[axis][: posture.shape[2]]
+    result = np.hstack([posture.reshape(len(values), -1), values[:, -3:] * MIRROR_FORCE[axis]])
     return result[::-1] if axis == line.axis else result
 
 
