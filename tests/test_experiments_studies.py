@@ -134,7 +134,7 @@ def test_a_change_of_attitude_keeps_gravity_and_turns_it_by_its_angle() -> None:
     sensor = read_folder(SAMPLE).sensor
     board = sensor.accelerometers[0]
     level = board.zero_g_v + board.sensitivity_v_per_g * np.array([[0.0, 0.0, 1.0]])
-    turned = slide_changes.CHANGES["mounted at 20 deg"](level, level[0], np.zeros(1), sensor)
+    turned = slide_changes.changed("mounted at 20 deg", level, level[0], np.zeros(1), sensor)
     gravity = (turned[0] - board.zero_g_v) / board.sensitivity_v_per_g
     assert np.linalg.norm(gravity) == pytest.approx(1.0)
     assert np.degrees(np.arccos(gravity[2])) == pytest.approx(20.0)

@@ -40,7 +40,7 @@ def test_a_straight_path_at_one_speed_is_a_slide() -> None:
     slide = Slide(0.0, 7.25, (-29.0, 7.25), Stroke(travel, speed, ramp), 0.5, 0.035, HEIGHT)
     knot = np.arange(round(travel / STEP_MM) + 1)
     to_end = STEP_MM * np.minimum(knot, knot[-1] - knot)
-    course = Course((-29.0, 7.25), STEP_MM, np.zeros(len(knot) - 1), np.full(len(knot), 0.5))
+    course = Course((-29.0, 7.25), np.zeros(len(knot) - 1), np.full(len(knot), 0.5))
     timing = Timing(np.minimum(speed, np.sqrt(2 * speed / ramp * to_end)))
     path = ContactPath(course, timing, HEIGHT, 0.035, "line", "line", "constant", 6.0, friction_mm=0.3)
     one, other = (record(plan, exact(), ATLAS, np.random.default_rng(0)) for plan in (slide, path))
@@ -141,7 +141,7 @@ def test_friction_follows_the_motion_and_stays_at_a_stop() -> None:
     """After a turn back, friction = -1 + 2 exp(-way / friction_mm)."""
     steps = 1000
     heading = np.repeat([0.0, np.pi], steps)
-    course = Course((0.0, 0.0), STEP_MM, heading, np.full(2 * steps + 1, 0.5))
+    course = Course((0.0, 0.0), heading, np.full(2 * steps + 1, 0.5))
     friction = course.friction(0.35)
     assert np.hypot(*friction[0]) == 0
     assert friction[steps, 0] == pytest.approx(1.0, abs=1e-6)
@@ -190,7 +190,7 @@ def test_partial_contact_is_near_the_skins_own_solver() -> None:
     for x, y in ((0.0, 0.0), (5.0, 6.0), (-8.0, 5.0), (12.0, -10.0), (2.0, -18.0)):
         centres = np.column_stack([np.full(len(depth), x), np.full(len(depth), y), face - depth])
         postures, _ = skin.slide(inflated, pressure, centres)
-        solved = np.array([channels(skin, p, inflated)[:2] for p in postures if p is not None])
+        solved = np.array([channels(p, inflated)[:2] for p in postures if p is not None])
         assert len(solved) == len(depth)
         parts = partial_friction_parts(ATLAS, np.full(len(depth), x), np.full(len(depth), y), depth, HEIGHT)
         law = parts[:, 0, :2] / np.linalg.norm(parts[-1, 0, :2])

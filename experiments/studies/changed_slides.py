@@ -20,7 +20,7 @@ import pandas as pd
 from softslide.experiments.evaluation.readout import open_localizer, rows_of
 from softslide.experiments.evaluation.scoring import INTERVALS, coverage, score
 from softslide.experiments.studies.script import Part, bundle, count, parser, recordings, run
-from softslide.experiments.studies.slide_changes import CHANGES
+from softslide.experiments.studies.slide_changes import CHANGES, changed
 from softslide.features.errors import InputError
 from softslide.pipeline.recordings.folder import Folder, Recording, read_folder
 from softslide.pipeline.workers import results
@@ -65,7 +65,7 @@ def _read(bundle: Path, folder: Folder, name: str, change: str) -> list[dict]:
         late = time_s >= BEGINS * label["motion_end_s"] + (1 - BEGINS) * label["motion_start_s"]
         volts, time_s = volts[late], time_s[late]
     else:
-        volts = CHANGES[change](volts, static, time_s, folder.sensor)
+        volts = changed(change, volts, static, time_s, folder.sensor)
     return rows_of(open_localizer(bundle), Recording(name, time_s, volts), volts, label)
 
 

@@ -41,8 +41,11 @@ def few(
     if not len(scored):
         raise InputError(f"{folder.root}: no labelled slide of a split {' or '.join(splits)}*; name another")
     atlas = atlas_to_calibrate(folder.sensor)
-    names = list(learned.manifest.index)
-    chosen = _drawn(names, slides, draws) if plan is None else [_planned(folder, names, plan)]
+    if plan is None:
+        chosen = _drawn(list(learned.manifest.index), slides, draws)
+    else:
+        names = sorted(planned(plan, learned))
+        chosen = iter([(f"{len(names)}-planned", [names])])
     for label, choices in chosen:
         parts = [replace(learned, manifest=learned.manifest.loc[choice]) for choice in choices]
         tables = [errors(part, scored, atlas) for part in parts]
@@ -57,13 +60,18 @@ def _drawn(names: list[str], slides: Sequence[int], draws: int) -> Iterator[tupl
         yield str(size), [[names[n] for n in np.sort(pick)] for pick in picks]
 
 
-def _planned(folder: Folder, names: list[str], plan: Path) -> tuple[str, list[list[str]]]:
-    planned = sorted(read_table(plan).get("recording", pd.Series(dtype=str)))
-    unknown = [name for name in planned if name not in names]
-    if unknown or not planned:
+def planned(plan: Path, learned: Folder) -> list[str]:
+    """The recordings that a plan names, in its order.
+
+    Raises:
+        InputError: it names none, or one that is not a calibration slide.
+    """
+    names = [str(name) for name in read_table(plan).get("recording", pd.Series(dtype=str))]
+    unknown = [name for name in names if name not in learned.manifest.index]
+    if unknown or not names:
         fault = f"'{unknown[0]}' is not a calibration slide" if unknown else "names no recording"
-        raise InputError(f"{plan}: {fault}; plan it from the manifest of {folder.root}")
-    return f"{len(planned)}-planned", [planned]
+        raise InputError(f"{plan}: {fault}; plan it from the manifest of {learned.root}")
+    return names
 
 
 def main(argv: Sequence[str] | None = None) -> int:

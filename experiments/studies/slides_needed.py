@@ -26,12 +26,12 @@ from softslide.experiments.acquisition.error_so_far import (
     errors,
     read_goal,
 )
+from softslide.experiments.studies.few_recordings import planned
 from softslide.experiments.studies.script import Part, count, parser, recordings, run
 from softslide.features.errors import InputError
 from softslide.pipeline.recordings.base_motion import without_base_motion
 from softslide.pipeline.recordings.derived_labels import recordings_to_learn_from
 from softslide.pipeline.recordings.folder import Folder, read_folder
-from softslide.pipeline.recordings.manifest import read_table
 from softslide.pipeline.workers import results
 
 
@@ -39,19 +39,17 @@ def needed(given: argparse.Namespace) -> Iterator[Part]:
     """The parts printed: of the plan, of each order drawn, and of those drawn together."""
     learned = recordings_to_learn_from(without_base_motion(read_folder(given.recordings)))
     goal = read_goal(given.until)
-    planned = [str(name) for name in read_table(given.plan)["recording"]]
-    if unknown := sorted(set(planned) - set(learned.manifest.index)):
-        raise InputError(f"{given.plan}: '{unknown[0]}' is not a calibration slide of {learned.root}")
-    rest = [str(name) for name in learned.manifest.index if name not in planned]
+    order = planned(given.plan, learned)
+    rest = [str(name) for name in learned.manifest.index if name not in order]
     if len(rest) < given.held_out:
         raise InputError(f"{len(rest)} slides are not of the plan; hold out fewer", "held_out")
     held_out = list(np.random.default_rng(0).choice(rest, given.held_out, replace=False))
     names = [str(name) for name in learned.manifest.index if name not in held_out]
     drawn = [
-        list(np.random.default_rng(seed).permutation(names)[: len(planned)]) for seed in range(given.draws)
+        list(np.random.default_rng(seed).permutation(names)[: len(order)]) for seed in range(given.draws)
     ]
-    numbers = range(FIRST, len(planned) + 1)
-    calls = [(learned, order, number, held_out) for order in (planned, *drawn) for number in numbers]
+    numbers = range(FIRST, len(order) + 1)
+    calls = [(learned, each, number, held_out) for each in (order, *drawn) for number in numbers]
     steps, found = results(after, calls, given.jobs), list[dict[str, float]]()
     for name in ("plan", *(f"random-{seed}" for seed in range(given.draws))):
         walked = pd.DataFrame([next(steps) for _ in numbers], numbers)

@@ -43,7 +43,7 @@ _ARRAYS = ("x_mm", "y_mm", "depth_mm", "pressure_mpa", "height_mm", "statics", "
 Values = np.ndarray | float  # (n,), or one for all
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Atlas:
     """A solved design. `parts` holds, at each grid point, mean, fx and fy of each channel."""
 
@@ -149,11 +149,11 @@ class Atlas:
         x, y, out = np.broadcast_arrays(np.where(out, 0.0, x), np.where(out, 0.0, y), out)
         # To make the plane costs as much as some hundred queries of the volume.
         if len(x) > 400 and np.ptp(depth) == 0 and np.ptp(level) == 0:
-            spline = self._plane(float(depth[0]), float(level[0]), wanted.start, wanted.stop)
+            spline = _plane(self, float(depth[0]), float(level[0]), wanted.start, wanted.stop)
             parts = np.asarray(spline(np.column_stack([x, y])))
         else:
             depth, level = np.broadcast_to(depth, x.shape), np.broadcast_to(level, x.shape)
-            spline = self._volume(wanted.start, wanted.stop)
+            spline = _volume(self, wanted.start, wanted.stop)
             parts = np.asarray(spline(np.column_stack([x, y, depth, np.cbrt(level)])))
         parts[out] = 0.0
         if not self.valid.all():
@@ -172,32 +172,6 @@ class Atlas:
             degrees.append(degree)
         return tuple(knots), coefficients, tuple(degrees)
 
-    @cached_property
-    def _plane(self) -> Any:
-        """The spline over x and y alone at one depth and pressure, kept for the next call."""
-
-        @lru_cache(maxsize=8)
-        def plane(depth: float, level: float, start: int, stop: int | None) -> NdBSpline:
-            knots, coefficients, degrees = self._coefficients
-            values = coefficients[..., start:stop]
-            for axis, at in ((3, np.cbrt(level)), (2, depth)):
-                line = NdBSpline((knots[axis],), np.moveaxis(values, axis, 0), (degrees[axis],))
-                values = np.asarray(line(np.array([[at]])))[0]
-            return NdBSpline(knots[:2], np.ascontiguousarray(values), degrees[:2])
-
-        return plane
-
-    @cached_property
-    def _volume(self) -> Any:
-        """The spline over all four, kept for the next call."""
-
-        @lru_cache(maxsize=2)
-        def volume(start: int, stop: int | None) -> NdBSpline:
-            knots, coefficients, degrees = self._coefficients
-            return NdBSpline(knots, np.ascontiguousarray(coefficients[..., start:stop]), degrees)
-
-        return volume
-
     def _near_failure(self, *place: np.ndarray) -> np.ndarray:
         """(n,) whether a corner of the grid cell round each query is not valid."""
         bad = np.zeros(len(place[0]), bool)
@@ -208,6 +182,24 @@ class Atlas:
         for corner in np.ndindex(2, 2, 2, 2):
             bad |= ~self.valid[tuple(r[c] for r, c in zip(ranges, corner, strict=True))]
         return bad
+
+
+@lru_cache(maxsize=8)
+def _plane(atlas: Atlas, depth: float, level: float, start: int, stop: int | None) -> NdBSpline:
+    """The spline over x and y alone at one depth and pressure."""
+    knots, coefficients, degrees = atlas._coefficients
+    values = coefficients[..., start:stop]
+    for axis, at in ((3, np.cbrt(level)), (2, depth)):
+        line = NdBSpline((knots[axis],), np.moveaxis(values, axis, 0), (degrees[axis],))
+        values = np.asarray(line(np.array([[at]])))[0]
+    return NdBSpline(knots[:2], np.ascontiguousarray(values), degrees[:2])
+
+
+@lru_cache(maxsize=4)
+def _volume(atlas: Atlas, start: int, stop: int | None) -> NdBSpline:
+    """The spline over all four."""
+    knots, coefficients, degrees = atlas._coefficients
+    return NdBSpline(knots, np.ascontiguousarray(coefficients[..., start:stop]), degrees)
 
 
 def _towards(heading_deg: Values | None, parts: np.ndarray) -> np.ndarray:

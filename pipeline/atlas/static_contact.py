@@ -127,8 +127,8 @@ class Doubt:
     """
 
     radius_mm: float
-    depth_mm: tuple[float, float]
-    force_n: tuple[float, float]
+    depth_mm: tuple[float, ...]
+    force_n: tuple[float, ...]
 
 
 def indentation_doubt(
@@ -155,10 +155,11 @@ def indentation_doubt(
     weight = np.exp(-0.5 * (off - off.min()) / variance)
     weight /= weight.sum()
     away = np.broadcast_to(np.hypot(x - found.x_mm, y - found.y_mm), off.shape)
+    (radius,) = _quantiles(away, weight, 0.9)
     return Doubt(
-        max(_quantile(away, weight, 0.9), PLACE_MM),
-        _interval(np.broadcast_to(depths[:, None], off.shape), weight),
-        _interval(np.nan_to_num(force), weight),
+        max(radius, PLACE_MM),
+        _quantiles(np.broadcast_to(depths[:, None], off.shape), weight, 0.05, 0.95),
+        _quantiles(np.nan_to_num(force), weight, 0.05, 0.95),
     )
 
 
@@ -166,12 +167,6 @@ def _depths(atlas: Atlas) -> np.ndarray:
     return np.linspace(atlas.depth_mm[0], atlas.depth_mm[-1], DEPTHS if len(atlas.depth_mm) > 1 else 1)
 
 
-def _interval(values: np.ndarray, weight: np.ndarray) -> tuple[float, float]:
-    return _quantile(values, weight, 0.05), _quantile(values, weight, 0.95)
-
-
-def _quantile(values: np.ndarray, weight: np.ndarray, share: float) -> float:
+def _quantiles(values: np.ndarray, weight: np.ndarray, *shares: float) -> tuple[float, ...]:
     """Of values with weights of the same shape, that sum to 1."""
-    order = np.argsort(values, axis=None)
-    at = min(int(np.searchsorted(np.cumsum(weight.ravel()[order]), share)), len(order) - 1)
-    return float(values.ravel()[order[at]])
+    return tuple(np.quantile(values, shares, weights=weight, method="inverted_cdf").tolist())

@@ -54,16 +54,13 @@ def solve_line(
     values = np.full((len(centres), PER_BOARD * boards + 3), np.nan)
     for n, posture in enumerate(postures):
         if posture is not None:
-            values[n] = np.concatenate([channels(skin, posture, inflated), forces[n]])
+            values[n] = np.concatenate([channels(posture, inflated), forces[n]])
     return values[:: line.sense], skin.statistics
 
 
-def channels(skin: Skin, posture: State, inflated: State) -> np.ndarray:
+def channels(posture: State, inflated: State) -> np.ndarray:
     """One posture against the inflated skin's, (boards * PER_BOARD,)."""
-    rows = []
     tilt = gravity(posture.rotations) - gravity(inflated.rotations)
-    for n, change in enumerate(tilt):
-        moved = (posture.unknowns - inflated.unknowns)[skin.system.board_slice(n)][:3]
-        yaw = [math.atan2(r[1, 0], r[0, 0]) for r in (posture.rotations[n], inflated.rotations[n])]
-        rows.append(np.array([*change, *moved, yaw[0] - yaw[1]]))
-    return np.concatenate(rows)
+    moved = (posture.unknowns - inflated.unknowns)[-6 * len(tilt) :].reshape(-1, 6)[:, :3]
+    yaw, rest = ([math.atan2(r[1, 0], r[0, 0]) for r in state.rotations] for state in (posture, inflated))
+    return np.column_stack([tilt, moved, np.subtract(yaw, rest)]).ravel()

@@ -93,7 +93,7 @@ def draw_slide(
     """The plan of slide `number`, counted from 0.
 
     Raises:
-        InputError: the distribution asks for a height that the atlas does not hold, or no line fits.
+        InputError: no line fits, or as `draw_pressure`.
     """
     d = distribution
     split = SPLITS[number % len(SPLITS)]
@@ -119,13 +119,7 @@ def draw_slide(
     turns = d.stopping <= end < d.stopping + d.turning
     stroke = Stroke(travel, speed, ramp, travel if turns else 0.0, dwell if turns else 0.0)
     depth, slope = _draw_depth(atlas, d, whole, travel, random)
-    share = random.uniform(*d.pressure_share) if len(atlas.height_mm) > 1 else 1.0
-    height = d.nominal_height_mm(atlas) * np.cbrt(share)
-    if not atlas.height_mm[0] - 1e-6 <= height <= atlas.height_mm[-1] + 1e-6:
-        raise InputError(
-            f"a skin height of {height:.3g} mm is outside the atlas's {atlas.height_mm[0]:.3g}.."
-            f"{atlas.height_mm[-1]:.3g} mm; change height_mm or pressure_share"
-        )
+    share, height = draw_pressure(atlas, d, random)
     posture = d.posture_deg * random.standard_normal(2)
     return Slide(
         direction,
@@ -134,7 +128,7 @@ def draw_slide(
         stroke,
         depth,
         sensor.pressure_mpa * share,
-        float(height),
+        height,
         depth_slope=slope,
         name=f"s{number:05d}",
         split=split,
@@ -143,6 +137,22 @@ def draw_slide(
         posture_deg=(float(posture[0]), float(posture[1])),
         gain=1 + d.repeatability * random.standard_normal(),
     )
+
+
+def draw_pressure(atlas: Atlas, d: Distribution, random: np.random.Generator) -> tuple[float, float]:
+    """A pressure over the nominal one, and the skin's height in mm at it.
+
+    Raises:
+        InputError: the distribution asks for a height that the atlas does not hold.
+    """
+    share = random.uniform(*d.pressure_share) if len(atlas.height_mm) > 1 else 1.0
+    height = float(d.nominal_height_mm(atlas) * np.cbrt(share))
+    if not atlas.height_mm[0] - 1e-6 <= height <= atlas.height_mm[-1] + 1e-6:
+        raise InputError(
+            f"a skin height of {height:.3g} mm is outside the atlas's {atlas.height_mm[0]:.3g}.."
+            f"{atlas.height_mm[-1]:.3g} mm; change height_mm or pressure_share"
+        )
+    return share, height
 
 
 def _draw_line(split: str, d: Distribution, random: np.random.Generator) -> tuple[float, float]:

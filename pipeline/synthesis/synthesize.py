@@ -210,19 +210,16 @@ def sensor_of(atlas: Atlas) -> Sensor:
     def tuples(table: dict[str, Any]) -> dict[str, Any]:
         return {name: tuple(value) if isinstance(value, list) else value for name, value in table.items()}
 
-    return Sensor(
-        f"design-{atlas.meta['design_hash']}",
-        article.sample_rate_hz,
-        tuple(design["chamber_mm"]),
-        design["skin_thickness_mm"],
-        design["indenter_diameter_mm"],
-        article.pressure_mpa,
-        (float(places[:, 0].mean()), float(places[:, 1].mean())),
-        article.adc_step_v,
-        tuple(Accelerometer(f"a{n}", float(x), float(y)) for n, (x, y) in enumerate(places)),
-        Skin(**tuples(design["skin"])),
-        Board(**tuples(design["board"])),
-        indenter_edge_mm=tuple(design.get("indenter_edge_mm", (0.0, 0.0))),
+    return replace(
+        article,
+        name=f"design-{atlas.meta['design_hash']}",
+        reference_mm=(float(places[:, 0].mean()), float(places[:, 1].mean())),
+        accelerometers=tuple(Accelerometer(f"a{n}", float(x), float(y)) for n, (x, y) in enumerate(places)),
+        skin=Skin(**tuples(design["skin"])),
+        board=Board(**tuples(design["board"])),
+        **tuples(
+            {name: value for name, value in design.items() if name not in ("boards_mm", "skin", "board")}
+        ),
     )
 
 
@@ -248,7 +245,7 @@ def synthesize(
         InputError: no recordings, a negative seed, an atlas that is not one or of another design, an `out` not to be
             written.
     """
-    for name, count in (("slides", slides), ("paths", paths)):
+    for name, count in (("slides", slides), ("paths", paths), ("seed", seed)):
         if count < 0:
             raise InputError(f"{count}: it must not be negative", name)
     if protocol not in (None, "article"):
@@ -257,8 +254,6 @@ def synthesize(
         raise InputError(f"{slides}: at least one is needed, or a path", "slides")
     if solved and not paths:
         raise InputError("only paths are solved; ask for some", "solved")
-    if seed < 0:
-        raise InputError(f"{seed}: it must not be negative", "seed")
     solution = read_atlas(Path(atlas)) if atlas else read_atlas()
     design = read_sensor(sensor) if sensor else sensor_of(solution)
     if design.base is not None:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from softslide.pipeline.synthesis.paths.course import Course
+from softslide.pipeline.synthesis.paths.course import STEP_MM, Course
 
 
 @dataclass(frozen=True)
@@ -110,7 +110,7 @@ class ContactPath:
         v = timing.speed_mm_s
         count = len(course.heading_rad)
         # At constant acceleration a step takes its length over the mean of the speeds at its ends.
-        took = 2 * course.step_mm / (v[:-1] + v[1:]) if count else np.zeros(0)
+        took = 2 * STEP_MM / (v[:-1] + v[1:]) if count else np.zeros(0)
         time = np.concatenate([[0.0], np.cumsum(took)])
         knot, depth = np.arange(count + 1), course.depth_mm
         for at, rest in sorted(timing.rests, reverse=True):

@@ -11,22 +11,21 @@ STEP_MM = 0.01
 
 @dataclass(frozen=True)
 class Course:
-    """Where a path leads, whatever the speed: headings (n,) rad of n even steps of `step_mm`, and n + 1 depths mm."""
+    """Where a path leads, whatever the speed: headings (n,) rad of n even steps of STEP_MM, and n + 1 depths mm."""
 
     start_mm: tuple[float, float]
-    step_mm: float
     heading_rad: np.ndarray
     depth_mm: np.ndarray
 
     @property
     def travel_mm(self) -> float:
         """The whole way."""
-        return self.step_mm * len(self.heading_rad)
+        return STEP_MM * len(self.heading_rad)
 
     @property
     def way_mm(self) -> np.ndarray:
         """(n + 1,) mm done at each knot."""
-        return self.step_mm * np.arange(len(self.heading_rad) + 1)
+        return STEP_MM * np.arange(len(self.heading_rad) + 1)
 
     @property
     def _along(self) -> np.ndarray:
@@ -34,7 +33,7 @@ class Course:
 
     def places(self) -> np.ndarray:
         """(n + 1, 2) mm of the indenter's centre at each knot."""
-        way = np.cumsum(self.step_mm * self._along, axis=0)
+        way = np.cumsum(STEP_MM * self._along, axis=0)
         return np.array(self.start_mm) + np.concatenate([np.zeros((1, 2)), way])
 
     def friction(self, friction_mm: float) -> np.ndarray:
@@ -45,6 +44,6 @@ class Course:
         """
         if not len(self.heading_rad):
             return np.zeros((1, 2))
-        forget = np.exp(-self.step_mm / max(friction_mm, 1e-9))
+        forget = np.exp(-STEP_MM / max(friction_mm, 1e-9))
         followed = lfilter([1 - forget], [1, -forget], self._along, axis=0)
         return np.concatenate([np.zeros((1, 2)), followed])

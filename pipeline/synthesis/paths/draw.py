@@ -9,15 +9,13 @@ from softslide.features.errors import InputError
 from softslide.pipeline.atlas.atlas import Atlas
 from softslide.pipeline.recordings.signed_offset import signed_offset
 from softslide.pipeline.sensor import Sensor
-from softslide.pipeline.synthesis.distribution import Distribution
+from softslide.pipeline.synthesis.distribution import Distribution, draw_pressure
 from softslide.pipeline.synthesis.paths.contact_path import ContactPath, Timing
 from softslide.pipeline.synthesis.paths.course import STEP_MM, Course
 from softslide.pipeline.synthesis.paths.distribution import PathDistribution
 from softslide.pipeline.synthesis.paths.drawn_course import CURVES, Draw, NoCourse, rim_to_rim, way_out
 from softslide.pipeline.synthesis.slide_plan import near_failure
 
-# The kinds of successive paths, again and again: equal shares of any nine.
-KINDS = ("line", "curve", "speed", "stop", "reverse", "touchdown", "lift", "depth", "press")
 _DRAWS = 500
 
 
@@ -35,11 +33,10 @@ def draw_path(
     distribution: of depth, pressure, posture and repeatability, as of slides.
 
     Raises:
-        InputError: no path of the kind stays clear of places that were not solved.
+        InputError: no path of the kind stays clear of places that were not solved, or as `draw_pressure`.
     """
     paths, kind = paths or PathDistribution(), kind or KINDS[number % len(KINDS)]
-    share = random.uniform(*distribution.pressure_share) if len(atlas.height_mm) > 1 else 1.0
-    height = float(distribution.nominal_height_mm(atlas) * np.cbrt(share))
+    share, height = draw_pressure(atlas, distribution, random)
     uneven = random.uniform() < distribution.uneven
     off = distribution.off_mm * random.uniform(-1, 1) if uneven else 0.0
     depth = float(np.clip(distribution.depth_mm + off, atlas.depth_mm[0], atlas.depth_mm[-1]))
@@ -105,7 +102,7 @@ def _reverse(draw: Draw) -> dict:
     course = rim_to_rim(draw)
     at = int(draw.random.uniform(0.4, 0.75) * len(course.heading_rad))
     heading = np.repeat([course.heading_rad[0], course.heading_rad[0] + np.pi], at)
-    course = Course(course.start_mm, STEP_MM, heading, np.full(2 * at + 1, draw.depth_mm))
+    course = Course(course.start_mm, heading, np.full(2 * at + 1, draw.depth_mm))
     speed = draw.log_uniform(draw.paths.speed_mm_s)
     rest = float(draw.random.uniform(*draw.paths.turn_s))
     timing = Timing(_ramped(draw, course, speed, at), ((at, rest),))
@@ -134,12 +131,12 @@ def _depth(draw: Draw) -> dict:
     depth = draw.depth_mm + change * (np.arange(len(course.way_mm)) / middle - 1)
     # Neither pulled off the flat skin's face nor beyond what the atlas holds.
     depth = np.clip(depth, 0.0, draw.atlas.depth_mm[-1])
-    return _labelled(draw, Course(course.start_mm, STEP_MM, course.heading_rad, depth))
+    return _labelled(draw, Course(course.start_mm, course.heading_rad, depth))
 
 
 def _press(draw: Draw) -> dict:
     x, y = draw.inner()
-    course = Course((float(x), float(y)), STEP_MM, np.zeros(0), np.array([draw.depth_mm]))
+    course = Course((float(x), float(y)), np.zeros(0), np.array([draw.depth_mm]))
     fall = (draw.depth_mm - draw.clear_mm) / draw.log_uniform(draw.paths.fall_mm_s)
     hold = float(draw.random.uniform(*draw.paths.hold_s))
     timing = Timing(np.zeros(1), (), draw.clear_mm, down_s=fall, up_s=fall, settle_s=hold / 2)
@@ -157,6 +154,8 @@ _OF_KIND: dict[str, Callable[[Draw], dict]] = {
     "depth": _depth,
     "press": _press,
 }
+# The kinds of successive paths, again and again: equal shares of any nine.
+KINDS = tuple(_OF_KIND)
 
 
 def _bent(draw: Draw) -> dict:
@@ -186,7 +185,7 @@ def _on_or_off(draw: Draw, start: np.ndarray, heading: float, travel: float, dow
         raise NoCourse
     count = int(travel / STEP_MM)
     depth = np.full(count + 1, draw.depth_mm)
-    course = Course((float(start[0]), float(start[1])), STEP_MM, np.full(count, heading), depth)
+    course = Course((float(start[0]), float(start[1])), np.full(count, heading), depth)
     name = "touchdown" if down else "lift"
     clear, fall, settle = 0.0, 0.0, 0.0
     if slanted := random.uniform() < 0.5:

@@ -72,7 +72,7 @@ def rim_to_rim(draw: Draw, curve: str | None = None) -> Course:
     way = STEP_MM * (np.arange(round(_LONGEST_MM / STEP_MM)) + 0.5)
     turns, whole_turn = (None, 0.0) if curve is None else _turns(draw, curve)
     heading = np.deg2rad(direction) + (np.zeros(len(way)) if turns is None else turns(way))
-    course = Course(start, STEP_MM, heading, np.full(len(way) + 1, draw.depth_mm))
+    course = Course(start, heading, np.full(len(way) + 1, draw.depth_mm))
     distance = np.abs(course.places())
     # The start itself lies on the boundary, give or take its rounding.
     out = (distance > draw.reach() + 1e-6).any(axis=1)
@@ -83,7 +83,7 @@ def rim_to_rim(draw: Draw, curve: str | None = None) -> Course:
     turned = float(np.ptp(heading[:end][over])) if over.any() else 0.0
     if STEP_MM * over.sum() < draw.paths.chord_mm or turned < whole_turn - 1e-3:
         raise NoCourse
-    return Course(start, STEP_MM, heading[:end], course.depth_mm[: end + 1])
+    return Course(start, heading[:end], course.depth_mm[: end + 1])
 
 
 def _turns(draw: Draw, name: str) -> tuple[Turns, float]:
