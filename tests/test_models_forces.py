@@ -161,7 +161,9 @@ def test_a_solved_press_s_force_grows_with_its_outputs_by_its_law() -> None:
     for place in ((-12.0, 7.0), (9.0, -11.0)):
         centres = np.column_stack([np.tile(place, (len(down), 1)), down])
         postures, forces = skin.slide(inflated, pressure, centres)
-        tilts = np.array([channels(posture, inflated)[:2] for posture in postures if posture is not None])
+        tilts = np.array(
+            [channels(skin, posture, inflated)[:2] for posture in postures if posture is not None]
+        )
         assert len(tilts) == len(down)
         gain = tilts @ tilts[-1] / (tilts[-1] @ tilts[-1])
         seen = (gain > 0.1) & (gain < 0.95)

@@ -190,7 +190,7 @@ def test_partial_contact_is_near_the_skins_own_solver() -> None:
     for x, y in ((0.0, 0.0), (5.0, 6.0), (-8.0, 5.0), (12.0, -10.0), (2.0, -18.0)):
         centres = np.column_stack([np.full(len(depth), x), np.full(len(depth), y), face - depth])
         postures, _ = skin.slide(inflated, pressure, centres)
-        solved = np.array([channels(p, inflated)[:2] for p in postures if p is not None])
+        solved = np.array([channels(skin, p, inflated)[:2] for p in postures if p is not None])
         assert len(solved) == len(depth)
         parts = partial_friction_parts(ATLAS, np.full(len(depth), x), np.full(len(depth), y), depth, HEIGHT)
         law = parts[:, 0, :2] / np.linalg.norm(parts[-1, 0, :2])

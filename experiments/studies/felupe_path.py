@@ -28,7 +28,7 @@ class Contact:
         self.field, self.mesh = field, mesh
         self.elements = mesh.elements[mesh.is_top].astype(int)
         self.areas = mesh.face_areas[mesh.is_top] / loads.POINTS**2
-        self.law, self.shapes = material.touch_law, loads.face_shapes()
+        self.law = material.touch_law
         self.centre = self.before = np.array([1e3, 0.0, 0.0])
         self.old = mesh.nodes.copy()
         self.results = SimpleNamespace(update_statevars=lambda: None)
@@ -37,7 +37,7 @@ class Contact:
 
     def _sum(self, wants_tangent: bool) -> tuple[sparse.csr_matrix, sparse.csr_matrix]:
         places, moved = self.mesh.nodes + self.field[0].values, self.centre - self.before
-        indenter = (self.centre, moved, self.law, self.shapes)
+        indenter = (self.centre, moved, self.law)
         total, forces = np.zeros(4), np.zeros_like(places)
         at, values = [np.zeros((2, 0), int)], [np.zeros(0)]
         # Faces whose nodes are all far from the indenter are not in contact.

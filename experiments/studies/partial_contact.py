@@ -54,7 +54,7 @@ def pressed(sensor: Sensor, height_mm: float, deepest_mm: float, x_mm: float, y_
     postures, forces = skin.slide(inflated, pressure, centres)
     if postures[-1] is None:
         return None
-    tilts = np.array([channels(each, inflated)[:2] for each in postures if each is not None])
+    tilts = np.array([channels(skin, each, inflated)[:2] for each in postures if each is not None])
     first = int(np.argmax(forces[:, 2] > TOUCH_N))
     (d0, d1), (f0, f1) = depth[first : first + 2], forces[first : first + 2, 2]
     return Press((x_mm, y_mm), height_mm, depth, tilts, float(d0 - f0 * (d1 - d0) / (f1 - f0)))

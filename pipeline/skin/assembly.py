@@ -19,7 +19,7 @@ def sum_elements(
     Args:
         places, old_places: (nodes, 3) mm, now and at the indenter's last position.
         solid: gradients and volumes of each block of elements, G and K, as `material.forces`.
-        air: (e,) bool: the elements that it presses, its pressure and shapes as `loads.air`.
+        air: (e,) bool: the elements that it presses, and its pressure, MPa.
         indenter: (e,) bool: the elements that it may touch, (e,) areas, and what `loads.touch` calls so.
         layout: (nodes,) each node's first unknown and how many it has: 0 clamped, 3 free, 6 on a board;
             (nodes, 3, 6) the boards' B; (e, 8, 8, 6) where each block's rows begin in `data`.
@@ -28,7 +28,7 @@ def sum_elements(
         False if an element is inside out; the sums are void then.
     """
     gradients, volumes, shear, bulk = solid
-    is_pressed, pressure, pressed_shapes = air
+    is_pressed, pressure = air
     may_touch, areas, touching = indenter
     x = np.empty(material.NODAL)
     force = np.empty(material.NODAL)
@@ -55,7 +55,7 @@ def sum_elements(
         for l in range(lanes):
             e = begin + l
             if is_pressed[e] and pressure != 0.0:
-                loads.air(l, nodal_x, pressure, pressed_shapes, wants_tangent, nodal_force, nodal_stiffness)
+                loads.air(l, nodal_x, pressure, wants_tangent, nodal_force, nodal_stiffness)
             if may_touch[e] and loads.is_near(elements[e], places, touching):
                 for a in range(8):
                     for i in range(3):

@@ -31,14 +31,14 @@ STIFFNESS = 0.5
 SLIP = 0.15
 
 
-def face_shapes() -> np.ndarray:
+def _face_shapes() -> np.ndarray:
     """(25, 4) bilinear shape functions of an upper face's nodes at the contact points."""
     ticks = (2 * np.arange(POINTS) + 1) / POINTS - 1
     r, s = (v.ravel() for v in np.meshgrid(ticks, ticks))
     return np.stack([(1 - r) * (1 - s), (1 + r) * (1 - s), (1 + r) * (1 + s), (1 - r) * (1 + s)], axis=-1) / 4
 
 
-def pressed_shapes() -> np.ndarray:
+def _pressed_shapes() -> np.ndarray:
     """(4 points, 3, 4 nodes): N, dN/dr, dN/ds of a lower face at 2 x 2 Gauss points, exact for p N n da."""
     signs = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]], float)
     points = signs / math.sqrt(3.0)
@@ -46,18 +46,21 @@ def pressed_shapes() -> np.ndarray:
     return np.stack([along * across, signs[:, 0] * across, signs[:, 1] * along], axis=1) / 4
 
 
+FACE_SHAPES, PRESSED_SHAPES = _face_shapes(), _pressed_shapes()
+
+
 @njit(cache=True, fastmath=FAST, error_model="numpy")
-def air(l, x, pressure, shapes, wants_tangent, force, stiffness):
+def air(l, x, pressure, wants_tangent, force, stiffness):
     """Takes the air's push on an element's lower face (nodes 0..3) from its internal force and tangent.
 
     Args:
-        l: which of the lanes. x: (3, 8, lanes) the nodes' places, mm. pressure: MPa. shapes: `pressed_shapes`.
+        l: which of the lanes. x: (3, 8, lanes) the nodes' places, mm. pressure: MPa.
         force: (3, 8, lanes) N. stiffness: (8 a, 8 b, 3 i, 3 j, lanes) N/mm, d force_ai / d x_bj.
     """
     r = np.empty(3)
     s = np.empty(3)
     for q in range(4):
-        shape = shapes[q]
+        shape = PRESSED_SHAPES[q]
         for i in range(3):
             r[i] = s[i] = 0.0
             for a in range(4):
@@ -85,7 +88,7 @@ def air(l, x, pressure, shapes, wants_tangent, force, stiffness):
 @njit(cache=True, fastmath=FAST, error_model="numpy")
 def is_near(nodes, places, indenter):
     """Whether the indenter, as in `touch`, can touch the upper face of an element with these nodes (8,)."""
-    centre, _, law, _ = indenter
+    centre, _, law = indenter
     near = 1e30
     size = 0.0
     for a in range(4, 8):
@@ -105,10 +108,10 @@ def touch(l, x, before, area, indenter, wants_tangent, force, stiffness, total):
         area: of one point, mm^2.
         indenter: (3,) its hemisphere's centre, or the edge's middle, mm; (3,) how far it moved since the last position,
             mm, without friction where it did not; (6,) radius mm, friction, k MPa/mm^2, eps, half of the edge along x
-            and y mm; `face_shapes`.
+            and y mm.
         total: (4,) the force on the indenter, N, added to, and the deepest gap so far, mm.
     """
-    centre, moved, law, shapes = indenter
+    centre, moved, law = indenter
     travel = math.sqrt(moved[0] * moved[0] + moved[1] * moved[1] + moved[2] * moved[2])
     radius, friction, penalty, clinging, half_x, half_y = law
     half_squared = half_x * half_x + half_y * half_y
@@ -116,8 +119,8 @@ def touch(l, x, before, area, indenter, wants_tangent, force, stiffness, total):
     slip = np.empty(3)
     normal = np.empty(3)
     block = np.empty((3, 3))
-    for q in range(shapes.shape[0]):
-        shape = shapes[q]
+    for q in range(len(FACE_SHAPES)):
+        shape = FACE_SHAPES[q]
         for i in range(3):
             point[i] = -centre[i]
             for a in range(4):

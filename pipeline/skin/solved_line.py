@@ -54,13 +54,13 @@ def solve_line(
     values = np.full((len(centres), PER_BOARD * boards + 3), np.nan)
     for n, posture in enumerate(postures):
         if posture is not None:
-            values[n] = np.concatenate([channels(posture, inflated), forces[n]])
+            values[n] = np.concatenate([channels(skin, posture, inflated), forces[n]])
     return values[:: line.sense], skin.statistics
 
 
-def channels(posture: State, inflated: State) -> np.ndarray:
+def channels(skin: Skin, posture: State, inflated: State) -> np.ndarray:
     """One posture against the inflated skin's, (boards * PER_BOARD,)."""
     tilt = gravity(posture.rotations) - gravity(inflated.rotations)
-    moved = (posture.unknowns - inflated.unknowns)[-6 * len(tilt) :].reshape(-1, 6)[:, :3]
+    moved = skin.system.boards(posture.unknowns - inflated.unknowns)[:, 0]
     yaw, rest = ([math.atan2(r[1, 0], r[0, 0]) for r in state.rotations] for state in (posture, inflated))
     return np.column_stack([tilt, moved, np.subtract(yaw, rest)]).ravel()

@@ -133,8 +133,7 @@ class Skin:
         diagonal = pattern.indptr[:-1]
         # A board resists like the nodes it replaces, by about a hundred square millimetres where it turns.
         weight = np.ones(self.system.size)
-        for n in range(len(self.mesh.centres)):
-            weight[self.system.board_slice(n)] = [25.0] * 3 + [400.0] * 3
+        self.system.boards(weight)[:] = [[25.0] * 3, [400.0] * 3]
         for _ in range(CREEP_STEPS):
             residual, force = self.system.residual(state, load, wants_tangent=True)
             if residual is None:

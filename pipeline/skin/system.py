@@ -84,8 +84,6 @@ class System:
         self._members = [np.flatnonzero(mesh.board_of == n) for n in range(boards)]
         self._motion = np.zeros((len(mesh.nodes), 3, 6))  # the boards' B
         self._areas = mesh.face_areas / loads.POINTS**2
-        self._face_shapes = loads.face_shapes()
-        self._pressed_shapes = loads.pressed_shapes()
         self._make_pattern()
 
     def rest(self) -> State:
@@ -96,32 +94,30 @@ class System:
         """(nodes, 3) mm: where the nodes are."""
         places = self.mesh.nodes.copy()
         places[self._free] += state.unknowns[: 3 * len(self._free)].reshape(-1, 3)
-        for n, (own, centre) in enumerate(zip(self._members, self.mesh.centres, strict=True)):
-            d, w = state.unknowns[self.board_slice(n)].reshape(2, 3)
+        for n, (d, w) in enumerate(self.boards(state.unknowns)):
+            own, centre = self._members[n], self.mesh.centres[n]
             turned = rotation(w) @ state.rotations[n]
             places[own] = centre + d + (self.mesh.nodes[own] - centre) @ turned.T
         return places
 
-    def board_slice(self, n: int) -> slice:
-        """The six unknowns of board n."""
-        start = self.size - 6 * (len(self.mesh.centres) - n)
-        return slice(start, start + 6)
+    def boards(self, unknowns: np.ndarray) -> np.ndarray:
+        """A view (boards, 2, 3) of unknowns (n,): the boards' displacements and rotations."""
+        return unknowns[3 * len(self._free) :].reshape(-1, 2, 3)
 
     def accept(self, state: State) -> State:
         """The same posture with each board's rotation moved out of the unknowns."""
         state = state.copy()
-        for n in range(len(self.mesh.centres)):
-            own = state.unknowns[self.board_slice(n)]
-            state.rotations[n] = rotation(own[3:]) @ state.rotations[n]
-            own[3:] = 0.0
+        for n, (_, w) in enumerate(self.boards(state.unknowns)):
+            state.rotations[n] = rotation(w) @ state.rotations[n]
+            w[:] = 0.0
         return state
 
     def ahead(self, before: State, now: State, share: float) -> State:
         """The accepted posture `now`, moved on by a share of what happened since the accepted one `before`."""
         step = now.unknowns - before.unknowns
-        for n in range(len(self.mesh.centres)):
+        for n, (_, w) in enumerate(self.boards(step)):
             turn = now.rotations[n] @ before.rotations[n].T
-            step[self.board_slice(n)][3:] = (turn[[2, 0, 1], [1, 2, 0]] - turn[[1, 2, 0], [2, 0, 1]]) / 2
+            w[:] = (turn[[2, 0, 1], [1, 2, 0]] - turn[[1, 2, 0], [2, 0, 1]]) / 2
         return State(now.unknowns + share * step, now.rotations)
 
     def residual(
@@ -137,7 +133,7 @@ class System:
         touched = load.centre is not None
         centre = load.centre if load.centre is not None else np.zeros(3)
         before = load.before if load.before is not None else centre
-        indenter = (centre, centre - before, self.material.touch_law, self._face_shapes)
+        indenter = (centre, centre - before, self.material.touch_law)
         forces = np.zeros_like(places)
         total = np.zeros(4)
         if wants_tangent:
@@ -149,7 +145,7 @@ class System:
             places,
             load.old_places if load.old_places is not None else places,
             self._solid,
-            (mesh.is_bottom, load.pressure_mpa, self._pressed_shapes),
+            (mesh.is_bottom, load.pressure_mpa),
             (mesh.is_top & touched, self._areas, indenter),
             (self.first, self.count, self._motion, self._positions),
             wants_tangent,
@@ -164,21 +160,21 @@ class System:
         residual[held] = forces[self._free].ravel() + self._springs * state.unknowns[held]
         if wants_tangent:
             self.pattern.data[self.pattern.indptr[held]] += self._springs
-        for n, own in enumerate(self._members):
-            d, w = state.unknowns[self.board_slice(n)].reshape(2, 3)
+        for n, (d, w) in enumerate(self.boards(state.unknowns)):
+            own = self._members[n]
             arms = places[own] - mesh.centres[n] - d
             moment = forces[own].T @ arms  # f r^T
             twist = np.array(
                 [moment[2, 1] - moment[1, 2], moment[0, 2] - moment[2, 0], moment[1, 0] - moment[0, 1]]
             )
-            residual[self.board_slice(n)] = np.concatenate([forces[own].sum(axis=0), twist @ spin(w)])
+            self.boards(residual)[n] = forces[own].sum(axis=0), twist @ spin(w)
             if wants_tangent:
                 self._add_turning(n, moment)
         return residual, total
 
     def _board_motion(self, n: int, state: State, places: np.ndarray) -> np.ndarray:
         """B (members, 3, 6) of a board's nodes."""
-        d, w = state.unknowns[self.board_slice(n)].reshape(2, 3)
+        d, w = self.boards(state.unknowns)[n]
         arms = places[self._members[n]] - self.mesh.centres[n] - d
         turns = -skew(arms) @ spin(w)
         return np.concatenate([np.broadcast_to(np.eye(3), turns.shape), turns], axis=2)
@@ -186,7 +182,7 @@ class System:
     def _add_turning(self, n: int, moment: np.ndarray) -> None:
         """Second derivative of exp(w) r against the forces, `moment` = f r^T: (f r^T + r f^T)/2 - (f.r) I, at w = 0."""
         block = (moment + moment.T) / 2 - np.trace(moment) * np.eye(3)
-        start = self.board_slice(n).start + 3
+        start = 3 * len(self._free) + 6 * n + 3
         for i in range(3):
             row = self.pattern.indptr[start + i]
             self.pattern.data[row : row + 3 - i] += block[i, i:]

@@ -41,7 +41,7 @@ def solved_response(
     if len(solved) < len(postures):
         x, y = knots[len(solved), :2]
         raise InputError(f"{path.name}: no equilibrium at ({x:.1f}, {y:.1f}) mm; choose another seed")
-    values = np.column_stack([np.array([channels(p, inflated) for p in solved]), forces])
+    values = np.column_stack([np.array([channels(skin, p, inflated) for p in solved]), forces])
     now = np.interp(time_s, fine, way)
     response = np.column_stack([np.interp(now, at, channel) for channel in values.T])
     return response, np.hypot(*path.at(time_s).velocity_mm_s.T)
