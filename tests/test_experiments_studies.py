@@ -27,6 +27,7 @@ from softslide.experiments.studies import (
     skin_sensitivity,
     skin_speed,
     slide_changes,
+    slides_needed,
     sweep,
     tracker_constants,
 )
@@ -44,16 +45,8 @@ from softslide.pipeline.synthesis.paths.draw import draw_path
 from softslide.pipeline.synthesis.specimen import draw_specimen
 from softslide.pipeline.synthesis.synthesize import noise_of, record, sensor_of
 
-SCRIPTS = (
-    changed_slides,
-    decision_time,
-    false_alarms,
-    feature_speed,
-    few_recordings,
-    motion_noise,
-    partial_contact,
-)
-SCRIPTS += (skin_sensitivity, skin_speed, sweep, tracker_constants)
+SCRIPTS = (changed_slides, decision_time, false_alarms, feature_speed, few_recordings, motion_noise)
+SCRIPTS += (partial_contact, skin_sensitivity, skin_speed, slides_needed, sweep, tracker_constants)
 ALONG = np.arange(-25.0, 25.0 + skin_sensitivity.STEP_MM / 2, skin_sensitivity.STEP_MM)
 
 
@@ -75,6 +68,12 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for file in test["file"]:
         (root / file).write_bytes(b"not a recording")
     return root
+
+
+def figures_of(script, folder: Path, *words: object) -> dict:
+    """What a script writes to --json."""
+    assert script.main([*map(str, words), "--json", str(folder / "found.json")]) == 0
+    return json.loads((folder / "found.json").read_text())
 
 
 @pytest.mark.parametrize("script", SCRIPTS, ids=lambda script: script.__name__)
@@ -118,11 +117,9 @@ def test_a_number_that_is_too_small_is_refused(capsys: pytest.CaptureFixture[str
 
 def test_changes_that_keep_the_signal_keep_the_estimates(bundle: Path, tmp_path: Path) -> None:
     """The small bundle's direction and speed are constants, so that errors are those of the sample's labels."""
-    words = ["--model", bundle, "--recordings", sample_folder(tmp_path / "fast", "split == 'test-fast'")]
-    words += ["--every", 3, "--jobs", 1]
-    words += ["--json", tmp_path / "found.json"]
-    assert changed_slides.main([str(word) for word in words]) == 0
-    figures = json.loads((tmp_path / "found.json").read_text())
+    fast = sample_folder(tmp_path / "fast", "split == 'test-fast'")
+    words = ("--model", bundle, "--recordings", fast, "--every", 3, "--jobs", 1)
+    figures = figures_of(changed_slides, tmp_path, *words)
     assert list(figures) == [*slide_changes.CHANGES, changed_slides.LATE]
     assert figures["none"]["valid"] > 0
     for name in ("zero + 50 mV", "mounted at 3 deg"):
@@ -143,16 +140,14 @@ def test_a_change_of_attitude_keeps_gravity_and_turns_it_by_its_angle() -> None:
 def test_false_alarms_are_counted_by_signal_and_alike_on_two_processes(
     bundle: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    words = ["--model", bundle, "--recordings", SAMPLE, "--streams", 2, "--seconds", 3]
-    words += ["--json", tmp_path / "f.json"]
-    assert false_alarms.main([str(word) for word in words]) == 0
-    figures = json.loads((tmp_path / "f.json").read_text())
+    words = ("--model", bundle, "--recordings", SAMPLE, "--streams", 2, "--seconds", 3)
+    figures = figures_of(false_alarms, tmp_path, *words)
     assert list(figures) == list(SIGNALS)
     assert figures["rest"] == {"tracked_s": 0.0, "valid_percent": None, "streams": 2, "streams_with_any": 0}
     assert figures["wave"]["tracked_s"] > 1.0
     assert figures["wave"]["streams_with_any"] > 0
     printed = capsys.readouterr().out
-    assert false_alarms.main([str(word) for word in (*words, "--jobs", 2)]) == 0
+    assert figures_of(false_alarms, tmp_path, *words, "--jobs", 2) == figures
     assert capsys.readouterr().out == printed
 
 
@@ -251,8 +246,7 @@ def test_the_law_of_a_press_fits_itself() -> None:
 
 
 def test_features_in_batches_of_bins_cost_least(tmp_path: Path) -> None:
-    assert feature_speed.main(["--json", str(tmp_path / "f.json")]) == 0
-    figures = json.loads((tmp_path / "f.json").read_text())
+    figures = figures_of(feature_speed, tmp_path)
     assert 0 < figures["features_ms"] < figures["features_of_all_samples_ms"]
     assert figures["features_ms"] < figures["features_one_window_at_a_time_ms"]
 
@@ -291,9 +285,8 @@ def test_a_sweep_never_reads_test_slides_and_its_best_trains(
     out, storage = tmp_path / "best.toml", f"sqlite:///{tmp_path / 'sweep.db'}"
     words = ["--recordings", lab, "--model", "trees", "--trials", 1, "--storage", storage, "--out", out]
     trials: dict[str, dict[str, float]] = {}
-    for file in ("a.json", "b.json"):
-        assert sweep.main([str(word) for word in (*words, "--json", tmp_path / file)]) == 0
-        trials |= json.loads((tmp_path / file).read_text())
+    for _ in range(2):
+        trials |= figures_of(sweep, tmp_path, *words)
     assert list(trials) == [f"trial {n}" for n in range(2)]
     best = min(trials.values(), key=lambda trial: trial["overall"])
     errors = [best[name] for name in ("direction_deg", "speed_percent", "offset_mm")]

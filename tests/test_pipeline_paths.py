@@ -12,10 +12,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import softslide
+from softslide.experiments.studies.partial_contact import pressed
 from softslide.features.errors import InputError
 from softslide.pipeline.recordings.folder import read_folder
 from softslide.pipeline.recordings.truth import COLUMNS, read_truth
-from softslide.pipeline.skin.solved_line import channels, skin_of
 from softslide.pipeline.synthesis.distribution import Distribution
 from softslide.pipeline.synthesis.motion import Stroke
 from softslide.pipeline.synthesis.paths.contact_path import ContactPath, Timing
@@ -182,19 +182,14 @@ def test_partial_contact_meets_the_atlas_and_the_untouched_skin() -> None:
 
 @pytest.mark.long
 def test_partial_contact_is_near_the_skins_own_solver() -> None:
-    """Vertical presses, solved in steps of 0.4 mm: within 8 % of the response at the atlas's shallowest depth."""
-    skin = skin_of(SENSOR)
-    pressure, inflated = skin.inflate_to(HEIGHT)
-    face = SENSOR.skin_thickness_mm + SENSOR.indenter_diameter_mm / 2
-    depth = np.concatenate([np.arange(-HEIGHT - 0.4, 0.1, 0.4), [0.2]])
+    """Vertical presses, solved: within 8 % of the response at the atlas's shallowest depth."""
     for x, y in ((0.0, 0.0), (5.0, 6.0), (-8.0, 5.0), (12.0, -10.0), (2.0, -18.0)):
-        centres = np.column_stack([np.full(len(depth), x), np.full(len(depth), y), face - depth])
-        postures, _ = skin.slide(inflated, pressure, centres)
-        solved = np.array([channels(skin, p, inflated)[:2] for p in postures if p is not None])
-        assert len(solved) == len(depth)
-        parts = partial_friction_parts(ATLAS, np.full(len(depth), x), np.full(len(depth), y), depth, HEIGHT)
-        law = parts[:, 0, :2] / np.linalg.norm(parts[-1, 0, :2])
-        assert np.abs(law - solved / np.linalg.norm(solved[-1])).max() < 0.08
+        press = pressed(SENSOR, HEIGHT, float(ATLAS.depth_mm[0]), x, y)
+        assert press is not None
+        place = (np.full(len(press.depth_mm), each) for each in (x, y))
+        law = partial_friction_parts(ATLAS, *place, press.depth_mm, HEIGHT)[:, 0, :2]
+        ends = [each / np.linalg.norm(each[-1]) for each in (law, press.tilt_g)]
+        assert np.abs(ends[0] - ends[1]).max() < 0.08
 
 
 @pytest.mark.parametrize(("kind", "rms", "largest"), [("line", 0.005, 0.03), ("touchdown", 0.03, 0.12)])
