@@ -114,8 +114,6 @@ class Atlas:
             raise InputError(
                 f"a skin height of {height_mm:g} mm is outside the atlas's {low:.3g}..{high:.3g} mm"
             )
-        if len(self.height_mm) == 1:
-            return float(self.pressure_mpa[0])
         ends = (float(self.pressure_mpa[0]), float(self.pressure_mpa[-1]))
         if not low < height_mm < high:
             return ends[int(height_mm >= high)]

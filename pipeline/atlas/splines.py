@@ -1,7 +1,7 @@
 """Interpolating splines along one axis of a grid, and the grid's bounds."""
 
 import numpy as np
-from scipy.interpolate import make_interp_spline
+from scipy.interpolate import BSpline, make_interp_spline
 
 from softslide.features.errors import InputError
 
@@ -16,9 +16,7 @@ def fit_axis(grid: np.ndarray, values: np.ndarray, axis: int) -> tuple[np.ndarra
 
 def along(grid: np.ndarray, values: np.ndarray, at: float) -> np.ndarray:
     """One-dimensional spline through values (n, ...), at one place."""
-    if len(grid) == 1:
-        return values[0]
-    return make_interp_spline(grid, values, k=min(3, len(grid) - 1))(at)
+    return BSpline(*fit_axis(grid, values, 0))(at)
 
 
 def check_inside(name: str, values: np.ndarray, grid: np.ndarray, unit: str) -> None:

@@ -10,7 +10,7 @@ from softslide.pipeline.ranges import check_pairs, check_positive, check_ranges
 from softslide.pipeline.sensor import Sensor
 from softslide.pipeline.synthesis.electronics import ElectronicsSpread
 from softslide.pipeline.synthesis.motion import Stroke
-from softslide.pipeline.synthesis.slide_plan import Slide, crossing, meets_failure
+from softslide.pipeline.synthesis.slide_plan import Slide, crossing, near_failure, on_line
 
 # The splits of ten successive slides, again and again, so that the first slides of a longer folder are those of a
 # shorter one and few slides already have something to be tested on.
@@ -100,10 +100,11 @@ def draw_slide(
     for _ in range(_DRAWS):
         direction, offset = _draw_line(split, d, random)
         line = crossing(direction, offset, sensor)
-        if line is None or line[2] < d.chord_mm or meets_failure(atlas, line[0], direction, line[1]):
+        if line is None or line[2] < d.chord_mm:
             continue
         start, whole, _ = line
-        break
+        if not near_failure(atlas, *on_line(start, direction, np.arange(0, whole, 0.5))):
+            break
     else:
         raise InputError(
             f"no line of offset {d.offset_mm[0]:g}..{d.offset_mm[1]:g} mm crosses {d.chord_mm:g} mm of the chamber "

@@ -32,9 +32,10 @@ def article_slides(atlas: Atlas, sensor: Sensor, distribution: Distribution, see
     """
     d, random = distribution, np.random.default_rng([seed, _STREAM])
     height = d.nominal_height_mm(atlas)
-    lines = [(heading, _sense(heading) * y) for y in X_LINES_MM for heading in (0.0, 180.0)]
+    # An offset counts to the left of the motion.
+    lines = [(heading, sense * y) for y in X_LINES_MM for heading, sense in ((0.0, 1), (180.0, -1))]
     side = -1.0 if sensor.reference_mm[0] >= 0 else 1.0
-    lines += [(heading, -_sense(heading) * side * x) for x in Y_LINES_MM for heading in (90.0, 270.0)]
+    lines += [(heading, sense * side * x) for x in Y_LINES_MM for heading, sense in ((90.0, -1), (270.0, 1))]
     slides: list[Slide] = []
     for direction, offset in lines:
         line = crossing(direction, offset, sensor)
@@ -62,8 +63,3 @@ def article_slides(atlas: Atlas, sensor: Sensor, distribution: Distribution, see
                 )
             )
     return slides
-
-
-def _sense(direction_deg: float) -> float:
-    """+1 forward, -1 backward: an offset counts to the left of the motion."""
-    return 1.0 if direction_deg < 180.0 else -1.0

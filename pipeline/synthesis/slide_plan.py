@@ -64,12 +64,19 @@ class Slide:
 
     def places(self, way_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """x and y (n,) mm of the indenter's centre after (n,) mm of way."""
-        angle = np.deg2rad(self.direction_deg)
-        return self.start_mm[0] + np.cos(angle) * way_mm, self.start_mm[1] + np.sin(angle) * way_mm
+        return on_line(self.start_mm, self.direction_deg, way_mm)
 
     def depths(self, way_mm: np.ndarray) -> np.ndarray:
         """(n,) mm below the flat skin's face after (n,) mm of way."""
         return self.depth_mm + self.depth_slope * (way_mm - self.stroke.travel_mm / 2)
+
+
+def on_line(
+    start_mm: tuple[float, float], direction_deg: float, way_mm: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """x and y (n,) mm after (n,) mm of way along a direction."""
+    angle = np.deg2rad(direction_deg)
+    return start_mm[0] + np.cos(angle) * way_mm, start_mm[1] + np.sin(angle) * way_mm
 
 
 def crossing(
@@ -102,16 +109,6 @@ def chord(foot: np.ndarray, along: np.ndarray, half: np.ndarray) -> tuple[float,
         ends = sorted([(-h - f) / a, (h - f) / a])
         first, last = max(first, ends[0]), min(last, ends[1])
     return (float(first), float(last)) if first < last else None
-
-
-def meets_failure(
-    atlas: Atlas, start_mm: tuple[float, float], direction_deg: float, travel_mm: float
-) -> bool:
-    """Whether a line passes next to a place that was not solved, at any depth and pressure."""
-    angle, way = np.deg2rad(direction_deg), np.arange(0, travel_mm, 0.5)
-    return near_failure(
-        atlas, *(start_mm[k] + way * part for k, part in enumerate((np.cos(angle), np.sin(angle))))
-    )
 
 
 def near_failure(atlas: Atlas, x: np.ndarray, y: np.ndarray) -> bool:
