@@ -5,7 +5,6 @@ else SciPy's SuperLU in its symmetric mode. The tangent of a pressed
 skin can be indefinite, so Cholesky would not do.
 """
 
-import ctypes
 import os
 import sys
 import warnings
@@ -43,7 +42,7 @@ class Pardiso:
         # Found by a search through the whole environment: once, also for processes that are started from here.
         os.environ.setdefault("PYPARDISO_MKL_RT", self._mkl.libmkl._name)
         self._mkl.libmkl.MKL_Set_Num_Threads(1)
-        for place, value in {1: 1, 2: 2, 8: 0, 10: 8, 11: 0, 13: 0, 21: 0, 24: 0, 28: 1, 35: 1}.items():
+        for place, value in {1: 1, 2: 2, 8: 0, 10: 8, 11: 0, 13: 0, 21: 0, 24: 0, 28: 1}.items():
             self._mkl.iparm[place - 1] = value
 
     def factor(self, upper: sparse.csr_matrix) -> None:
@@ -64,32 +63,9 @@ class Pardiso:
         return int(self._mkl.iparm[22])
 
     def _call(self, phase: int, upper: sparse.csr_matrix, right: np.ndarray) -> np.ndarray:
-        mkl = self._mkl
-        result = np.zeros_like(right)
-        error = ctypes.c_int32(0)
-        pointer = lambda v, kind: v.ctypes.data_as(ctypes.POINTER(kind))  # noqa: E731
-        integer = lambda v: ctypes.byref(ctypes.c_int32(v))  # noqa: E731
-        mkl._mkl_pardiso(
-            pointer(mkl.pt, mkl._pt_type[0]),
-            integer(1),
-            integer(1),
-            integer(-2),
-            integer(phase),
-            integer(upper.shape[0]),
-            upper.data.ctypes.data_as(ctypes.c_void_p),
-            pointer(upper.indptr, ctypes.c_int32),
-            pointer(upper.indices, ctypes.c_int32),
-            pointer(mkl.perm, ctypes.c_int32),
-            integer(1),
-            pointer(mkl.iparm, ctypes.c_int32),
-            integer(0),
-            right.ctypes.data_as(ctypes.c_void_p),
-            result.ctypes.data_as(ctypes.c_void_p),
-            ctypes.byref(error),
-        )
-        if error.value:
-            raise FloatingPointError(f"PARDISO stopped with error {error.value} in phase {phase}")
-        return result
+        self._mkl.set_phase(phase)
+        # By address: MKL takes what is there for single precision, as iparm 28 says.
+        return self._mkl._call_pardiso(upper, right)
 
     def __del__(self) -> None:
         if self._upper is not None and not sys.is_finalizing():
