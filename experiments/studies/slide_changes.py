@@ -6,7 +6,6 @@ import numpy as np
 
 from softslide.pipeline.sensor import Sensor
 
-SWAY_DEG, SWAY_S = 2.0, 5.0
 LOST_SHARE, LOST_RUN = 0.05, 30  # of samples, in bursts
 # One accelerometer's volts (n, 3) V, their static output (3,) V, time (n,) s and volts at 0 g to changed volts.
 Change = Callable[[np.ndarray, np.ndarray, np.ndarray, float], np.ndarray]
@@ -44,11 +43,12 @@ def _supply(by: float) -> Change:
     return lambda v, static, t, zero: v * np.where(t > t[-1] / 2, by, 1.0)[:, None]
 
 
-def _turned(angle_rad: Callable[[np.ndarray], np.ndarray | float]) -> Change:
-    """As a sensor reads gravity that is turned about its x by an angle, which may change with time."""
+def _turned(deg: float, period_s: float | None = None) -> Change:
+    """As a sensor reads gravity that is turned about its x by an angle, or sways by it."""
 
     def change(v: np.ndarray, static: np.ndarray, t: np.ndarray, zero: float) -> np.ndarray:
-        cos, sin, (_, y, z) = np.cos(angle_rad(t)), np.sin(angle_rad(t)), (v - zero).T
+        angle = np.deg2rad(deg) * (1.0 if period_s is None else np.sin(2 * np.pi * t / period_s))
+        cos, sin, (_, y, z) = np.cos(angle), np.sin(angle), (v - zero).T
         return np.column_stack([v[:, 0], zero + cos * y - sin * z, zero + sin * y + cos * z])
 
     return change
@@ -73,12 +73,9 @@ CHANGES: dict[str, Change] = {
     "x and y exchanged": lambda v, static, t, zero: v[:, [1, 0, 2]],
     **{f"V_{'xyz'[n]} mirrored": _gain(n, -1.0) for n in range(3)},
     **{f"clipped at {1000 * by:g} mV": _clipped(by) for by in (0.02, 0.05)},
-    **{
-        f"mounted at {deg:g} deg": _turned(lambda t, deg=deg: np.deg2rad(deg))
-        for deg in (3, 5, 10, 20, 60, 180)
-    },
+    **{f"mounted at {deg:g} deg": _turned(deg) for deg in (3, 5, 10, 20, 60, 180)},
     **{f"V_{name} at 0 V": _dead(axes) for name, axes in (("x", [0]), ("z", [2]), ("xyz", [0, 1, 2]))},
     **{f"supply x {by:g} midway": _supply(by) for by in (0.99, 0.95)},
     **{f"5 % lost, {name}": _lost(as_v) for name, as_v in (("nan", np.nan), ("0 V", 0.0))},
-    "swaying": _turned(lambda t: np.deg2rad(SWAY_DEG) * np.sin(2 * np.pi * t / SWAY_S)),
+    "swaying": _turned(2.0, period_s=5.0),
 }
