@@ -42,7 +42,7 @@ def field() -> TiltField:
     for p, (px, py) in enumerate(places):
         bump = 0.3 * np.exp(-((x - px) ** 2 + (y - py) ** 2) / (2 * LARGE_MM**2))
         parts[0, :, :, p, 0], parts[0, :, :, p, 1] = bump * (x - px) / LARGE_MM, bump * (y - py) / LARGE_MM
-    return TiltField(places, grid, grid, parts, 7.0, 0.5)
+    return TiltField(places, grid, grid, parts, 0.5)
 
 
 @pytest.fixture(scope="module")

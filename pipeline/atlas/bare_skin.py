@@ -33,7 +33,6 @@ class TiltField:
     x_mm: np.ndarray
     y_mm: np.ndarray
     parts: np.ndarray
-    height_mm: float
     depth_mm: float
 
 
@@ -97,7 +96,7 @@ def solve_tilts(
         solved[line] = np.column_stack([np.array(read) - tilts(inflated), forces])
     parts = on_grid(all_lines(solved, grids, everywhere), grids)[..., :-3]
     x, y = grids[:2]
-    return TiltField(places, x, y, parts.reshape(*parts.shape[:3], len(places), 2), height_mm, depth_mm)
+    return TiltField(places, x, y, parts.reshape(*parts.shape[:3], len(places), 2), depth_mm)
 
 
 def _middle_planes(mesh: Mesh, places: np.ndarray, reach: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -14,6 +14,7 @@ from softslide.features.errors import InputError
 from softslide.pipeline.atlas.atlas import DEFAULT_SENSOR, Atlas, write_atlas
 from softslide.pipeline.atlas.line_store import LineStore, Task
 from softslide.pipeline.progress import progress_bar
+from softslide.pipeline.ranges import check_ranges
 from softslide.pipeline.sensor import Sensor, check_design, design_hash, design_of, read_sensor
 from softslide.pipeline.skin.lines import (
     PER_BOARD,
@@ -43,8 +44,7 @@ class Grid:
     def __post_init__(self) -> None:
         if not self.depth_mm or min(self.depth_mm) < 0 or list(self.depth_mm) != sorted(set(self.depth_mm)):
             raise ValueError(f"depth_mm is {list(self.depth_mm)}; it must not be negative and must rise")
-        if not 0.5 <= self.line_mm <= 6.0:
-            raise ValueError(f"line_mm is {self.line_mm}; it must lie in 0.5..6")
+        check_ranges(self, line_mm=(0.5, 6.0))
         if self.line_mm / self.steps_per_line > 1.26:
             raise ValueError(f"steps of {self.line_mm / self.steps_per_line:g} mm are too long; at most 1.25")
 

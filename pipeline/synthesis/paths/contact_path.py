@@ -112,22 +112,19 @@ class ContactPath:
         # At constant acceleration a step takes its length over the mean of the speeds at its ends.
         took = 2 * STEP_MM / (v[:-1] + v[1:]) if count else np.zeros(0)
         time = np.concatenate([[0.0], np.cumsum(took)])
-        knot, depth = np.arange(count + 1), course.depth_mm
-        for at, rest in sorted(timing.rests, reverse=True):
-            time = np.concatenate([time[: at + 1], time[at:] + rest])
-            knot = np.concatenate([knot[: at + 1], knot[at:]])
-            depth = np.concatenate([depth[: at + 1], depth[at:]])
+        knots = np.stack([time, np.arange(count + 1), course.depth_mm])
+        for at, rest_s in sorted(timing.rests, reverse=True):
+            knots = np.insert(knots, at + 1, knots[:, at], axis=1)
+            knots[0, at + 1 :] += rest_s
         if timing.down_s:
-            first = timing.down_s + timing.settle_s
-            time = np.concatenate([[0.0, timing.down_s], time + first])
-            knot = np.concatenate([[0, 0], knot])
-            depth = np.concatenate([[timing.clear_mm, depth[0]], depth])
+            knots[0] += timing.down_s + timing.settle_s
+            down = [[0.0, timing.down_s], [0, 0], [timing.clear_mm, course.depth_mm[0]]]
+            knots = np.hstack([down, knots])
         if timing.up_s:
-            rest = time[-1] + timing.settle_s
-            time = np.concatenate([time, [rest, rest + timing.up_s]])
-            knot = np.concatenate([knot, [count, count]])
-            depth = np.concatenate([depth, [depth[-1], timing.clear_mm]])
-        return self.motion_start_s + time, knot, depth
+            rises_s = knots[0, -1] + timing.settle_s
+            up = [[rises_s, rises_s + timing.up_s], [count, count], [course.depth_mm[-1], timing.clear_mm]]
+            knots = np.hstack([knots, up])
+        return self.motion_start_s + knots[0], knots[1].astype(int), knots[2]
 
     def at(self, time_s: np.ndarray) -> Moments:
         """The path at (n,) s."""

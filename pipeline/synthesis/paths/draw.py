@@ -64,7 +64,7 @@ def draw_path(
 
 
 def _line(draw: Draw) -> dict:
-    return _labelled(draw, rim_to_rim(draw)) | {"depth_mm": draw.depth_mm}
+    return _straight_at_one_speed(draw, rim_to_rim(draw))
 
 
 def _curve(draw: Draw) -> dict:
@@ -131,7 +131,8 @@ def _depth(draw: Draw) -> dict:
     depth = draw.depth_mm + change * (np.arange(len(course.way_mm)) / middle - 1)
     # Neither pulled off the flat skin's face nor beyond what the atlas holds.
     depth = np.clip(depth, 0.0, draw.atlas.depth_mm[-1])
-    return _labelled(draw, Course(course.start_mm, course.heading_rad, depth))
+    drawn = _straight_at_one_speed(draw, Course(course.start_mm, course.heading_rad, depth))
+    return drawn | {"depth_mm": np.nan}
 
 
 def _press(draw: Draw) -> dict:
@@ -163,19 +164,26 @@ def _bent(draw: Draw) -> dict:
     return {"shape": name, "course": rim_to_rim(draw, name), "depth_mm": draw.depth_mm}
 
 
+def _straight(draw: Draw, course: Course) -> dict:
+    """With its direction and offset."""
+    angle, (x, y), (x_ref, y_ref) = course.heading_rad[0], course.start_mm, draw.sensor.reference_mm
+    return {
+        "shape": "line",
+        "course": course,
+        "depth_mm": draw.depth_mm,
+        "direction_deg": float(np.rad2deg(angle)),
+        "offset_mm": float(signed_offset(angle, x - x_ref, y - y_ref)),
+    }
+
+
 def _straight_or_bent(draw: Draw) -> dict:
     """A course without its timing, straight as often as bent."""
-    if draw.random.uniform() >= 0.5:
-        return _bent(draw)
-    course = rim_to_rim(draw)
-    return {"shape": "line", "course": course, "depth_mm": draw.depth_mm} | _labels(draw, course)
+    return _bent(draw) if draw.random.uniform() >= 0.5 else _straight(draw, rim_to_rim(draw))
 
 
-def _labelled(draw: Draw, course: Course) -> dict:
-    """A straight course at one speed."""
+def _straight_at_one_speed(draw: Draw, course: Course) -> dict:
     timed = _at_one_speed(draw, course)
-    speed = {"speed_mm_s": float(timed["timing"].speed_mm_s.max())}
-    return {"shape": "line", "course": course} | _labels(draw, course) | timed | speed
+    return _straight(draw, course) | timed | {"speed_mm_s": float(timed["timing"].speed_mm_s.max())}
 
 
 def _on_or_off(draw: Draw, start: np.ndarray, heading: float, travel: float, down: bool) -> dict:
@@ -219,12 +227,3 @@ def _ramped(draw: Draw, course: Course, speed: np.ndarray | float, stop: int | N
         to_stop = np.minimum(to_stop, np.abs(knots - stop))
     acceleration = speed.max() / draw.random.uniform(*draw.paths.ramp_s)
     return np.minimum(speed, np.sqrt(2 * acceleration * STEP_MM * to_stop))
-
-
-def _labels(draw: Draw, course: Course) -> dict:
-    """Direction and offset of a straight course."""
-    angle, (x, y), (x_ref, y_ref) = course.heading_rad[0], course.start_mm, draw.sensor.reference_mm
-    return {
-        "direction_deg": float(np.rad2deg(angle)),
-        "offset_mm": float(signed_offset(angle, x - x_ref, y - y_ref)),
-    }
