@@ -118,11 +118,12 @@ class ContactPath:
             knots[0, at + 1 :] += rest_s
         if timing.down_s:
             knots[0] += timing.down_s + timing.settle_s
-            down = [[0.0, timing.down_s], [0, 0], [timing.clear_mm, course.depth_mm[0]]]
+            down = np.array([[0.0, timing.down_s], [0, 0], [timing.clear_mm, course.depth_mm[0]]])
             knots = np.hstack([down, knots])
         if timing.up_s:
             rises_s = knots[0, -1] + timing.settle_s
-            up = [[rises_s, rises_s + timing.up_s], [count, count], [course.depth_mm[-1], timing.clear_mm]]
+            ends = [course.depth_mm[-1], timing.clear_mm]
+            up = np.array([[rises_s, rises_s + timing.up_s], [count, count], ends])
             knots = np.hstack([knots, up])
         return self.motion_start_s + knots[0], knots[1].astype(int), knots[2]
 
