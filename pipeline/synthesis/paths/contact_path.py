@@ -110,7 +110,7 @@ class ContactPath:
         v = timing.speed_mm_s
         count = len(course.heading_rad)
         # At constant acceleration a step takes its length over the mean of the speeds at its ends.
-        took = 2 * STEP_MM / (v[:-1] + v[1:]) if count else np.zeros(0)
+        took = 2 * STEP_MM / (v[:-1] + v[1:])
         time = np.concatenate([[0.0], np.cumsum(took)])
         knots = np.stack([time, np.arange(count + 1), course.depth_mm])
         for at, rest_s in sorted(timing.rests, reverse=True):
