@@ -5,16 +5,16 @@ quadrature points, is this project's compiled one. The board is a solid thirty t
 """
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import scipy.sparse as sparse
 
-from softslide.pipeline.skin import loads
 from softslide.pipeline.skin.mesh import Mesh
 from softslide.pipeline.skin.solver import Skin
-from softslide.pipeline.skin.system import Material
+from softslide.pipeline.skin.system import Load, Material, State, System
 
 # Residual force over the reaction: about the solver's own tolerance, 3e-4 N.
 TOLERANCE = 1e-4
@@ -22,37 +22,31 @@ SHORTEST_PART = 1 / 16
 
 
 class Contact:
-    """The indenter as an item that FElupe assembles: nodal forces (3 n, 1) N, their tangent (3 n, 3 n) N/mm."""
+    """The indenter as an item that FElupe assembles: nodal forces (3 n, 1) N, their tangent (3 n, 3 n) N/mm.
+
+    They are those of a skin without stiffness, whose nodes are all free.
+    """
 
     def __init__(self, field: Any, mesh: Mesh, material: Material) -> None:
-        self.field, self.mesh = field, mesh
-        self.elements = mesh.elements[mesh.is_top].astype(int)
-        self.areas = mesh.face_areas[mesh.is_top] / loads.POINTS**2
-        self.law = material.touch_law
+        self.field, free = field, replace(mesh, clamped=np.zeros_like(mesh.clamped))
+        free = replace(free, board_of=np.full_like(mesh.board_of, -1), centres=mesh.centres[:0])
+        self.limp = System(free, replace(material, shear_mpa=0.0, bulk_mpa=0.0))
         self.centre = self.before = np.array([1e3, 0.0, 0.0])
         self.old = mesh.nodes.copy()
         self.results = SimpleNamespace(update_statevars=lambda: None)
-        vector, matrix = (lambda field=None, n=n, **_: self._sum(n == 1)[n] for n in (0, 1))
-        self.assemble = SimpleNamespace(vector=vector, matrix=matrix, multiplier=None)
+        self.assemble = SimpleNamespace(vector=self._force, matrix=self._tangent, multiplier=None)
 
-    def _sum(self, wants_tangent: bool) -> tuple[sparse.csr_matrix, sparse.csr_matrix]:
-        places, moved = self.mesh.nodes + self.field[0].values, self.centre - self.before
-        indenter = (self.centre, moved, self.law)
-        total, forces = np.zeros(4), np.zeros_like(places)
-        at, values = [np.zeros((2, 0), int)], [np.zeros(0)]
-        # Faces whose nodes are all far from the indenter are not in contact.
-        near = np.hypot(*(places[self.elements[:, 4]] - self.centre)[:, :2].T) < self.law[0] + 8.0
-        for element, area in zip(self.elements[near], self.areas[near], strict=True):
-            force, block = np.zeros((3, 8, 1)), np.zeros((8, 8, 3, 3, 1))
-            x, before = places[element].T[..., None], self.old[element].T
-            loads.touch(0, x, before, area, indenter, wants_tangent, force, block, total)
-            np.add.at(forces, element, force[..., 0].T)
-            unknowns = (3 * element[:, None] + np.arange(3)).ravel()
-            at.append(np.stack(np.meshgrid(unknowns, unknowns, indexing="ij")).reshape(2, -1))
-            values.append(block[..., 0].transpose(0, 2, 1, 3).ravel())
-        where, size = np.concatenate(at, axis=1), (places.size, places.size)
-        tangent = sparse.csr_matrix((np.concatenate(values), where), shape=size)
-        return sparse.csr_matrix(forces.reshape(-1, 1)), tangent
+    def _force(self, field: Any = None, wants_tangent: bool = False, **_: Any) -> sparse.csr_matrix:
+        state = State(self.field[0].values.ravel(), np.zeros((0, 3, 3)))
+        load = Load(0.0, self.centre, self.before, self.old)
+        force = self.limp.residual(state, load, wants_tangent)[0]
+        if force is None:
+            raise ArithmeticError("an element is inside out")
+        return sparse.csr_matrix(force[:, None])
+
+    def _tangent(self, field: Any = None, **_: Any) -> sparse.csr_matrix:
+        self._force(wants_tangent=True)
+        return self.limp.pattern + sparse.triu(self.limp.pattern, 1).T
 
 
 def felupe_path(
