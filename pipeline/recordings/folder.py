@@ -42,13 +42,12 @@ class Recording:
         """All that was recorded, in `Sensor.columns` order, V."""
         return self.volts if self.base_v is None else np.hstack([self.volts, self.base_v])
 
-    def without(self, motion: BaseMotion, place: Path | str = "") -> "Recording":
+    def without(self, motion: BaseMotion, place: Path | str) -> "Recording":
         """The recording with the base's motion taken out of its volts. place: opens an error's message.
 
         Raises:
             InputError: it has no base, or leans over too far.
         """
-        place = place or self.name
         if self.base_v is None:
             raise InputError(f"{place}: holds nothing of a base whose motion could be taken out")
         volts, upright = motion.without(self.volts, self.base_v)

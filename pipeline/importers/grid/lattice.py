@@ -22,10 +22,9 @@ CURVE_POINTS = 2000  # of which a curve is made: 0.03 mm apart on the longest
 
 @dataclass(frozen=True)
 class GridPath:
-    """corners: (n, 2) mm, of a polygon; two of a straight line. kind: "line", "circle" or "s-curve"."""
+    """corners: (n, 2) mm, of a polygon; two of a straight line."""
 
     corners: np.ndarray
-    kind: str
 
     @property
     def length_mm(self) -> float:
@@ -61,7 +60,7 @@ def lines(x_mm: np.ndarray, y_mm: np.ndarray, colour: str) -> list[GridPath]:
                 )
                 if count * np.hypot(i, j) >= LEAST_SHARE * (min(size) - 1):
                     first = np.array([x_mm[x], y_mm[y]])
-                    found.append(GridPath(np.stack([first, first + count * step * np.array([i, j])]), "line"))
+                    found.append(GridPath(np.stack([first, first + count * step * np.array([i, j])])))
     return found
 
 
@@ -80,4 +79,4 @@ def curve(kind: str, x_mm: np.ndarray, y_mm: np.ndarray, draw: np.random.Generat
         reach, height = draw.uniform(0.7, 0.85) * half, draw.choice([-1, 1]) * draw.uniform(0.2, 0.5) * half
         s = np.stack([reach * (2 * t - 1), height * np.sin(2 * np.pi * t)], axis=1)
         corners = s @ np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
-    return GridPath(middle + corners, kind.removesuffix("s"))
+    return GridPath(middle + corners)
