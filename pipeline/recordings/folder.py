@@ -115,10 +115,6 @@ class Folder:
         """The recordings whose split begins with one of the prefixes; may be none."""
         return replace(self, manifest=self.manifest[self.manifest["split"].str.startswith(prefixes)])
 
-    def at_its_place(self) -> "Folder":
-        """The same, named by its place from the system's root: for processes that work in other folders."""
-        return replace(self, root=self.root.resolve())
-
     def labelled(self) -> "Folder":
         """The recordings whose direction, speed and offset are all given."""
         known = self.manifest[["direction_deg", "speed_mm_s", "offset_mm"]].notna().all(axis=1)

@@ -44,23 +44,18 @@ class GridPath:
 def lines(x_mm: np.ndarray, y_mm: np.ndarray, colour: str) -> list[GridPath]:
     """Every line of every lattice direction across the grid, from its first place to its last."""
     found = []
-    size = len(x_mm), len(y_mm)
-    step = x_mm[1] - x_mm[0]
+    size, step = (len(x_mm), len(y_mm)), x_mm[1] - x_mm[0]
     for i, j in DIRECTIONS:
-        for x in range(size[0]):
-            for y in range(size[1]):
-                if 0 <= x - i < size[0] and 0 <= y - j < size[1]:
-                    continue  # not the line's first place
-                if colour != "any" and (j * x - i * y) % 2 != (colour == "odd"):
-                    continue
-                count = min(
-                    (size[k] - 1 - p if d > 0 else p) // abs(d)
-                    for k, (p, d) in enumerate(((x, i), (y, j)))
-                    if d
-                )
-                if count * np.hypot(i, j) >= LEAST_SHARE * (min(size) - 1):
-                    first = np.array([x_mm[x], y_mm[y]])
-                    found.append(GridPath(np.stack([first, first + count * step * np.array([i, j])])))
+        for x, y in np.ndindex(size):
+            if 0 <= x - i < size[0] and 0 <= y - j < size[1]:
+                continue  # not the line's first place
+            if colour != "any" and (j * x - i * y) % 2 != (colour == "odd"):
+                continue
+            axes = zip(size, (x, y), (i, j), strict=True)
+            count = min((places - 1 - at if d > 0 else at) // abs(d) for places, at, d in axes if d)
+            if count * np.hypot(i, j) >= LEAST_SHARE * (min(size) - 1):
+                first = np.array([x_mm[x], y_mm[y]])
+                found.append(GridPath(np.stack([first, first + count * step * np.array([i, j])])))
     return found
 
 
