@@ -188,9 +188,7 @@ def _tones(
     frequency: np.ndarray, power: np.ndarray, floor: np.ndarray, rate_hz: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """The strongest line that is not a harmonic of the mains, (channels,) Hz, and its power over the floor."""
-    other = np.ones(len(frequency), bool)
-    for mains in MAINS_HZ:
-        other &= _off_harmonics(frequency, mains, rate_hz) > 3
+    other = np.all([_off_harmonics(frequency, mains, rate_hz) > 3 for mains in MAINS_HZ], axis=0)
     if not other.any():
         return np.full(power.shape[1], np.nan), np.zeros(power.shape[1])
     ratio = power[other] / np.maximum(floor, 1e-300)
