@@ -99,6 +99,10 @@ def _lies_within(file: str) -> bool:
 
 def _rules(table: pd.DataFrame, sensor: Sensor) -> Iterator[tuple[str, list[bool], str]]:
     """What the manifest's cells may hold: a column, whether it holds in each row, and what to do where it does not."""
+    order = [
+        not end <= start for start, end in zip(table["motion_start_s"], table["motion_end_s"], strict=True)
+    ]
+    yield "motion_end_s", order, "must come after motion_start_s; correct one of the two"
     twice = table["recording"].duplicated()
     plain = [is_plain(name) and not again for name, again in zip(table["recording"], twice, strict=True)]
     yield "recording", plain, f"names must be given and differ, and hold {REMEDY}"
@@ -124,7 +128,3 @@ def _rules(table: pd.DataFrame, sensor: Sensor) -> Iterator[tuple[str, list[bool
     for label in LABELS:
         allowed, remedy = numbers.get(label, finite)
         yield label, [bool(np.isnan(v)) or v in allowed for v in table[label]], f"{remedy} or leave it empty"
-    order = [
-        not end <= start for start, end in zip(table["motion_start_s"], table["motion_end_s"], strict=True)
-    ]
-    yield "motion_end_s", order, "must come after motion_start_s; correct one of the two"
