@@ -29,7 +29,7 @@ def read_sheet(mapping: Map) -> SheetRows:
         path, "correct [sheet] in the map", mapping.sheet.delimiter, dtype=str, keep_default_na=False
     )
     columns = [label.sheet for label in mapping.labels.values() if label.sheet]
-    require(path, [mapping.sheet.key, *columns], table)
+    require(path, [mapping.sheet.key, *columns], table.columns)
     keys = table[mapping.sheet.key].str.strip()
     if keys.duplicated().any():
         row = int(keys.duplicated().to_numpy().argmax())

@@ -74,13 +74,13 @@ def check_manifest(table: pd.DataFrame, sensor: Sensor, path: Path) -> pd.DataFr
             row = int(bad.to_numpy().argmax())
             raise _cell_error(path, table, row, label, "not a number; write one or leave it empty")
         table[label] = numbers
-    bad = [
+    wrong = [
         (holds.index(False), column, remedy)
         for column, holds, remedy in _rules(table, sensor)
         if not all(holds)
     ]
-    if bad:
-        raise _cell_error(path, table, *min(bad, key=lambda cell: cell[0]))
+    if wrong:
+        raise _cell_error(path, table, *min(wrong, key=lambda cell: cell[0]))
     further = [c for c in table if c not in (*REQUIRED, *LABELS)]
     return table.set_index("recording")[["file", "split", *LABELS, *further]]
 
