@@ -27,12 +27,12 @@ class _Lines:
 
 
 def progress_bar(
-    what: str, unit: str, items: Iterable[Any] | None = None, total: float | None = None, done: int = 0
+    what: str, unit: str, items: Iterable[Any] | None = None, total: float | None = None
 ) -> tqdm:
     """A bar to iterate over in place of `items`, or to update by hand and close.
 
     what: its title. unit: of one item; "B" counts bytes, shown as kB, MB, GB. total: items to come; of `items` their
-    length, where they have one. done: items finished before. What takes less than LINE_S writes no line.
+    length, where they have one. What takes less than LINE_S writes no line.
     """
     watched = sys.stderr.isatty()
     return tqdm(
@@ -41,7 +41,6 @@ def progress_bar(
         unit=unit,
         unit_scale=unit == "B",
         total=total,
-        initial=done,
         file=sys.stderr if watched else _Lines(),
         ncols=None if watched else 100,
         ascii=None if watched else True,

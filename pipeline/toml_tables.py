@@ -35,7 +35,7 @@ def read_toml(path: Path, remedy: str = "name a TOML file") -> dict[str, Any]:
 
     Raises:
         InputError: no regular file, larger than `MOST_BYTES`, no TOML, nested deeper than `DEEPEST`, or a number
-            that is not finite or too large.
+            that is not finite, or an integer beyond 64 bits.
     """
     content = read_regular(path, MOST_BYTES, remedy)
     try:
@@ -50,8 +50,6 @@ def read_toml(path: Path, remedy: str = "name a TOML file") -> dict[str, Any]:
             raise InputError(f"{place}: nested too deep; at most {DEEPEST} levels are read")
         if isinstance(value, float) and not math.isfinite(value):
             raise InputError(f"{place} is {value}; write a finite number")
-        if isinstance(value, float) and abs(value) > LARGEST:
-            raise InputError(f"{place} is {value}; write a number below {LARGEST:g}")
         if isinstance(value, int) and not -INTEGER_END <= value < INTEGER_END:
             raise InputError(f"{place} is an integer beyond 64 bits; write a smaller one")
     return table

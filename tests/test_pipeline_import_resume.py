@@ -16,6 +16,18 @@ from softslide.pipeline.importers.sources import find_sources
 from softslide.pipeline.recordings.folder import read_folder
 
 
+def interrupt_at(name: str, map_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An import that is interrupted as it calls this function."""
+
+    def interrupted(*rest, **more):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(f"softslide.pipeline.importers.run.{name}", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            imported(map_path, map_path.with_name("out"))
+
+
 def test_an_interrupted_import_resumes(tmp_path: Path, monkeypatch) -> None:
     map_path = write_lab(tmp_path, FORMATS["csv"], ("one", "two", "three"))
     read, begun = run.write_even, []
@@ -41,24 +53,14 @@ def test_an_interrupted_import_resumes(tmp_path: Path, monkeypatch) -> None:
 @pytest.mark.parametrize("last", ["write_manifest", "shutil.rmtree"])
 def test_an_import_interrupted_as_it_ends_loses_nothing(tmp_path: Path, monkeypatch, last: str) -> None:
     """Before its folder is there, or after; slides that are read anew do not reach into a folder that is whole."""
-    map_path = write_lab(tmp_path, FORMATS["csv"], ("one", "two"))
-
-    def interrupted(*rest, **more):
-        raise KeyboardInterrupt
-
-    def import_interrupted_at(name: str) -> None:
-        with monkeypatch.context() as patch:
-            patch.setattr(f"softslide.pipeline.importers.run.{name}", interrupted)
-            with pytest.raises(KeyboardInterrupt):
-                imported(map_path, tmp_path / "out")
-
-    import_interrupted_at(last)
+    map_path = write_lab(tmp_path, FORMATS["csv"])
+    interrupt_at(last, map_path, monkeypatch)
     assert (tmp_path / "out").exists() is (last == "shutil.rmtree")
     assert import_recordings([tmp_path / "lab"], map_path, tmp_path / "out").resumed == 2
-    import_interrupted_at("shutil.rmtree")
+    interrupt_at("shutil.rmtree", map_path, monkeypatch)
     before = contents(tmp_path / "out")
     FORMATS["csv"].write(tmp_path / "lab", "one", *slide(7, 300))
-    import_interrupted_at("_finish")
+    interrupt_at("_finish", map_path, monkeypatch)
     assert contents(tmp_path / "out") == before
 
 
@@ -80,14 +82,7 @@ def test_what_a_killed_import_leaves_does_not_stop_the_next(tmp_path: Path, left
 @pytest.mark.parametrize("change", ["map", "source"])
 def test_what_another_map_or_source_made_is_done_again(tmp_path: Path, monkeypatch, change) -> None:
     map_path = write_lab(tmp_path, FORMATS["csv"])
-
-    def interrupted(*rest):
-        raise KeyboardInterrupt
-
-    with monkeypatch.context() as patch:
-        patch.setattr(run, "_finish", interrupted)
-        with pytest.raises(KeyboardInterrupt):
-            imported(map_path, tmp_path / "out")
+    interrupt_at("_finish", map_path, monkeypatch)
     if change == "map":
         map_path.write_text(map_path.read_text() + '[labels.split]\nvalue = "test"\n')
     else:

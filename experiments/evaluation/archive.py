@@ -4,7 +4,7 @@ Chunks and their order depend on the recordings alone: the result is the same fo
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -43,7 +43,8 @@ class Archive:
         work = self.work
         if self.scheduler:
             # Workers were started in folders of their own.
-            bundle, folder, work = bundle.resolve(), folder.at_its_place(), work and work.resolve()
+            bundle, work = bundle.resolve(), work and work.resolve()
+            folder = replace(folder, root=folder.root.resolve())
         of_all = [what, bundle_hash(bundle), code_hash([make.__module__])] if work else []
         parts = [list(names[n : n + CHUNK]) for n in range(0, len(names), CHUNK)]
         # What a task needs of the manifest.

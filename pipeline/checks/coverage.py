@@ -48,13 +48,10 @@ def headings(direction_deg: pd.Series) -> pd.Series:
 
 def _confounded(learned: pd.DataFrame) -> list[str]:
     """Speeds that go with one heading only: their effects cannot be separated."""
-    heading = headings(learned["direction_deg"])
-    if heading.nunique() < 2:
+    heading, logs = headings(learned["direction_deg"]), np.log(learned["speed_mm_s"])
+    if heading.nunique() < 2 or np.ptp(logs) < SAME_SPEED:
         return []
-    logs = np.log(learned["speed_mm_s"])
     ranges = logs.groupby(heading).agg(np.ptp)
-    if np.ptp(logs) < SAME_SPEED:
-        return []
     if (ranges < SAME_SPEED).all():
         return [
             "speed and heading are confounded: each heading has one speed, so that friction, the skin's lag and the "

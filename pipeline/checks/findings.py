@@ -286,10 +286,9 @@ def _wiring(measured: Sequence[Measurements], sensor: Sensor) -> Iterator[Findin
         if not np.isnan(upright).all() and (z_g := float(np.nanmedian(upright))) < -0.5:
             yield Finding("error", "inverted", "", f"{part.name}_vz", z_g, -0.5, "g at rest, where +1 is due")
         agreement = np.array([one.agreement[k] for one in measured])
-        known = ~np.isnan(agreement)
-        if (known.sum(axis=0).diagonal() < LEAST_SLIDES).any():
+        if (np.isfinite(agreement).sum(axis=0).diagonal() < LEAST_SLIDES).any():
             continue
-        mean = np.where(known, agreement, 0).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
+        mean = np.nanmean(agreement, axis=0)
         for i, axis in enumerate("xy"):
             channel, own = f"{part.name}_v{axis}", float(mean[i, i])
             others = [j for j in range(3) if j != i and abs(mean[j, i]) > Limits.swapped]

@@ -137,17 +137,11 @@ def _landmarks(volts: np.ndarray) -> np.ndarray:
 
     They travel with the samples, so that a copy is known by them wherever it begins.
     """
-    random = np.random.default_rng(64)
-    bits = np.ascontiguousarray(volts, dtype=np.float64).view(np.uint64)
-    mixed = (bits * random.integers(1, 2**63, volts.shape[1], dtype=np.uint64) * np.uint64(2) + bits).sum(
-        axis=1
-    )
-    mixed ^= mixed >> np.uint64(29)
-    count = max(len(mixed) - 7, 0)
-    odd = random.integers(1, 2**62, 8, dtype=np.uint64) * np.uint64(2) + np.uint64(1)
-    hashes = np.zeros(count, dtype=np.uint64)
-    for n, factor in enumerate(odd):
-        hashes += mixed[n : n + count] * factor
+    if len(volts) < 8:
+        return np.zeros(0, dtype=np.uint64)
+    samples = pd.util.hash_pandas_object(pd.DataFrame(volts), index=False).to_numpy()
+    odd = np.random.default_rng(64).integers(1, 2**62, 8, dtype=np.uint64) * np.uint64(2) + np.uint64(1)
+    hashes = np.lib.stride_tricks.sliding_window_view(samples, 8) @ odd
     return np.unique(hashes[(hashes >> np.uint64(58)) == 0])
 
 
@@ -194,9 +188,7 @@ def _tones(
     frequency: np.ndarray, power: np.ndarray, floor: np.ndarray, rate_hz: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """The strongest line that is not a harmonic of the mains, (channels,) Hz, and its power over the floor."""
-    other = np.ones(len(frequency), bool)
-    for mains in MAINS_HZ:
-        other &= _off_harmonics(frequency, mains, rate_hz) > 3
+    other = np.all([_off_harmonics(frequency, mains, rate_hz) > 3 for mains in MAINS_HZ], axis=0)
     if not other.any():
         return np.full(power.shape[1], np.nan), np.zeros(power.shape[1])
     ratio = power[other] / np.maximum(floor, 1e-300)

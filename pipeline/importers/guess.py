@@ -10,7 +10,7 @@ import tomli_w
 
 from softslide.features.errors import InputError
 from softslide.features.units import STANDARD_GRAVITY
-from softslide.pipeline.importers.import_map import Map
+from softslide.pipeline.importers.import_map import PER_SECOND, Map
 from softslide.pipeline.importers.readers.delimited import CsvLayout
 from softslide.pipeline.importers.readers.layout_guess import TIMESTAMP, guess_layout
 from softslide.pipeline.importers.readers.registry import READERS
@@ -21,7 +21,6 @@ TIME = re.compile(r"t|time|zeit|temps|stamp|timestamp|clock", re.IGNORECASE)
 UNITS = {name: name for name in ("s", "ms", "us", "ns", "g", "m/s2", "counts")}
 UNITS |= {"µs": "us", "m/s²": "m/s2", "m/s^2": "m/s2", "lsb": "counts", "v": "V", "mv": "mV"}
 UNIT = re.compile(r"[\[(/_ ]\s*(s|ms|us|µs|ns|V|mV|g|m/s2|m/s²|m/s\^2|counts|lsb)\s*[\])]?$", re.IGNORECASE)
-SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 RATES_HZ = (50.0, 2e5)  # between which accelerometers are sampled
 SIGNED = ("offset_mm", "start_x_mm", "start_y_mm")
 # The words that stand before a label's number in file names, in English and German.
@@ -162,7 +161,7 @@ def _time(names: list[str], units: list[str], values: np.ndarray, row: list[str]
             return k, units[k]
         step = float(np.median(np.diff(values[:, k])))
         # The unit of the names is the unit of most; else the rate that is an accelerometer's.
-        fit = [u for u, s in SECONDS.items() if RATES_HZ[0] <= 1 / (step * s) <= RATES_HZ[1]]
+        fit = [u for u, count in PER_SECOND.items() if RATES_HZ[0] <= count / step <= RATES_HZ[1]]
         if fit:
             return k, fit[0]
     stamped = [k for k, cell in enumerate(row) if TIMESTAMP.match(cell)]
@@ -176,7 +175,7 @@ def _clock(look: Look) -> list[str]:
     lines = ["[time]", *tomli_w.dumps(keys).splitlines()]
     if look.time_unit == "timestamp":
         return lines
-    rate = 1 / (float(np.median(np.diff(look.values[:, look.time]))) * SECONDS[look.time_unit])
+    rate = PER_SECOND[look.time_unit] / float(np.median(np.diff(look.values[:, look.time])))
     return [*lines, f"# {rate:.6g} Hz by these times: sample_rate_hz of sensor.toml"]
 
 

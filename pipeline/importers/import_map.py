@@ -15,7 +15,8 @@ from softslide.pipeline.recordings.manifest import LABELS
 from softslide.pipeline.sensor import Sensor, read_sensor
 from softslide.pipeline.toml_tables import from_table, read_toml
 
-TIME_UNITS = ("s", "ms", "us", "ns", "timestamp")
+# Units of time, each in a second; a timestamp counts as nanoseconds.
+PER_SECOND = {"s": 1, "ms": 1_000, "us": 1_000_000, "ns": 1_000_000_000, "timestamp": 1_000_000_000}
 # "own": the unit that sensor.toml says; of accelerometers it is V.
 SIGNAL_UNITS = ("V", "mV", "g", "m/s2", "counts", "own")
 
@@ -38,7 +39,7 @@ class Clock:
     align: str = "none"
 
     def __post_init__(self) -> None:
-        check_one_of(TIME_UNITS, unit=self.unit)
+        check_one_of(tuple(PER_SECOND), unit=self.unit)
         check_one_of(("kept", "first"), origin=self.origin)
         check_one_of(("none", "onset"), align=self.align)
         check_positive(self, "max_gap_s")
@@ -131,10 +132,7 @@ class Map:
         check_one_of(tuple(READERS), kind=self.kind)
         check_one_of(("given", "zones"), signs=self.signs)
         groups = set(compiled(self.pattern).groupindex)
-        for channel in self.sensor.columns:
-            if channel not in self.channels:
-                raise ValueError(f"[channels.{channel}] is missing; say where the sensor's output is")
-        check_known("channels", self.channels, self.sensor.columns)
+        check_channels(self.channels, self.sensor.columns)
         check_known("boards", self.boards, tuple(a.name for a in self.sensor.parts))
         check_known("labels", self.labels, ("recording", "split", *LABELS))
         for name, label in self.labels.items():
@@ -193,16 +191,17 @@ def compiled(pattern: str) -> Any:
 
 
 def template(kind: str) -> str:
-    """A commented map to start from."""
+    """A commented map to start from; of kind "sensor" a commented `sensor.toml`."""
+    names = (kind,) if kind in ("grid", "sensor") else (kind, "labels")
     folder = Path(__file__).parent / "templates"
-    if kind == "grid":
-        return (folder / "grid.toml").read_text(encoding="utf-8")
-    return "".join((folder / name).read_text(encoding="utf-8") for name in (f"{kind}.toml", "labels.toml"))
+    return "".join((folder / f"{name}.toml").read_text(encoding="utf-8") for name in names)
 
 
-def sensor_template() -> str:
-    """A commented `sensor.toml` to start from."""
-    return (Path(__file__).parent / "templates" / "sensor.toml").read_text(encoding="utf-8")
+def check_channels(channels: dict[str, Any], outputs: tuple[str, ...]) -> None:
+    """Raises ValueError where an output of the sensor is not in the map, or what is in it is not an output."""
+    if absent := [output for output in outputs if output not in channels]:
+        raise ValueError(f"[channels.{absent[0]}] is missing; say where the sensor's output is")
+    check_known("channels", channels, outputs)
 
 
 def check_known(name: str, given: dict[str, Any], known: tuple[str, ...]) -> None:

@@ -8,6 +8,7 @@ import pandas as pd
 
 from softslide.features.errors import InputError
 from softslide.pipeline.importers.import_map import Map
+from softslide.pipeline.importers.readers.chunk import require
 from softslide.pipeline.importers.sources import Source
 from softslide.pipeline.recordings.text_table import read_text_table
 
@@ -27,9 +28,8 @@ def read_sheet(mapping: Map) -> SheetRows:
     table = read_text_table(
         path, "correct [sheet] in the map", mapping.sheet.delimiter, dtype=str, keep_default_na=False
     )
-    for column in (mapping.sheet.key, *(label.sheet for label in mapping.labels.values() if label.sheet)):
-        if column not in table:
-            raise InputError(f"{path}: column '{column}' is missing; correct its name in the map")
+    columns = [label.sheet for label in mapping.labels.values() if label.sheet]
+    require(path, [mapping.sheet.key, *columns], table.columns)
     keys = table[mapping.sheet.key].str.strip()
     if keys.duplicated().any():
         row = int(keys.duplicated().to_numpy().argmax())

@@ -13,13 +13,11 @@ INVERTED = -0.4
 
 def inverted(entries: Sequence[dict[str, Any]], mapping: Map) -> tuple[dict[int, float], list[str]]:
     """Outputs to flip, as channel -> the volts to mirror them at, and why."""
-    known_signs = [entry["agreement"] for entry in entries if entry["agreement"] is not None]
+    parts, known_signs = mapping.sensor.accelerometers, [each["agreement"] for each in entries]
+    cosines = np.array([signs for signs in known_signs if signs], dtype=float).reshape(-1, len(parts), 3, 2)
     flips: dict[int, float] = {}
     notes: list[str] = []
-    if not known_signs:
-        return flips, notes
-    cosines = np.array(known_signs, dtype=float).reshape(len(known_signs), -1, 3, 2)
-    for k, part in enumerate(mapping.sensor.accelerometers):
+    for k, part in enumerate(parts):
         for i, axis in enumerate("xy" if part.measures_gravity else ""):
             known = cosines[:, k, i, i][~np.isnan(cosines[:, k, i, i])]
             if len(known) < 3 or known.mean() > INVERTED:

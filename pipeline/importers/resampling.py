@@ -15,14 +15,13 @@ import pandas as pd
 
 from softslide.features.clock import RATE_TOLERANCE
 from softslide.features.errors import InputError
-from softslide.pipeline.importers.import_map import Clock
+from softslide.pipeline.importers.import_map import PER_SECOND, Clock
 
 # Steps that deviate by less than this portion of a step count as even.
 EVEN = 0.05
 # Range of the mean rate over the sensor's; an irregular source may have lost or repeated samples. Outside it
 # the rate is a different one.
 RATE_RANGE = (0.8, 1.25)
-PER_SECOND = {"s": 1, "ms": 1_000, "us": 1_000_000, "ns": 1_000_000_000, "timestamp": 1_000_000_000}
 
 Samples = tuple[np.ndarray, np.ndarray]
 

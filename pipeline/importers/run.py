@@ -36,7 +36,7 @@ from softslide.pipeline.recordings.folder import Recording
 from softslide.pipeline.recordings.manifest import check_manifest, write_manifest
 from softslide.pipeline.recordings.slide_file import read_slide, read_slide_in_blocks, write_slide_in_blocks
 from softslide.pipeline.sensor import Sensor, write_sensor
-from softslide.pipeline.staging import alone, staged
+from softslide.pipeline.staging import alone, check_replaceable, staged
 from softslide.pipeline.toml_tables import read_toml
 
 # Signs and onsets look at a slide as a whole; a longer one than this (half an hour at 1 kHz) is left out.
@@ -96,8 +96,7 @@ def import_files(sources: Sequence[Path], mapping: Map, out: Path) -> Imported:
     Raises:
         InputError: a source, the map or a label is bad; nothing is left then.
     """
-    if out.exists() and not out.is_dir():
-        raise InputError(f"{out}: a file of this name is in the way; name a folder")
+    check_replaceable(out)
     jobs = find_sources(sources, mapping)
     sheet, to_volts = read_sheet(mapping), converter(mapping)
     partial = out.parent / f".{out.name}.partial"

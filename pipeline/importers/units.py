@@ -14,12 +14,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 
 from softslide.features.errors import InputError
 from softslide.features.units import STANDARD_GRAVITY
 from softslide.pipeline.importers.import_map import Board, Map, Signal
-from softslide.pipeline.recordings.text_table import read_text_table
+from softslide.pipeline.recordings.text_table import numbers, read_text_table
 from softslide.pipeline.sensor import Accelerometer, Base
 
 POSITIONS = {
@@ -102,7 +101,8 @@ def read_calibration(path: Path, accelerometer: str) -> Calibration:
         InputError: no such table, a position is missing, an axis that hardly responds to gravity.
     """
     table = read_text_table(path, "a calibration is a table of six positions next to the map")
-    for column in ("accelerometer", "position", "vx", "vy", "vz"):
+    outputs = ["vx", "vy", "vz"]
+    for column in ("accelerometer", "position", *outputs):
         if column not in table:
             raise InputError(f"{path}: column '{column}' is missing; add it")
     rows = table[table["accelerometer"] == accelerometer].set_index("position")
@@ -110,9 +110,7 @@ def read_calibration(path: Path, accelerometer: str) -> Calibration:
         raise InputError(
             f"{path}: {accelerometer} needs one row for each of {', '.join(POSITIONS)}; add or drop rows"
         )
-    volts = (
-        rows.loc[list(POSITIONS), ["vx", "vy", "vz"]].apply(pd.to_numeric, errors="coerce").to_numpy(float)
-    )
+    volts = rows.loc[list(POSITIONS), outputs].apply(numbers).to_numpy()
     if not np.isfinite(volts).all():
         raise InputError(f"{path}: {accelerometer} has a reading that is not a number; correct it")
     gravity = np.column_stack([np.ones(6), np.array(list(POSITIONS.values()), dtype=float)])

@@ -42,13 +42,12 @@ class Recording:
         """All that was recorded, in `Sensor.columns` order, V."""
         return self.volts if self.base_v is None else np.hstack([self.volts, self.base_v])
 
-    def without(self, motion: BaseMotion, place: Path | str = "") -> "Recording":
+    def without(self, motion: BaseMotion, place: Path | str) -> "Recording":
         """The recording with the base's motion taken out of its volts. place: opens an error's message.
 
         Raises:
             InputError: it has no base, or leans over too far.
         """
-        place = place or self.name
         if self.base_v is None:
             raise InputError(f"{place}: holds nothing of a base whose motion could be taken out")
         volts, upright = motion.without(self.volts, self.base_v)
@@ -115,10 +114,6 @@ class Folder:
     def select(self, *prefixes: str) -> "Folder":
         """The recordings whose split begins with one of the prefixes; may be none."""
         return replace(self, manifest=self.manifest[self.manifest["split"].str.startswith(prefixes)])
-
-    def at_its_place(self) -> "Folder":
-        """The same, named by its place from the system's root: for processes that work in other folders."""
-        return replace(self, root=self.root.resolve())
 
     def labelled(self) -> "Folder":
         """The recordings whose direction, speed and offset are all given."""

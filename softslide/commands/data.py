@@ -74,10 +74,10 @@ def import_(parser: Parser) -> Run:
     parser.add_argument("--sensor-template", action="store_true", help=printed("sensor.toml"))
 
     def run(given: argparse.Namespace) -> None:
-        from softslide.pipeline.importers.import_map import sensor_template, template
+        from softslide.pipeline.importers.import_map import template
 
         if given.sensor_template:
-            print(sensor_template(), end="")
+            print(template("sensor"), end="")
             return
         if given.map_template:
             if given.map_template not in (*READERS, "grid"):

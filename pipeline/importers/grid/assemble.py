@@ -140,7 +140,7 @@ def _assembled(slide: _Slide, presses: Presses, mapping: GridMap) -> tuple[Recor
         "pass": int(presses.passes[slide.number]),
     }
     truth = None
-    if slide.path.kind == "line":
+    if slide.split.paths == "lines":
         row |= _line_labels(slide, mapping, float(way[-1]))
     else:
         truth = _truth(slide, time_s, before, way, depth)

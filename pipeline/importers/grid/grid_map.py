@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from softslide.pipeline.importers.import_map import check_known
+from softslide.pipeline.importers.import_map import check_channels
 from softslide.pipeline.ranges import check_one_of
 from softslide.pipeline.sensor import Sensor, read_sensor
 from softslide.pipeline.toml_tables import from_table, read_toml
@@ -70,10 +70,7 @@ class GridMap:
     def __post_init__(self) -> None:
         if self.sensor.base is not None:
             raise ValueError("sensor.toml has a [base], and a grid of presses none; take it out")
-        for channel in self.sensor.channels:
-            if channel not in self.channels:
-                raise ValueError(f"[channels.{channel}] is missing; say which columns hold it")
-        check_known("channels", self.channels, self.sensor.channels)
+        check_channels(self.channels, self.sensor.channels)
         if not self.splits:
             raise ValueError("no [[split]] is given; say which slides to make")
         if not 0 < self.speed_mm_s[0] <= self.speed_mm_s[1]:

@@ -22,10 +22,9 @@ CURVE_POINTS = 2000  # of which a curve is made: 0.03 mm apart on the longest
 
 @dataclass(frozen=True)
 class GridPath:
-    """corners: (n, 2) mm, of a polygon; two of a straight line. kind: "line", "circle" or "s-curve"."""
+    """corners: (n, 2) mm, of a polygon; two of a straight line."""
 
     corners: np.ndarray
-    kind: str
 
     @property
     def length_mm(self) -> float:
@@ -45,23 +44,18 @@ class GridPath:
 def lines(x_mm: np.ndarray, y_mm: np.ndarray, colour: str) -> list[GridPath]:
     """Every line of every lattice direction across the grid, from its first place to its last."""
     found = []
-    size = len(x_mm), len(y_mm)
-    step = x_mm[1] - x_mm[0]
+    size, step = (len(x_mm), len(y_mm)), x_mm[1] - x_mm[0]
     for i, j in DIRECTIONS:
-        for x in range(size[0]):
-            for y in range(size[1]):
-                if 0 <= x - i < size[0] and 0 <= y - j < size[1]:
-                    continue  # not the line's first place
-                if colour != "any" and (j * x - i * y) % 2 != (colour == "odd"):
-                    continue
-                count = min(
-                    (size[k] - 1 - p if d > 0 else p) // abs(d)
-                    for k, (p, d) in enumerate(((x, i), (y, j)))
-                    if d
-                )
-                if count * np.hypot(i, j) >= LEAST_SHARE * (min(size) - 1):
-                    first = np.array([x_mm[x], y_mm[y]])
-                    found.append(GridPath(np.stack([first, first + count * step * np.array([i, j])]), "line"))
+        for x, y in np.ndindex(size):
+            if 0 <= x - i < size[0] and 0 <= y - j < size[1]:
+                continue  # not the line's first place
+            if colour != "any" and (j * x - i * y) % 2 != (colour == "odd"):
+                continue
+            axes = zip(size, (x, y), (i, j), strict=True)
+            count = min((places - 1 - at if d > 0 else at) // abs(d) for places, at, d in axes if d)
+            if count * np.hypot(i, j) >= LEAST_SHARE * (min(size) - 1):
+                first = np.array([x_mm[x], y_mm[y]])
+                found.append(GridPath(np.stack([first, first + count * step * np.array([i, j])])))
     return found
 
 
@@ -80,4 +74,4 @@ def curve(kind: str, x_mm: np.ndarray, y_mm: np.ndarray, draw: np.random.Generat
         reach, height = draw.uniform(0.7, 0.85) * half, draw.choice([-1, 1]) * draw.uniform(0.2, 0.5) * half
         s = np.stack([reach * (2 * t - 1), height * np.sin(2 * np.pi * t)], axis=1)
         corners = s @ np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
-    return GridPath(middle + corners, kind.removesuffix("s"))
+    return GridPath(middle + corners)

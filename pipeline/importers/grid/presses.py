@@ -8,7 +8,7 @@ import pandas as pd
 
 from softslide.features.errors import InputError
 from softslide.pipeline.importers.grid.grid_map import GridMap
-from softslide.pipeline.recordings.text_table import read_text_table
+from softslide.pipeline.recordings.text_table import numbers, read_text_table
 
 # Places of one grid line may differ by this share of the grid's step: a robot's own readings.
 SAME_PLACE = 0.1
@@ -44,14 +44,14 @@ def read_presses(path: Path, mapping: GridMap) -> Presses:
         InputError: no table, a column or a number is missing, the places are not an even grid, or a place comes twice
             in a pass.
     """
-    table = read_text_table(path, "name a table of presses")
     channels = [mapping.channels[name] for name in mapping.sensor.channels]
-    named = [mapping.x, mapping.y, *filter(None, (mapping.depth, mapping.passes))]
-    for column in (*named, *(c.column for c in channels), *(c.rest for c in channels)):
+    outputs = [c.column for c in channels] + [c.rest for c in channels]
+    named = [mapping.x, mapping.y, *filter(None, (mapping.depth, mapping.passes)), *outputs]
+    table = read_text_table(path, "name a table of presses")
+    for column in named:
         if column not in table:
             raise InputError(f"{path}: column '{column}' is missing; correct its name in {mapping.path.name}")
-        numbers = pd.to_numeric(table[column], errors="coerce")
-        if (bad := ~np.isfinite(numbers.to_numpy(float))).any():
+        if (bad := ~np.isfinite(numbers(table[column]))).any():
             raise InputError(
                 f"{path}: row {bad.argmax() + 1}, column {column} is not a finite number; correct it"
             )
@@ -63,29 +63,20 @@ def read_presses(path: Path, mapping: GridMap) -> Presses:
         )
     number = table[mapping.passes].to_numpy() if mapping.passes else np.zeros(len(table), dtype=int)
     passes, p = np.unique(number, return_inverse=True)
-    place = np.stack([p, x, y])
-    _, first, count = np.unique(place, axis=1, return_index=True, return_counts=True)
-    if (count > 1).any():
-        row = int(first[count.argmax()])
+    if (twice := pd.MultiIndex.from_arrays([p, x, y]).duplicated()).any():
+        row = int(twice.argmax())
         raise InputError(
             f"{path}: row {row + 1}: its place comes twice in pass {number[row]}; name the passes"
         )
-    change, rest = (
-        table[[getattr(c, name) for c in channels]].to_numpy(float) for name in ("column", "rest")
-    )
     depth = table[mapping.depth].to_numpy(float) if mapping.depth else np.full(len(table), np.nan)
     if mapping.depth and mapping.surface_mm is not None:
         depth = mapping.surface_mm - depth
-    shape = (len(passes), len(x_mm), len(y_mm))
-    return Presses(
-        x_mm,
-        y_mm,
-        _spread(change, place, shape),
-        _spread(rest, place, shape),
-        _spread(depth[:, None], place, shape)[..., 0],
-        passes,
-        tuple(_idle(place[:, p == n], rest[p == n]) for n in range(len(passes))),
-    )
+    readings = table[outputs].to_numpy(float)
+    grid = np.full((len(passes), len(x_mm), len(y_mm), len(outputs) + 1), np.nan)
+    grid[p, x, y] = np.column_stack([readings, depth])
+    change, rest, deep = np.split(grid, [len(channels), len(outputs)], axis=-1)
+    idle = tuple(_idle(x[p == n], y[p == n], readings[p == n, len(channels) :]) for n in range(len(passes)))
+    return Presses(x_mm, y_mm, change, rest, deep[..., 0], passes, idle)
 
 
 def _axis(path: Path, column: str, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -105,13 +96,7 @@ def _axis(path: Path, column: str, values: np.ndarray) -> tuple[np.ndarray, np.n
     return places, number
 
 
-def _spread(values: np.ndarray, place: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-    grid = np.full((*shape, values.shape[1]), np.nan)
-    grid[tuple(place)] = values
-    return grid
-
-
-def _idle(place: np.ndarray, rest: np.ndarray) -> np.ndarray:
+def _idle(x: np.ndarray, y: np.ndarray, rest: np.ndarray) -> np.ndarray:
     """Changes of the reading at rest from each press to the next one, where that is its neighbour."""
-    neighbours = np.abs(np.diff(place[1:], axis=1)).sum(axis=0) == 1
+    neighbours = np.abs(np.diff(x)) + np.abs(np.diff(y)) == 1
     return np.diff(rest, axis=0)[neighbours]

@@ -92,6 +92,47 @@ def in_chunks(path: Path, lanes: Mapping[str, Any]) -> Iterator[Chunk]:
         yield Chunk(parts, stop / length)
 
 
+class _Lane:
+    """One column of an array of two dimensions, along the axis that is time."""
+
+    def __init__(self, array: Any, column: int, axis: int) -> None:
+        self.array, self.column, self.axis = array, column, axis
+
+    def __len__(self) -> int:
+        return int(self.array.shape[self.axis])
+
+    def __getitem__(self, rows: slice) -> np.ndarray:
+        return self.array[rows, self.column] if self.axis == 0 else self.array[self.column, rows]
+
+
+def lane_of(path: Path, array: Any, column: str, axis: int = 0) -> Any:
+    """What the map names of an array or a dataset, for `in_chunks`: `NAME` (n,), or `NAME:2` for column 2, counted from
+    0, of two dimensions. axis: of these, which is time.
+
+    Raises:
+        InputError: it has more dimensions, no such column, or several where none is named.
+    """
+    number = column.rpartition(":")[2] if ":" in column else ""
+    if array.ndim > 2:
+        raise InputError(f"{path}: '{column}' has {array.ndim} dimensions; name one of one or two")
+    if number:
+        width = array.shape[1 - axis] if array.ndim == 2 else 1
+        if not number.isdigit() or int(number) >= width:
+            raise InputError(f"{path}: '{column}' has columns 0 to {width - 1}; name one of them")
+    elif array.ndim == 2:
+        if 1 not in array.shape:
+            raise InputError(
+                f"{path}: '{column}' has {array.shape[1 - axis]} columns; add ':0' for the first"
+            )
+        axis = int(np.argmax(array.shape))
+    lane = _Lane(array, int(number or 0), axis) if array.ndim == 2 else array
+    if array.ndim and len(lane) != 1:
+        return lane
+    # The one value alone: the other axis may have any length.
+    value = np.ravel(lane[:] if array.ndim else array[()])[0]
+    return np.array([value.decode() if isinstance(value, bytes) else value])
+
+
 def chunks_of(
     path: Path, topic: str, columns: Sequence[str], rows: Iterable[list[Any]], total: int, size: int
 ) -> Iterator[Chunk]:

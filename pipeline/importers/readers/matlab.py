@@ -10,7 +10,7 @@ import numpy as np
 import scipy.io
 
 from softslide.features.errors import InputError
-from softslide.pipeline.importers.readers.chunk import Chunk, in_chunks, require
+from softslide.pipeline.importers.readers.chunk import Chunk, in_chunks, lane_of, require
 from softslide.pipeline.importers.readers.hdf5 import read_hdf5
 
 # Three hours of three channels at 1 kHz. A cell array takes some twenty times its bytes in memory.
@@ -61,21 +61,11 @@ def _check_size(path: Path, head: bytes) -> None:
         )
 
 
-def _column(path: Path, content: dict[str, Any], column: str) -> np.ndarray:
-    name, _, number = column.partition(":")
-    variable, *fields = name.split(".")
+def _column(path: Path, content: dict[str, Any], column: str) -> Any:
+    variable, *fields = column.partition(":")[0].split(".")
     value = content[variable]
     for field in fields:
         if not hasattr(value, field):
             raise InputError(f"{path}: '{variable}' has no field '{field}'; correct its name in the map")
         value = getattr(value, field)
-    value = np.atleast_1d(value)
-    if number:
-        if value.ndim != 2 or not number.isdigit() or int(number) >= value.shape[1]:
-            raise InputError(
-                f"{path}: '{name}' has no column {number} (it is {value.shape}); name one it has"
-            )
-        return value[:, int(number)]
-    if value.ndim != 1:
-        raise InputError(f"{path}: '{column}' has {value.shape[-1]} columns; add ':0' for the first")
-    return value
+    return lane_of(path, np.atleast_1d(value), column)

@@ -66,7 +66,7 @@ def read_workbook(path: Path, columns: Sequence[str], layout: ExcelLayout) -> It
         first += 1 + int(layout.units_row)
         # Cells to the right of the header belong to no column.
         rows = sheet.iter_rows(min_row=first, max_col=len(header), values_only=True)
-        samples = _without_empty_end(_counted(path, rows, first), places)
+        samples = _samples(path, rows, first, places)
         done = 0
         while block := list(islice(samples, CHUNK)):
             done += len(block)
@@ -106,24 +106,19 @@ def _too_large(path: Path, part: str, size: int) -> InputError:
     )
 
 
-def _counted(path: Path, rows: Iterator[tuple], first: int) -> Iterator[tuple]:
-    """The rows, of which `first` is the first one's number: a cell may stand in any, and all before it are made.
+def _samples(path: Path, rows: Iterator[tuple], first: int, places: list[int]) -> Iterator[tuple]:
+    """The cells at `places`, up to the last row that holds anything: Excel keeps rows whose content was deleted. first:
+    the number of the first row.
 
     Raises:
-        InputError: there are more than a sheet has.
+        InputError: there are more rows than a sheet has: a cell may stand in any, and all before it are made.
     """
+    empty, nothing = 0, (None,) * len(places)
     for number, row in enumerate(rows, first):
         if number > MOST_ROWS:
             raise InputError(
                 f"{path}: has rows beyond {MOST_ROWS}, the last of a sheet; save the sheet as CSV UTF-8"
             )
-        yield row
-
-
-def _without_empty_end(rows: Iterator[tuple], places: list[int]) -> Iterator[tuple]:
-    """The cells at `places`, up to the last row that holds anything: Excel keeps rows whose content was deleted."""
-    empty, nothing = 0, (None,) * len(places)
-    for row in rows:
         if row.count(None) == len(row):
             empty += 1
         else:

@@ -1,0 +1,55 @@
+"""What the health report measures of one recording: clipping, tones, and the signs that its labels are due."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from softslide.pipeline.checks.findings import Limits
+from softslide.pipeline.checks.measurements import measure
+from softslide.pipeline.checks.rail_run import MOST_AT_RAIL, rail_run
+from softslide.pipeline.checks.zone_signs import sign_agreement
+from softslide.pipeline.recordings.folder import SAMPLE, Recording, read_folder
+
+
+@pytest.mark.parametrize("rate_hz", [100.0, 250.0, 1000.0])
+@pytest.mark.parametrize("noise_steps", [0.0, 0.3, 1.0])
+def test_a_smooth_peak_that_is_read_in_steps_is_not_clipped(rate_hz: float, noise_steps: float) -> None:
+    """As by a converter of 10 bits, 5 mV, whose steps are larger than the noise; cut at 0.6 of its height it is."""
+    random, sound, clipped = np.random.default_rng(0), 0, 0
+    for _ in range(100):
+        width_s, steps = random.uniform(0.3, 3.0), random.uniform(30, 200)
+        time_s = np.arange(0.0, 8.0 * width_s, 1.0 / rate_hz) / width_s - 4.0
+        smooth = steps * time_s * np.exp((1.0 - time_s**2) / 2)
+        noise = random.uniform() + random.normal(0.0, noise_steps, len(time_s))
+        sound += rail_run(np.round(smooth + noise)) <= MOST_AT_RAIL
+        clipped += rail_run(np.round(np.minimum(smooth + noise, 0.6 * smooth.max()))) > MOST_AT_RAIL
+    assert sound >= 99
+    assert clipped >= 97
+
+
+@pytest.mark.parametrize(("rate_hz", "hz", "mains"), [(100, 60, True), (200, 180, True), (100, 67, False)])
+def test_mains_that_the_sampling_folds_are_neither_a_tone_nor_a_repetition(
+    rate_hz: float, hz: float, mains: bool
+) -> None:
+    """At 100 Hz 60 are read as 40."""
+    folder = read_folder(SAMPLE)
+    sensor, time_s = replace(folder.sensor, sample_rate_hz=rate_hz), np.arange(20 * rate_hz) / rate_hz
+    noise = np.random.default_rng(0).normal(0.0, 0.001, (len(time_s), len(sensor.channels)))
+    picked_up = 0.004 * np.sin(2 * np.pi * hz * time_s + 0.1)[:, None]
+    labels = folder.manifest.iloc[0].copy()
+    labels["motion_start_s"] = labels["motion_end_s"] = np.nan
+    figures = measure(Recording("one", time_s, 1.65 + noise + picked_up), labels, sensor)
+    assert (figures.tone_ratio.max() > Limits.tone) != mains
+    assert (figures.echo.max() > Limits.echo) != mains
+
+
+@pytest.mark.parametrize(("off_mm", "compared"), [(-6.0, True), (-4.0, False), (4.0, False), (6.0, True)])
+def test_no_sign_is_due_where_a_slide_passes_next_to_a_board(off_mm: float, compared: bool) -> None:
+    """Along x past the sample's board, which lies at y = 0; off the centre an output turns next to its board."""
+    folder = read_folder(SAMPLE)
+    labels = folder.manifest.loc["a0032"].copy()
+    labels[["offset_mm", "start_x_mm", "start_y_mm"]] = off_mm, np.nan, np.nan
+    agreement, _ = sign_agreement(folder.load("a0032"), labels, folder.sensor)
+    assert np.isfinite(agreement[0, 1, 1]) == compared
+    assert np.isfinite(agreement[0, 0, 0])
