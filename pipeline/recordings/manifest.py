@@ -4,11 +4,11 @@ Rows in messages are counted from 1 and leave the header out.
 """
 
 import difflib
-from collections.abc import Iterator
 from pathlib import Path, PureWindowsPath
 
 import numpy as np
 import pandas as pd
+import pandera.pandas as pa
 
 from softslide.features.errors import InputError
 from softslide.features.names import REMEDY, is_plain
@@ -39,8 +39,7 @@ def read_table(path: Path) -> pd.DataFrame:
     """
     missing = "a folder of recordings needs a manifest.csv"
     table = read_text_table(path, missing, dtype=str, keep_default_na=False, index_col=False)
-    # A row that is too short has no text in its last cells.
-    return table.apply(lambda column: column.str.strip()).fillna("")
+    return table.apply(lambda column: column.str.strip())
 
 
 def write_manifest(path: Path, manifest: pd.DataFrame) -> None:
@@ -74,13 +73,12 @@ def check_manifest(table: pd.DataFrame, sensor: Sensor, path: Path) -> pd.DataFr
             row = int(bad.to_numpy().argmax())
             raise _cell_error(path, table, row, label, "not a number; write one or leave it empty")
         table[label] = numbers
-    wrong = [
-        (holds.index(False), column, remedy)
-        for column, holds, remedy in _rules(table, sensor)
-        if not all(holds)
-    ]
-    if wrong:
-        raise _cell_error(path, table, *min(wrong, key=lambda cell: cell[0]))
+    try:
+        _schema(sensor).validate(table, lazy=True)
+    except pa.errors.SchemaErrors as errors:
+        case = errors.failure_cases.dropna(subset="index").sort_values("index", kind="stable").iloc[0]
+        column, remedy = str(case["check"]).split(": ", 1)
+        raise _cell_error(path, table, int(case["index"]), column, remedy) from None
     further = [c for c in table if c not in (*REQUIRED, *LABELS)]
     return table.set_index("recording")[["file", "split", *LABELS, *further]]
 
@@ -92,39 +90,56 @@ def _cell_error(path: Path, table: pd.DataFrame, row: int, column: str, remedy: 
 
 def _lies_within(file: str) -> bool:
     """Whether a file's name leads nowhere out of the folder, on Windows too. Links in the folder are its owner's."""
-    path = PureWindowsPath(file)
+    path = PureWindowsPath(str(file))
     # Windows leaves out dots and spaces at the end of a name.
     return not path.anchor and all(part.strip(". ") for part in path.parts)
 
 
-def _rules(table: pd.DataFrame, sensor: Sensor) -> Iterator[tuple[str, list[bool], str]]:
-    """What the manifest's cells may hold: a column, whether it holds in each row, and what to do where it does not."""
-    order = [
-        not end <= start for start, end in zip(table["motion_start_s"], table["motion_end_s"], strict=True)
-    ]
-    yield "motion_end_s", order, "must come after motion_start_s; correct one of the two"
-    twice = table["recording"].duplicated()
-    plain = [is_plain(name) and not again for name, again in zip(table["recording"], twice, strict=True)]
-    yield "recording", plain, f"names must be given and differ, and hold {REMEDY}"
-    remedy = (
-        f"no file of the folder has such a name (1 to {MOST_LETTERS} letters, neither absolute nor with ..); name one "
-        "or take the row out"
-    )
-    yield "file", [0 < len(file) <= MOST_LETTERS and _lies_within(file) for file in table["file"]], remedy
+def _schema(sensor: Sensor) -> pa.DataFrameSchema:
+    """What the manifest's cells may hold. Each message is `column: remedy`."""
     chamber, reference = np.array(sensor.chamber_mm) / 2, np.abs(sensor.reference_mm)
     # A line farther off than the chamber's farthest corner, give or take the sphere, never crosses it.
     farthest = float(np.hypot(*(chamber + reference))) + sensor.indenter_diameter_mm
-    crosses = f"no line so far off ({farthest:.1f} mm at most) crosses the chamber; correct it"
-    turned = "must lie in [0, 360) degrees; write the angle modulo 360"
-    positive = pd.Interval(0.0, np.inf, "neither"), "must be positive; correct it"
-    not_negative = pd.Interval(0.0, np.inf, "left"), "must not be negative; correct it"
-    finite = pd.Interval(-np.inf, np.inf, "neither"), "must be finite; correct it"
+
+    def column(name: str, check, remedy: str) -> pa.Column:
+        return pa.Column(checks=pa.Check(check, error=f"{name}: {remedy}", ignore_na=False), nullable=True)
+
+    def number(name: str, holds, remedy: str) -> pa.Column:
+        return column(name, lambda v: v.isna() | (np.isfinite(v) & holds(v)), f"{remedy} or leave it empty")
+
+    positive = (lambda v: v > 0), "must be positive; correct it"
+    not_negative = (lambda v: v >= 0), "must not be negative; correct it"
+    finite = np.isfinite, "must be finite; correct it"
     numbers = {
-        "direction_deg": (pd.Interval(0.0, 360.0, "left"), turned),
-        "offset_mm": (pd.Interval(-farthest, farthest, "both"), crosses),
-        **dict.fromkeys(("speed_mm_s", "travel_mm"), positive),
-        **dict.fromkeys(("depth_mm", "pressure_mpa"), not_negative),
+        "direction_deg": (
+            lambda v: (v >= 0) & (v < 360),
+            "must lie in [0, 360) degrees; write the angle modulo 360",
+        ),
+        "speed_mm_s": positive,
+        "offset_mm": (
+            lambda v: v.abs() <= farthest,
+            f"no line so far off ({farthest:.1f} mm at most) crosses the chamber; correct it",
+        ),
+        **{"start_x_mm": finite, "start_y_mm": finite, "travel_mm": positive},
+        **{"depth_mm": not_negative, "pressure_mpa": not_negative},
+        **{"motion_start_s": finite, "motion_end_s": finite},
     }
-    for label in LABELS:
-        allowed, remedy = numbers.get(label, finite)
-        yield label, [bool(np.isnan(v)) or v in allowed for v in table[label]], f"{remedy} or leave it empty"
+    names = f"names must be given and differ, and hold {REMEDY}"
+    file = (
+        f"no file of the folder has such a name (1 to {MOST_LETTERS} letters, neither absolute nor with ..); name one "
+        "or take the row out"
+    )
+    return pa.DataFrameSchema(
+        {
+            "recording": column("recording", lambda v: v.map(is_plain) & ~v.duplicated(), names),
+            "file": column(
+                "file", lambda v: (v != "") & (v.str.len() <= MOST_LETTERS) & v.map(_lies_within), file
+            ),
+            **{name: number(name, *rule) for name, rule in numbers.items()},
+        },
+        checks=pa.Check(
+            lambda t: ~(t["motion_end_s"] <= t["motion_start_s"]),
+            error="motion_end_s: must come after motion_start_s; correct one of the two",
+            ignore_na=False,
+        ),
+    )
