@@ -34,14 +34,14 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     Returns 0 on success, 2 on bad usage or input, 1 on a bound not met or a failed check, 130 on Ctrl-C.
     """
-    from softslide.commands.arguments import located
+    from softslide.commands.arguments import located, options
 
     argv = sys.argv[1:] if argv is None else argv
     name = next((word for word in argv if not word.startswith("-")), "")
     try:
         given = parser().parse_args(argv)
         with located(given):
-            status = given.run(given) or 0
+            status = given.run(**options(given)) or 0
         # Here and not at the interpreter's end, so that a full disk is an error like others.
         sys.stdout.flush()
         return status

@@ -16,8 +16,8 @@ from softslide.features.errors import InputError
 
 Parser = argparse.ArgumentParser
 UNITS = ("DEG", "HZ", "MM", "MM_S", "S")
-# Runs with the arguments given; returns the exit status, None for 0.
-Run = Callable[[argparse.Namespace], int | None]
+# Runs with the values of the arguments by name; returns the exit status, None for 0.
+Run = Callable[..., int | None]
 Command = Callable[[Parser], Run]
 
 
@@ -77,7 +77,7 @@ def _check_place(out: Path) -> None:
 
 
 def options(given: argparse.Namespace) -> dict[str, Any]:
-    """The values of a command's arguments, by name: what the function of the same name takes."""
+    """The values of a command's arguments by name, which what runs it is called with."""
     return {name: value for name, value in vars(given).items() if name not in ("command", "run", "existing")}
 
 
@@ -104,6 +104,18 @@ def unsigned(parser: Parser) -> None:
     )
 
 
+def form(parser: Parser) -> None:
+    """--format csv, f32 or cobs"""
+    parser.add_argument(
+        "--format",
+        choices=("csv", "f32", "cobs"),
+        default="csv",
+        help="of bytes from outside: csv, lines of volts (V) with or without a time (s) before them; f32, "
+        "little-endian float32 frames, one number a channel; cobs, frames with a checksum that can be joined anywhere "
+        "(default: %(default)s; over a serial port take csv or cobs)",
+    )
+
+
 def existing(parser: Parser, name: str, metavar: str, help: str, **options: Any) -> None:
     """An argument for a path that has to exist, or for several: given again, all are kept."""
     action = "extend" if "nargs" in options else "store"
@@ -122,9 +134,9 @@ def recordings(parser: Parser, help: str, **options: Any) -> None:
     existing(parser, "--recordings", "DIR", help, required=True, **options)
 
 
-def sensor(parser: Parser, help: str) -> None:
+def sensor(parser: Parser, help: str, **options: Any) -> None:
     """--sensor sensor.toml"""
-    existing(parser, "--sensor", "sensor.toml", help)
+    existing(parser, "--sensor", "sensor.toml", help, **options)
 
 
 def atlas(parser: Parser, help: str) -> None:

@@ -1,9 +1,11 @@
 """Subcommands that make and check data: import, check, simulate, synthesize, export-recordings."""
 
-import argparse
-import json
 import sys
+from json import dumps
+from pathlib import Path
+from typing import Any
 
+import softslide
 from softslide.commands import arguments
 from softslide.commands.arguments import Parser, Run
 from softslide.features.errors import InputError
@@ -30,19 +32,17 @@ def check(parser: Parser) -> Run:
     parser.add_argument("--json", action="store_true", help="the report as one JSON object")
     arguments.picture(parser, "coverage.svg", "draw what the slides cover")
 
-    def run(given: argparse.Namespace) -> None:
-        from softslide.experiments.check import check
-
-        report = check(given.folder, given.atlas, given.picture)
-        if given.json:
-            print(json.dumps(report.as_json(), indent=1, allow_nan=False))
+    def run(folder: Path, json: bool, **given: Any) -> None:
+        report = softslide.check(folder, **given)
+        if json:
+            print(dumps(report.as_json(), indent=1, allow_nan=False))
         elif not report.unreadable:
             print(*report.lines(), sep="\n")
         if report.unreadable:
             raise InputError(report.unreadable)
         if errors := report.level("error"):
             first = errors[0].line()
-            raise InputError(f"{given.folder}: {len(errors)} errors, first {first}; correct or remove these")
+            raise InputError(f"{folder}: {len(errors)} errors, first {first}; correct or remove these")
 
     return run
 
@@ -73,31 +73,28 @@ def import_(parser: Parser) -> Run:
     parser.add_argument("--guess", action="store_true", help=guess)
     parser.add_argument("--sensor-template", action="store_true", help=printed("sensor.toml"))
 
-    def run(given: argparse.Namespace) -> None:
-        from softslide.pipeline.importers.import_map import sensor_template, template
+    def run(map_template: str | None, guess: bool, sensor_template: bool, **given: Any) -> None:
+        from softslide.pipeline.importers import import_map
 
-        if given.sensor_template:
-            print(sensor_template(), end="")
+        if sensor_template:
+            print(import_map.sensor_template(), end="")
             return
-        if given.map_template:
-            if given.map_template not in (*READERS, "grid"):
-                kinds = ", ".join(READERS)
-                raise InputError(f"{given.map_template}: name one of {kinds}, grid", "map_template")
-            print(template(given.map_template), end="")
+        if map_template:
+            if map_template not in (*READERS, "grid"):
+                raise InputError(f"{map_template}: name one of {', '.join(READERS)}, grid", "map_template")
+            print(import_map.template(map_template), end="")
             return
-        if given.guess and given.sources:
+        if guess and given["sources"]:
             from softslide.pipeline.importers.guess import guess_map
 
-            print(guess_map(given.sources), end="")
+            print(guess_map(given["sources"]), end="")
             return
-        if not (given.sources and given.map and given.out):
+        if not all(given.values()):
             raise InputError(
                 "give SOURCE..., --map MAP.toml and --out DIR, or SOURCE... --guess, or --map-template KIND, or "
                 "--sensor-template"
             )
-        from softslide.pipeline.importers.run import import_recordings
-
-        done = import_recordings(given.sources, given.map, given.out)
+        done = softslide.import_recordings(**given)
         print(*done.notes, sep="\n", end="\n" if done.notes else "", file=sys.stderr)
         resumed = f", {done.resumed} of them finished before" if done.resumed else ""
         print(f"{done.out}: {done.recordings} recordings imported{resumed}")
@@ -125,10 +122,8 @@ def simulate(parser: Parser) -> Run:
     parser.add_argument("--backend", choices=("loky", "dask"), default="loky", help=runs)
     arguments.scheduler(parser)
 
-    def run(given: argparse.Namespace) -> None:
-        from softslide.pipeline.atlas.solve import simulate
-
-        simulate(**arguments.options(given))
+    def run(**given: Any) -> None:
+        softslide.simulate(**given)
 
     return run
 
@@ -169,10 +164,8 @@ def synthesize(parser: Parser) -> Run:
     arguments.existing(parser, "--config", "FILE", changes)
     arguments.out(parser, "the folder to write")
 
-    def run(given: argparse.Namespace) -> None:
-        from softslide.pipeline.synthesis.synthesize import synthesize
-
-        folder = synthesize(**arguments.options(given))
+    def run(**given: Any) -> None:
+        folder = softslide.synthesize(**given)
         counts = folder.manifest["split"].value_counts(sort=False)
         print(f"{folder.root}: {', '.join(f'{count} {split}' for split, count in counts.items())}")
 
@@ -201,11 +194,9 @@ def export_recordings(parser: Parser) -> Run:
     parser.add_argument("--split", nargs="+", metavar="NAME", help="the splits to export (default: all)")
     arguments.out(parser, "the data set to write")
 
-    def run(given: argparse.Namespace) -> None:
-        from softslide.experiments.export_recordings import export_recordings
-
-        info = export_recordings(**arguments.options(given))
-        print(f"{given.out}: {info['total_episodes']} episodes, {info['total_frames']} frames")
+    def run(out: Path, **given: Any) -> None:
+        info = softslide.export_recordings(out=out, **given)
+        print(f"{out}: {info['total_episodes']} episodes, {info['total_frames']} frames")
 
     return run
 

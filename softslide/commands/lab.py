@@ -1,8 +1,9 @@
 """Subcommands at the bench: design, plan, record."""
 
-import argparse
 from pathlib import Path
+from typing import Any
 
+import softslide
 from softslide.commands import arguments
 from softslide.commands.arguments import Parser, Run
 
@@ -20,7 +21,7 @@ def design(parser: Parser) -> Run:
         softslide design --sensor sensor.toml --boards 1 2 3 4 --out design
         softslide design --sensor sensor.toml --boards 2 --height 9 --out design
     """
-    arguments.existing(parser, "--sensor", "sensor.toml", "the design", required=True)
+    arguments.sensor(parser, "the design", required=True)
     boards = "numbers of accelerometers (default: 1 2 3 4)"
     arguments.number(parser, "--boards", "N", boards, [1, 2, 3, 4], type=int, nargs="+")
     arguments.number(parser, "--thickness", "MM", "of the skin, mm (default: the sensor's)")
@@ -29,12 +30,10 @@ def design(parser: Parser) -> Run:
     arguments.number(parser, "--depth", "MM", "contact depth, mm", 0.5)
     arguments.out(parser, "where the page, the table and the sensors go")
 
-    def run(given: argparse.Namespace) -> None:
-        from softslide.experiments.acquisition.design import design
-
-        table = design(**arguments.options(given))
+    def run(out: Path, **given: Any) -> None:
+        table = softslide.design(out=out, **given)
         print(table.to_string(index=False, float_format="{:.3g}".format))
-        print(given.out / "design.html")
+        print(out / "design.html")
 
     return run
 
@@ -57,7 +56,7 @@ def plan(parser: Parser) -> Run:
         softslide plan --sensor my-recordings/sensor.toml --slides 12 --out plan.csv \\
             --candidates my-recordings/manifest.csv
     """
-    arguments.existing(parser, "--sensor", "sensor.toml", "the design", required=True)
+    arguments.sensor(parser, "the design", required=True)
     arguments.number(parser, "--slides", "N", "how many slides", 12)
     arguments.atlas(parser, "from 'simulate' (default: the shipped one for its design, else solved coarsely)")
     among = "choose among the calibration and train slides of a manifest (default: lines in all directions)"
@@ -78,10 +77,8 @@ def plan(parser: Parser) -> Run:
     firmware = "whose dialect it is in (default: %(default)s)"
     parser.add_argument("--firmware", choices=("marlin", "grbl"), default="marlin", help=firmware)
 
-    def run(given: argparse.Namespace) -> None:
-        from softslide.experiments.acquisition.plan import plan
-
-        print(*plan(**arguments.options(given)).lines(), given.out, sep="\n")
+    def run(out: Path, **given: Any) -> None:
+        print(*softslide.plan(out=out, **given).lines(), out, sep="\n")
 
     return run
 
@@ -117,14 +114,7 @@ def record(parser: Parser) -> Run:
     arguments.existing(parser, "--plan", "plan.csv", source, required=True)
     arguments.sensor(parser, "the sensor, written into a new folder (default: the folder's own)")
     arguments.out(parser, "the folder to write or to go on with")
-    parser.add_argument(
-        "--format",
-        choices=("csv", "f32", "cobs"),
-        default="csv",
-        help="of the source's bytes, as in 'serve': csv, lines of volts (V) with or without a time (s) before them; "
-        "f32, little-endian float32 frames; cobs, frames with a checksum (default: %(default)s; over a serial port "
-        "take csv or cobs)",
-    )
+    arguments.form(parser)
     for name, default, text in (
         ("--rest", 3.0, "rest before and after each motion"),
         ("--start", 3.0, "to start the stage in"),
@@ -157,10 +147,8 @@ def record(parser: Parser) -> Run:
     meanwhile = "show slides done and to come and the error so far, in a browser (needs the train extra)"
     parser.add_argument("--page", type=Path, metavar="FILE.html", help=meanwhile)
 
-    def run(given: argparse.Namespace) -> None:
-        from softslide.experiments.acquisition.record import record
-
-        folder, left = record(**arguments.options(given))
+    def run(**given: Any) -> None:
+        folder, left = softslide.record(**given)
         missing = f", {left} of the plan are left" if left else ""
         print(f"{folder.root}: {len(folder)} recordings{missing}")
 

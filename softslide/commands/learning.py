@@ -1,10 +1,12 @@
 """Subcommands around one model: demo, train, evaluate, export, recalibrate."""
 
-import argparse
 import json
 import shlex
 import sys
+from pathlib import Path
+from typing import Any
 
+import softslide
 from softslide.commands import arguments
 from softslide.commands.arguments import Parser, Run
 from softslide.features.errors import InputError
@@ -22,10 +24,8 @@ def demo(parser: Parser) -> Run:
     """
     arguments.out(parser, "where everything goes")
 
-    def run(given: argparse.Namespace) -> None:
-        from softslide.experiments.demo import demo
-
-        print(demo(given.out))
+    def run(out: Path) -> None:
+        print(softslide.demo(out))
 
     return run
 
@@ -74,30 +74,30 @@ def train(parser: Parser) -> Run:
     parser.add_argument("--fresh", action="store_true", help=fresh)
     arguments.out(parser, "where the bundle goes", metavar="BUNDLE", required=False)
 
-    def run(given: argparse.Namespace) -> int:
-        if given.config_template:
+    def run(
+        recordings: list[Path] | None,
+        from_run: str | None,
+        out: Path | None,
+        config_template: bool,
+        **given: Any,
+    ) -> int:
+        if config_template:
             from softslide.experiments.configuration import configuration_template
 
-            print(configuration_template(given.model), end="")
+            print(configuration_template(given["model"]), end="")
             return 0
-        if not given.out:
+        if not out:
             raise InputError("is needed; name where the bundle goes", "out")
-        if given.from_run:
-            from softslide.experiments.from_run import train_from_run
-
-            found = train_from_run(given.from_run, given.out, given.recordings or ())
+        if from_run:
+            found = softslide.train_from_run(from_run, out, recordings or ())
             for name, difference in found.items():
                 print(f"{name}: {difference or 'the same to the byte'}")
             return int(any(found.values()))
-        if not given.recordings:
+        if not recordings:
             raise InputError("is needed, or --from-run; name a folder", "recordings")
-        from softslide.experiments.train import train
-
-        named = arguments.options(given)
-        del named["from_run"], named["config_template"]
-        done = train(**named)
+        done = softslide.train(recordings, out, **given)
         print(f"softslide train: {done.run.place}", file=sys.stderr)
-        model, folder = shlex.quote(str(done.bundle)), shlex.quote(str(given.recordings[0]))
+        model, folder = shlex.quote(str(done.bundle)), shlex.quote(str(recordings[0]))
         for line in (
             f"softslide evaluate --model {model} --recordings {folder} --out {model}-results",
             f"softslide predict --model {model} slide.csv",
@@ -138,19 +138,15 @@ def evaluate(parser: Parser) -> Run:
     arguments.number(parser, "--jobs", "N", "recordings at a time", 2)
     arguments.scheduler(parser)
 
-    def run(given: argparse.Namespace) -> int:
-        from softslide.experiments.evaluate import evaluate
-
-        named = arguments.options(given)
-        del named["allow_untested"]
-        result = evaluate(**named)
-        written = "report.html" if given.report else "metrics.json"
-        print(f"softslide evaluate: wrote {given.out}/{written}", file=sys.stderr)
+    def run(out: Path, report: bool, allow_untested: bool, **given: Any) -> int:
+        result = softslide.evaluate(out=out, report=report, **given)
+        written = "report.html" if report else "metrics.json"
+        print(f"softslide evaluate: wrote {out}/{written}", file=sys.stderr)
         print("\n".join(result.lines()))
-        if result.untested and not given.allow_untested:
+        if result.untested and not allow_untested:
             gaps = f"{result.untested} of {len(result.verdicts)} bounds are not tested, and so not met"
             print(f"softslide evaluate: {gaps}; --allow-untested lets them pass", file=sys.stderr)
-        return 0 if result.met(given.allow_untested) else 1
+        return 0 if result.met(allow_untested) else 1
 
     return run
 
@@ -171,11 +167,9 @@ def export(parser: Parser) -> Run:
     parser.add_argument("--to", required=True, choices=("ort", "c", "hub"), help="the format")
     arguments.out(parser, "the bundle to write")
 
-    def run(given: argparse.Namespace) -> None:
-        from softslide.models.export.formats import export
-
-        print(json.dumps(export(**arguments.options(given))))
-        print(f"softslide export: wrote {given.out}", file=sys.stderr)
+    def run(out: Path, **given: Any) -> None:
+        print(json.dumps(softslide.export(out=out, **given)))
+        print(f"softslide export: wrote {out}", file=sys.stderr)
 
     return run
 
@@ -200,10 +194,8 @@ def recalibrate(parser: Parser) -> Run:
     parser.add_argument("--split", nargs="+", metavar="NAME", help=splits)
     arguments.out(parser, "where the new bundle goes", metavar="BUNDLE")
 
-    def run(given: argparse.Namespace) -> None:
-        from softslide.experiments.recalibrate import recalibrate
-
-        print(json.dumps(recalibrate(**arguments.options(given))))
+    def run(**given: Any) -> None:
+        print(json.dumps(softslide.recalibrate(**given)))
 
     return run
 

@@ -1,7 +1,9 @@
 """Subcommands that compare: article, compare."""
 
-import argparse
+from pathlib import Path
+from typing import Any
 
+import softslide
 from softslide.commands import arguments
 from softslide.commands.arguments import Parser, Run
 
@@ -26,10 +28,8 @@ def article(parser: Parser) -> Run:
     arguments.atlas(parser, "from 'simulate' (default: the shipped one for its design, else solved coarsely)")
     arguments.out(parser, "where the page and its tables go")
 
-    def run(given: argparse.Namespace) -> None:
-        from softslide.experiments.article.article import article
-
-        made = article(**arguments.options(given))
+    def run(**given: Any) -> None:
+        made = softslide.article(**given)
         print("\n".join(made.lines()))
         print(made.page)
 
@@ -59,11 +59,9 @@ def compare(parser: Parser) -> Run:
     )
     arguments.number(parser, "--jobs", "N", "recordings that a bundle reads at a time", 1)
 
-    def run(given: argparse.Namespace) -> None:
-        from softslide.experiments.comparison.compare import MODELS, compare
-
-        compare(given.recordings, given.out, given.models or MODELS, given.jobs)
-        print(given.out / "comparison.html")
+    def run(out: Path, models: list[str] | None, **given: Any) -> None:
+        softslide.compare(out=out, **given, **({"models": models} if models else {}))
+        print(out / "comparison.html")
 
     return run
 
