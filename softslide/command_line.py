@@ -75,7 +75,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def parser() -> argparse.ArgumentParser:
     """The whole command line."""
-    from softslide.commands import data, device, lab, learning, studies
+    from softslide.commands import data, device, lab, learning
     from softslide.commands.arguments import add_commands
 
     top = argparse.ArgumentParser(prog="softslide", description=(softslide.__doc__ or "").partition("\n")[0])
@@ -85,9 +85,7 @@ def parser() -> argparse.ArgumentParser:
         version=f"softslide {softslide.__version__}",
         help="show the version and exit",
     )
-    add_commands(
-        top, (*learning.COMMANDS, *device.COMMANDS, *data.COMMANDS, *lab.COMMANDS, *studies.COMMANDS)
-    )
+    add_commands(top, (*learning.COMMANDS, *device.COMMANDS, *data.COMMANDS, *lab.COMMANDS))
     return top
 
 

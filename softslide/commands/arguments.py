@@ -86,8 +86,8 @@ def is_registered(value: object) -> bool:
     return isinstance(value, Path) and str(value).startswith("models:/")
 
 
-def skin_height(parser: Parser) -> None:
-    """`--height`, of the inflated skin, for a bundle over heights."""
+def of_bundle(parser: Parser) -> None:
+    """How the bundle is read: `--height`, for one over heights, and `--unsigned`, for those of release 0.1."""
     parser.add_argument(
         "--height",
         dest="height_mm",
@@ -95,10 +95,6 @@ def skin_height(parser: Parser) -> None:
         metavar="MM",
         help="of the inflated skin, mm, for a bundle trained at several (default: as the static output shows it)",
     )
-
-
-def unsigned(parser: Parser) -> None:
-    """`--unsigned`, for bundles of release 0.1."""
     parser.add_argument(
         "--unsigned", action="store_true", help="also a bundle whose card has no hash, which shows no changes"
     )

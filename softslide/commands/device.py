@@ -45,8 +45,7 @@ def predict(parser: Parser) -> Run:
     arguments.atlas(
         parser, "with --presses, of the sensor's design (default: the one that ships, or solved now)"
     )
-    arguments.skin_height(parser)
-    arguments.unsigned(parser)
+    arguments.of_bundle(parser)
     raw = "what the files mean, as in 'import', where they are a lab's own (needs the io extra)"
     arguments.existing(parser, "--map", "MAP.toml", raw)
     kinds = "CSV with time_s (s) and a0_vx, a0_vy, a0_vz, ... (V), or Parquet (needs the io extra)"
@@ -137,8 +136,7 @@ def serve(parser: Parser) -> Run:
         "ros2://TOPIC positions in m, velocities in m/s with their covariance, and estimates; may be given again",
     )
     arguments.form(parser)
-    arguments.skin_height(parser)
-    arguments.unsigned(parser)
+    arguments.of_bundle(parser)
     log = "a new MCAP file for what comes (V) and goes out, as Foxglove and Rerun open it; 'import' reads its volts "
     parser.add_argument("--log", type=Path, metavar="FILE.mcap", help=f"{log}(needs the live extra)")
     rate = "sample rate of a live source (default: as in the bundle's calibration); a recording has its own clock"
