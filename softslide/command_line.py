@@ -76,9 +76,9 @@ def main(argv: Sequence[str] | None = None) -> int:
 def parser() -> argparse.ArgumentParser:
     """The whole command line."""
     from softslide.commands import data, device, lab, learning
-    from softslide.commands.arguments import add_commands
+    from softslide.commands.arguments import Parser, add_commands
 
-    top = argparse.ArgumentParser(prog="softslide", description=(softslide.__doc__ or "").partition("\n")[0])
+    top = Parser(prog="softslide", description=(softslide.__doc__ or "").partition("\n")[0])
     top.add_argument(
         "--version",
         action="version",

@@ -9,7 +9,6 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import softslide
-from softslide.commands import arguments
 from softslide.commands.arguments import Parser, Run
 from softslide.features.errors import InputError
 
@@ -33,23 +32,18 @@ def predict(parser: Parser) -> Run:
         softslide predict --model my-model --track path.csv > path.jsonl
         softslide predict --model my-model --whole-contact curve.csv > curve.jsonl
     """
-    arguments.model(parser)
+    parser.model()
     whole = "as --track, but each moment's estimate is from its whole contact, what comes after it included: sharper "
     whole += "on curves; with a cnn of a skin that is touched anywhere, as of magnetometers"
-    for name, text in (
-        ("--track", "every estimate of each recording, one a block (20 ms)"),
-        ("--whole-contact", whole),
-        ("--presses", "a press in each recording (needs the io extra and --height)"),
-    ):
-        parser.add_argument(name, action="store_true", help=text)
-    arguments.atlas(
-        parser, "with --presses, of the sensor's design (default: the one that ships, or solved now)"
-    )
-    arguments.of_bundle(parser)
+    parser.flag("--track", "every estimate of each recording, one a block (20 ms)")
+    parser.flag("--whole-contact", whole)
+    parser.flag("--presses", "a press in each recording (needs the io extra and --height)")
+    parser.atlas("with --presses, of the sensor's design (default: the one that ships, or solved now)")
+    parser.of_bundle()
     raw = "what the files mean, as in 'import', where they are a lab's own (needs the io extra)"
-    arguments.existing(parser, "--map", "MAP.toml", raw)
+    parser.existing("--map", "MAP.toml", raw)
     kinds = "CSV with time_s (s) and a0_vx, a0_vy, a0_vz, ... (V), or Parquet (needs the io extra)"
-    arguments.existing(parser, "files", "FILE", kinds, nargs="+")
+    parser.existing("files", "FILE", kinds, nargs="+")
 
     def run(files: list[Path], map: Path | None, presses: bool, atlas: Path | None, **given: Any) -> None:
         bad: list[InputError] = []
@@ -121,7 +115,7 @@ def serve(parser: Parser) -> Run:
         softslide serve --model my-model --source udp://:9000 --log run.mcap
         softslide serve --model my-model --source udp://:9000 --sink udp://127.0.0.1:9001
     """
-    arguments.model(parser)
+    parser.model()
     parser.add_argument(
         "--source",
         required=True,
@@ -135,15 +129,15 @@ def serve(parser: Parser) -> Run:
         help="'-' writes JSON lines on standard output (default); udp://HOST:PORT one JSON object a datagram; "
         "ros2://TOPIC positions in m, velocities in m/s with their covariance, and estimates; may be given again",
     )
-    arguments.form(parser)
-    arguments.of_bundle(parser)
+    parser.form()
+    parser.of_bundle()
     log = "a new MCAP file for what comes (V) and goes out, as Foxglove and Rerun open it; 'import' reads its volts "
     parser.add_argument("--log", type=Path, metavar="FILE.mcap", help=f"{log}(needs the live extra)")
     rate = "sample rate of a live source (default: as in the bundle's calibration); a recording has its own clock"
-    arguments.number(parser, "--rate", "HZ", rate)
+    parser.number("--rate", "HZ", rate)
     lag = "give each estimate so many s later, at most 2, from later samples as well: sharper, and valid "
-    arguments.number(parser, "--lag", "S", f"{lag}more often (cnn alone)", default=0.0)
-    parser.add_argument("--fast", action="store_true", help="play a recording as fast as it goes")
+    parser.number("--lag", "S", f"{lag}more often (cnn alone)", default=0.0)
+    parser.flag("--fast", "play a recording as fast as it goes")
     parser.add_argument(
         "--page",
         metavar="[HOST:]PORT",

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import softslide
-from softslide.commands import arguments
 from softslide.commands.arguments import Parser, Run
 from softslide.features.errors import InputError
 
@@ -22,7 +21,7 @@ def demo(parser: Parser) -> Run:
 
         softslide demo --out demo
     """
-    arguments.out(parser, "where everything goes")
+    parser.out("where everything goes")
 
     def run(out: Path) -> None:
         print(softslide.demo(out))
@@ -51,7 +50,7 @@ def train(parser: Parser) -> Run:
     from softslide.models import registry
 
     several = "what to learn from; several folders of one sensor, or the option again, are pooled"
-    arguments.existing(parser, "--recordings", "DIR", several, nargs="+")
+    parser.existing("--recordings", "DIR", several, nargs="+")
     again = "train again with the settings and recordings of a run of the store (--recordings: where these are now); "
     again += "exit status 1: a file of the bundle differs from the one made then"
     parser.add_argument("--from-run", metavar="RUN", help=again)
@@ -59,20 +58,18 @@ def train(parser: Parser) -> Run:
         "how much a folder's slides count in the response map, once for each folder (default: 1, all alike)"
     )
     parser.add_argument("--weight", type=float, action="append", default=[], help=weight)
-    arguments.atlas(parser, "the design's response atlas, from 'simulate'")
-    arguments.existing(parser, "--init", "BUNDLE", "a bundle of the same model to start from (warm start)")
+    parser.atlas("the design's response atlas, from 'simulate'")
+    parser.existing("--init", "BUNDLE", "a bundle of the same model to start from (warm start)")
     models = f"{', '.join(registry.MODELS)} (default: %(default)s)"
     parser.add_argument("--model", default=registry.DEFAULT, metavar="NAME", help=models)
     changes = "TOML with changes to the model's defaults, or configuration.json of a run"
-    arguments.existing(parser, "--config", "FILE", changes)
+    parser.existing("--config", "FILE", changes)
     template = "print the configuration of --model, each key with its default, to start FILE from"
-    parser.add_argument("--config-template", action="store_true", help=template)
-    parser.add_argument("--design-alone", action="store_true", help="use no recording, the design alone")
-    register = "register the bundle, as the next version of models:/softslide"
-    parser.add_argument("--register", action="store_true", help=register)
-    fresh = "calibrate the response map anew, even where one is kept"
-    parser.add_argument("--fresh", action="store_true", help=fresh)
-    arguments.out(parser, "where the bundle goes", metavar="BUNDLE", required=False)
+    parser.flag("--config-template", template)
+    parser.flag("--design-alone", "use no recording, the design alone")
+    parser.flag("--register", "register the bundle, as the next version of models:/softslide")
+    parser.flag("--fresh", "calibrate the response map anew, even where one is kept")
+    parser.out("where the bundle goes", metavar="BUNDLE", required=False)
 
     def run(
         recordings: list[Path] | None,
@@ -126,17 +123,16 @@ def evaluate(parser: Parser) -> Run:
         softslide evaluate --model my-model --recordings paths \\
             --split track-line track-curve --out tracks
     """
-    arguments.model(parser)
-    arguments.recordings(parser, "what to score on")
+    parser.model()
+    parser.recordings("what to score on")
     splits = "splits to score, by their full names (default: all that begin with test)"
     parser.add_argument("--split", nargs="+", action="extend", metavar="NAME", help=splits)
-    arguments.out(parser, "where the results go")
-    untested = "a bound that no recording tests does not count as not met"
-    parser.add_argument("--allow-untested", action="store_true", help=untested)
+    parser.out("where the results go")
+    parser.flag("--allow-untested", "a bound that no recording tests does not count as not met")
     no_report = "draw no report.html, which takes seconds"
     parser.add_argument("--no-report", dest="report", action="store_false", help=no_report)
-    arguments.number(parser, "--jobs", "N", "recordings at a time", 2)
-    arguments.scheduler(parser)
+    parser.number("--jobs", "N", "recordings at a time", 2)
+    parser.scheduler()
 
     def run(out: Path, report: bool, allow_untested: bool, **given: Any) -> int:
         result = softslide.evaluate(out=out, report=report, **given)
@@ -163,9 +159,9 @@ def export(parser: Parser) -> Run:
 
         softslide export --model my-model --to c --out my-model-c
     """
-    arguments.model(parser)
+    parser.model()
     parser.add_argument("--to", required=True, choices=("ort", "c", "hub"), help="the format")
-    arguments.out(parser, "the bundle to write")
+    parser.out("the bundle to write")
 
     def run(out: Path, **given: Any) -> None:
         print(json.dumps(softslide.export(out=out, **given)))
@@ -188,11 +184,11 @@ def recalibrate(parser: Parser) -> Run:
 
         softslide recalibrate --model my-model --recordings today --out my-model-today
     """
-    arguments.model(parser)
-    arguments.recordings(parser, "a folder with a stroke or a press of the same sensor")
+    parser.model()
+    parser.recordings("a folder with a stroke or a press of the same sensor")
     splits = "beginnings of the names of the splits to use (default: all but test and track)"
     parser.add_argument("--split", nargs="+", metavar="NAME", help=splits)
-    arguments.out(parser, "where the new bundle goes", metavar="BUNDLE")
+    parser.out("where the new bundle goes", metavar="BUNDLE")
 
     def run(**given: Any) -> None:
         print(json.dumps(softslide.recalibrate(**given)))
@@ -216,9 +212,9 @@ def article(parser: Parser) -> Run:
         softslide synthesize --protocol article --out protocol
         softslide article --recordings protocol --out article-protocol
     """
-    arguments.recordings(parser, "slides along x and y, with their labels")
-    arguments.atlas(parser, "from 'simulate' (default: the shipped one for its design, else solved coarsely)")
-    arguments.out(parser, "where the page and its tables go")
+    parser.recordings("slides along x and y, with their labels")
+    parser.atlas("from 'simulate' (default: the shipped one for its design, else solved coarsely)")
+    parser.out("where the page and its tables go")
 
     def run(**given: Any) -> None:
         made = softslide.article(**given)
@@ -243,13 +239,13 @@ def compare(parser: Parser) -> Run:
         softslide compare --recordings bench-a bench-d --out comparison
         softslide compare --recordings lab --models my-model other-model --out which
     """
-    arguments.recordings(parser, "folders, one sensor each", nargs="+")
-    arguments.out(parser, "where everything goes")
+    parser.recordings("folders, one sensor each", nargs="+")
+    parser.out("where everything goes")
     models = "some of interpolation, trees, mlp, gp, cnn, inversion, or folders of bundles, which are read out as they "
     parser.add_argument(
         "--models", nargs="+", metavar="NAME", help=f"{models}are (default: all that have a name)"
     )
-    arguments.number(parser, "--jobs", "N", "recordings that a bundle reads at a time", 1)
+    parser.number("--jobs", "N", "recordings that a bundle reads at a time", 1)
 
     def run(out: Path, models: list[str] | None, **given: Any) -> None:
         softslide.compare(out=out, **given, **({"models": models} if models else {}))
