@@ -248,7 +248,8 @@ def compare(parser: Parser) -> Run:
     parser.number("--jobs", "N", "recordings that a bundle reads at a time", 1)
 
     def run(out: Path, models: list[str] | None, **given: Any) -> None:
-        softslide.compare(out=out, **given, **({"models": models} if models else {}))
+        named = {"models": models} if models else {}
+        softslide.compare(out=out, **named, **given)
         print(out / "comparison.html")
 
     return run
