@@ -17,40 +17,38 @@ ROOT = Path(__file__).parents[1]
 DATA = (".npz", ".toml")
 
 
-def code_hash(modules: Iterable[str] = (), root: Path | None = None) -> str:
+def code_hash(modules: Iterable[str] = ()) -> str:
     """SHA-256 of the statements of modules, and of those that they import from the rooms, anywhere in them.
 
     Files of package data count by their bytes where a module names one that lies next to it. What is imported by a name
     that is computed is not found: name it too. modules: by their dotted names in softslide, or files by their paths
-    from root; none: all modules. root: the folder that holds the rooms (default: this project's).
+    from ROOT; none: all modules.
 
     Raises:
         ValueError: there is no such module or file.
     """
-    root = ROOT if root is None else root
-    named = list(modules) or _all_modules(root)
-    if missing := [name for name in named if _file_of(name, root) is None]:
-        raise ValueError(f"{root}: holds no {missing[0]}")
+    named = list(modules) or [_place(path) for room in ROOMS for path in (ROOT / room).rglob("*.py")]
+    if missing := [name for name in named if _file_of(name) is None]:
+        raise ValueError(f"{ROOT}: holds no {missing[0]}")
     digest = hashlib.sha256()
-    for path in _closure(named, root):
+    for path in _closure(named):
         content = path.read_bytes()
         found = _read(content).encode() if path.suffix == ".py" else content
-        digest.update(f"{path.relative_to(root).as_posix()}\0".encode())
+        digest.update(f"{_place(path)}\0".encode())
         digest.update(hashlib.sha256(found).digest())
     return digest.hexdigest()
 
 
-def _all_modules(root: Path) -> list[str]:
-    files = [path.relative_to(root) for room in ROOMS for path in (root / room).rglob("*.py")]
-    return [".".join(file.with_suffix("").parts).removesuffix(".__init__") for file in files]
+def _place(path: Path) -> str:
+    return path.relative_to(ROOT).as_posix()
 
 
-def _closure(modules: Iterable[str], root: Path) -> list[Path]:
+def _closure(modules: Iterable[str]) -> list[Path]:
     """The files of modules, of all that they import, and of package data that is named there."""
     found: set[Path] = set()
     waiting = list(modules)
     while waiting:
-        path = _file_of(waiting.pop(), root)
+        path = _file_of(waiting.pop())
         if path is None or path in found:
             continue
         found.add(path)
@@ -58,20 +56,18 @@ def _closure(modules: Iterable[str], root: Path) -> list[Path]:
             continue
         imported, files = _names(path.read_bytes())
         found |= {path.parent / file for file in files if (path.parent / file).is_file()}
-        waiting += [name for name in map(_in_rooms, imported) if name.partition(".")[0] in ROOMS]
+        waiting += imported
     return sorted(found)
 
 
-def _in_rooms(module: str) -> str:
-    return module.removeprefix("softslide.")
-
-
-def _file_of(module: str, root: Path) -> Path | None:
-    module = _in_rooms(module)
-    place = root.joinpath(*module.split("."))
-    files = (
-        (root / module,) if "/" in module else (place.with_name(f"{place.name}.py"), place / "__init__.py")
-    )
+def _file_of(module: str) -> Path | None:
+    """A file that is named by its path, or that of a module in the rooms; None: there is no such file."""
+    if "/" in module:
+        files = [ROOT / module]
+    else:
+        room, *inside = module.removeprefix("softslide.").split(".")
+        place = ROOT.joinpath(room, *inside)
+        files = [place.with_name(f"{place.name}.py"), place / "__init__.py"] if room in ROOMS else []
     return next((file for file in files if file.is_file()), None)
 
 

@@ -45,10 +45,9 @@ def read_configuration(path: Path) -> dict[str, Any]:
     Raises:
         InputError: no such file, or no JSON table.
     """
+    content = read_regular(path, MOST_BYTES, "name a run's configuration.json")
     try:
-        table = json.loads(read_regular(path, MOST_BYTES, "name a run's configuration.json"))
-    except InputError:
-        raise
+        table = json.loads(content)
     except (ValueError, RecursionError):
         raise InputError(f"{path}: not a JSON file; name a run's configuration.json") from None
     if not isinstance(table, dict):

@@ -103,7 +103,7 @@ def evaluate(
     bundle, recordings, out = Path(model), Path(recordings), Path(out)
     whole = with_derived_labels(read_folder(recordings))
     folder = derived(to_score(whole, split))
-    check_fits(open_localizer(bundle), folder)
+    check_fits(open_localizer(bundle).card, folder)
     names = sorted(set(folder.manifest["split"]))
     configuration = {"bundle": str(bundle), "recordings": str(recordings), "splits": names}
     digest = bundle_hash(bundle)

@@ -79,7 +79,7 @@ def export_recordings(
         )
     localizer = None if model is None else Localizer.load(model)
     if localizer is not None:
-        check_fits(localizer, folder)
+        check_fits(localizer.card, folder)
         localizer = localizer.at_rate(folder.sensor.sample_rate_hz)
     block_s = Conditioning().block_s if localizer is None else localizer.card.conditioning.block_s
     features = _features(folder, 1.0 / block_s, localizer is not None)

@@ -42,10 +42,10 @@ def train_from_run(
             raise InputError(f"run {identifier}: not a training that has finished; name one")
         were = configuration["recordings"]
         source = list(recordings) or [Path(root) for root in ([were] if isinstance(were, str) else were)]
-        for line in _not_as_it_was(tags, files, configuration, source):
-            print(line, file=sys.stderr)
+        for what in _not_as_it_was(tags, files, configuration, source):
+            print(f"not as it was: {what}", file=sys.stderr)
         train(
-            source[0] if len(source) == 1 else source,
+            source,
             out,
             configuration["model"],
             weight=configuration["weights"],
@@ -66,33 +66,33 @@ def difference(then: Path, now: Path) -> str:
         return ""
     if then.suffix != ".json":
         return "differs"
-    a, b = flattened(json.loads(before)), flattened(json.loads(after))
-    names = [name for name in {**a, **b} if a.get(name) != b.get(name)]
+    names = _differing(flattened(json.loads(before)), flattened(json.loads(after)))
     return f"differs in {some(names, SHOWN)}" if names else "differs in its layout"
+
+
+def _differing(then: dict[str, Any], now: dict[str, Any]) -> list[str]:
+    return [name for name in {**then, **now} if then.get(name) != now.get(name)]
+
+
+def _changes(then: dict[str, Any], now: dict[str, Any]) -> list[str]:
+    """What each value was that differs, and what it is now."""
+    return [
+        f"{name} {then.get(name, 'absent')}, now {now.get(name, 'absent')}" for name in _differing(then, now)
+    ]
 
 
 def _not_as_it_was(
     tags: dict[str, str], files: Path, configuration: dict[str, Any], source: Sequence[Path]
 ) -> Iterator[str]:
-    """What the run was made from and is different now, a line each. tags, files: of the run."""
+    """What the run was made from and is different now. tags, files: of the run."""
     whole = without_base_motion(read_folders(source, configuration["weights"]))
     folder = to_learn_from(whole, model_named(configuration["model"]), configuration["design_alone"])
     for name, digest in data_hashes(folder).items():
         if tags.get(f"data.{name}") != digest:
-            yield f"not as it was: the recordings' {name}"
-    if (now := code_revision()) != tags.get("code"):
-        yield f"not as it was: code {tags.get('code')}, now {now}"
-    then, installed = (
-        dict(line.split("==") for line in text.split())
-        for text in ((files / "environment.txt").read_text(encoding="utf-8"), packages())
-    )
-    if changes := [
-        f"{name} {then.get(name, 'absent')}, now {installed.get(name, 'absent')}"
-        for name in {**then, **installed}
-        if then.get(name) != installed.get(name)
-    ]:
-        yield f"not as it was: {some(changes, SHOWN)}"
-    here = machine()
-    for name, value in json.loads((files / "machine.json").read_text(encoding="utf-8")).items():
-        if here.get(name) != value:
-            yield f"not as it was: {name} {value}, now {here.get(name)}"
+            yield f"the recordings' {name}"
+    yield from _changes({"code": tags.get("code")}, {"code": code_revision()})
+    environment = (files / "environment.txt").read_text(encoding="utf-8")
+    then, installed = (dict(line.split("==") for line in text.split()) for text in (environment, packages()))
+    if changes := _changes(then, installed):
+        yield some(changes, SHOWN)
+    yield from _changes(json.loads((files / "machine.json").read_text(encoding="utf-8")), machine())

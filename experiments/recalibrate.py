@@ -9,6 +9,7 @@ import numpy as np
 from onnx import numpy_helper
 
 from softslide.experiments.derived_labels import derived
+from softslide.experiments.evaluation.readout import check_fits
 from softslide.experiments.provenance import data_hashes
 from softslide.features.card import Card, write_card
 from softslide.features.contact.calibration import ContactCalibration
@@ -85,16 +86,9 @@ def _with_map(bundle: Path, folder: Folder) -> tuple[Card, ContactCalibration]:
         InputError: it is not such a bundle.
     """
     card, _ = open_bundle(bundle)
-    sensor = folder.root / "sensor.toml"
     if card.contact is None or not (bundle / "model.onnx").is_file():
         raise InputError(f"{bundle}: holds no response map to renew; name a cnn bundle that 'train' wrote")
-    if folder.sensor.channels != card.channels:
-        raise InputError(
-            f"{sensor}: channels are {', '.join(folder.sensor.channels)}, the bundle's {', '.join(card.channels)}; "
-            "record with the bundle's sensor"
-        )
-    if card.base is not None and folder.sensor.base is None:
-        raise InputError(f"{sensor}: has no [base], which the bundle reads; record it too")
+    check_fits(card, folder)
     return card, card.contact
 
 

@@ -11,7 +11,6 @@ import os
 import re
 import shutil
 import sys
-import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -30,6 +29,7 @@ from mlflow.data.pandas_dataset import from_pandas
 from mlflow.entities import Dataset, DatasetInput, InputTag, Metric, Param, RunTag
 from mlflow.exceptions import MlflowException
 from mlflow.utils.mlflow_tags import MLFLOW_DATASET_CONTEXT, MLFLOW_PARENT_RUN_ID
+from mlflow.utils.time import get_current_time_millis
 from sqlalchemy.exc import SQLAlchemyError
 
 from softslide.experiments import provenance
@@ -128,7 +128,7 @@ class Run:
         self.log(record)
 
     def _metrics(self, values: Sequence[tuple[str, int, float]]) -> None:
-        now = _now_ms()
+        now = get_current_time_millis()
         rows = [Metric(_name(name), value, now, step) for name, step, value in values if math.isfinite(value)]
         self.log(lambda client, run: client.log_batch(run, metrics=rows))
 
@@ -155,7 +155,8 @@ def tracked(
         if above := find_run(client, parent) if parent else None:
             marks[MLFLOW_PARENT_RUN_ID] = above.info.run_id
         experiment = open_experiment(client, run.address)
-        run.identifier = client.create_run(experiment, _now_ms(), {**marks, **(tags or {})}, name).info.run_id
+        begun = client.create_run(experiment, tags={**marks, **(tags or {})}, run_name=name)
+        run.identifier = begun.info.run_id
 
     run.log(begin)
     status = "FAILED"
@@ -166,7 +167,7 @@ def tracked(
         yield run
         status = "FINISHED"
     finally:
-        run.log(lambda client, identifier: client.set_terminated(identifier, status, _now_ms()))
+        run.log(lambda client, identifier: client.set_terminated(identifier, status))
 
 
 def store_address(named: str | None = None) -> str:
@@ -306,7 +307,3 @@ def _make_local(place: Path) -> None:
 def _name(name: str) -> str:
     """A name that MLflow takes: a split may have any, such as one with a comma."""
     return re.sub(r"[^\w\-. /]", "_", name, flags=re.ASCII)
-
-
-def _now_ms() -> int:
-    return int(time.time() * 1000)

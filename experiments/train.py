@@ -114,18 +114,16 @@ def train(
         "weights": list(weight),
         "settings": asdict(settings),
     }
-    provenance: dict[str, Any] = {"configuration": configuration, "data": data_hashes(folder)}
-    provenance["code"] = code_revision()
-    if design is not None:
-        provenance["atlas"] = atlas_hash(design)
+    starts_from = {} if design is None else {"atlas": atlas_hash(design)}
     if init is not None:
-        provenance["init"] = read_card(init / "model.json").graph_sha256
+        starts_from["init"] = read_card(init / "model.json").graph_sha256
+    data = data_hashes(folder)
+    provenance = {"configuration": configuration, "data": data, "code": code_revision(), **starts_from}
     report_base(whole)
     last_s = last_duration_s({"command": "train", "model": model}, store) if track else None
     report_plan(model, whole.select(*CALIBRATION), folder, design is not None, last_s)
     run_name = f"{model} on {folder.sensor.name}"
-    tags = data_tags(provenance["data"]) | {"model": model}
-    tags |= {name: provenance[name] for name in ("atlas", "init") if name in provenance}
+    tags = data_tags(data) | {"model": model} | starts_from
     logged = (
         tracked("train", run_name, configuration, tags=tags, store=store) if track else nullcontext(Run())
     )

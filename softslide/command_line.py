@@ -34,14 +34,14 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     Returns 0 on success, 2 on bad usage or input, 1 on a bound not met or a failed check, 130 on Ctrl-C.
     """
-    from softslide.commands.arguments import located
+    from softslide.commands.arguments import located, options
 
     argv = sys.argv[1:] if argv is None else argv
     name = next((word for word in argv if not word.startswith("-")), "")
     try:
         given = parser().parse_args(argv)
         with located(given):
-            status = given.run(given) or 0
+            status = given.run(**options(given)) or 0
         # Here and not at the interpreter's end, so that a full disk is an error like others.
         sys.stdout.flush()
         return status
@@ -75,19 +75,17 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def parser() -> argparse.ArgumentParser:
     """The whole command line."""
-    from softslide.commands import data, device, lab, learning, studies
-    from softslide.commands.arguments import add_commands
+    from softslide.commands import data, device, lab, learning
+    from softslide.commands.arguments import Parser, add_commands
 
-    top = argparse.ArgumentParser(prog="softslide", description=(softslide.__doc__ or "").partition("\n")[0])
+    top = Parser(prog="softslide", description=(softslide.__doc__ or "").partition("\n")[0])
     top.add_argument(
         "--version",
         action="version",
         version=f"softslide {softslide.__version__}",
         help="show the version and exit",
     )
-    add_commands(
-        top, (*learning.COMMANDS, *device.COMMANDS, *data.COMMANDS, *lab.COMMANDS, *studies.COMMANDS)
-    )
+    add_commands(top, (*learning.COMMANDS, *device.COMMANDS, *data.COMMANDS, *lab.COMMANDS))
     return top
 
 

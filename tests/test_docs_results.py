@@ -30,6 +30,7 @@ from softslide.experiments.code_hash import ROOMS
 ROOT = Path(__file__).parents[1]
 RESULTS, TABLES = ROOT / "docs" / "results.json", ROOT / "docs" / "tables.toml"
 DOCUMENTS = ("README.md", "docs/results.md")
+UNWRITTEN = "Before.\n<!-- table: errors -->\nold\n<!-- end of table -->\nAfter.\n"
 
 
 def test_the_documents_are_what_the_figures_give(tmp_path: Path) -> None:
@@ -88,7 +89,7 @@ def claims(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (tmp_path / "results.json").write_text(json.dumps({"lab": source}))
     rows = "| split | error, held |\\n|---|---|\\n| `@` | {lab/splits/@/mean:2} mm, {lab/share:%} % |\\n"
     (tmp_path / "tables.toml").write_text(f'[errors]\neach = ["a"]\nrows = "{rows}"\n')
-    (tmp_path / "page.md").write_text("Before.\n<!-- table: errors -->\nold\n<!-- end of table -->\nAfter.\n")
+    (tmp_path / "page.md").write_text(UNWRITTEN)
     return tmp_path / "results.json"
 
 
@@ -212,34 +213,27 @@ def test_an_evaluation_gives_the_figures_that_tables_show(claims: Path, tmp_path
     assert found == {"splits/a/mean": 0.5, "share": 0.8}
 
 
+EMPTY = {"commands": [], "date": "", "code": [], "hash": "", "figures": {}}
+
+
 @pytest.mark.parametrize(
-    ("break_it", "says"),
+    ("file", "text", "says"),
     [
-        (lambda place: (place / "page.md").write_text("<!-- table: errors -->\nno end\n"), "not closed"),
-        (
-            lambda place: (place / "page.md").write_text(
-                "<!-- table: errors -->\nnew\n" + (place / "page.md").read_text()
-            ),
-            "not closed",
-        ),
-        (
-            lambda place: (place / "page.md").write_text("<!-- table: x -->\n<!-- end of table -->\n"),
-            "no table 'x'",
-        ),
-        (lambda place: (place / "page.md").unlink(), "page.md"),
-        (lambda place: (place / "results.json").write_text('{"lab": {}}'), "commands, date, code"),
-        (
-            lambda place: (place / "results.json").write_text(
-                '{"lab": {"commands": [], "date": "", "code": [], "hash": "", "figures": {}}}'
-            ),
-            "no figure 'splits/a/mean' of 'lab'",
-        ),
+        ("page.md", "<!-- table: errors -->\nno end\n", "not closed"),
+        ("page.md", f"<!-- table: errors -->\nnew\n{UNWRITTEN}", "not closed"),
+        ("page.md", "<!-- table: x -->\n<!-- end of table -->\n", "no table 'x'"),
+        ("page.md", None, "page.md"),
+        ("results.json", '{"lab": {}}', "commands, date, code"),
+        ("results.json", json.dumps({"lab": EMPTY}), "no figure 'splits/a/mean' of 'lab'"),
     ],
 )
 def test_what_is_missing_is_said_in_one_line(
-    claims: Path, capsys: pytest.CaptureFixture[str], break_it, says: str
+    claims: Path, capsys: pytest.CaptureFixture[str], file: str, text: str | None, says: str
 ) -> None:
-    break_it(claims.parent)
+    if text is None:
+        claims.with_name(file).unlink()
+    else:
+        claims.with_name(file).write_text(text)
     assert call(claims) == 2
     said = capsys.readouterr().err
     assert said.count("\n") == 1

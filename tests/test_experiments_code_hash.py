@@ -6,6 +6,7 @@ import pytest
 
 from softslide.experiments.code_hash import ROOMS, code_hash
 
+ENTRY = ["softslide.experiments.entry"]
 LEVEL = '''"""What a level is."""
 
 def level(volts):
@@ -17,8 +18,9 @@ def level(volts):
 
 
 @pytest.fixture
-def tree(tmp_path: Path) -> Path:
+def tree(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """An entry that imports a module, which imports another and names a file of data; and one that nobody imports."""
+    monkeypatch.setattr("softslide.experiments.code_hash.ROOT", tmp_path)
     for room in ROOMS:
         (tmp_path / room).mkdir()
     files = {
@@ -34,10 +36,6 @@ def tree(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def entry_hash(tree: Path) -> str:
-    return code_hash(["softslide.experiments.entry"], tree)
-
-
 @pytest.mark.parametrize(
     ("name", "old", "new"),
     [
@@ -50,10 +48,10 @@ def entry_hash(tree: Path) -> str:
     ],
 )
 def test_a_statement_and_a_file_of_data_count(tree: Path, name: str, old: str, new: str) -> None:
-    before = entry_hash(tree)
+    before = code_hash(ENTRY)
     path = tree / name
     path.write_text(path.read_text().replace(old, new))
-    assert entry_hash(tree) != before
+    assert code_hash(ENTRY) != before
 
 
 @pytest.mark.parametrize(
@@ -68,28 +66,28 @@ def test_a_statement_and_a_file_of_data_count(tree: Path, name: str, old: str, n
     ],
 )
 def test_prose_layout_and_what_is_not_imported_do_not(tree: Path, name: str, old: str, new: str) -> None:
-    before = entry_hash(tree)
+    before = code_hash(ENTRY)
     path = tree / name
     assert old in path.read_text()
     path.write_text(path.read_text().replace(old, new))
-    assert entry_hash(tree) == before
+    assert code_hash(ENTRY) == before
 
 
 def test_without_names_it_is_that_of_all(tree: Path) -> None:
-    before = code_hash(root=tree)
+    before = code_hash()
     (tree / "models" / "other.py").write_text("x = 2\n")
-    assert code_hash(root=tree) != before
+    assert code_hash() != before
 
 
 def test_a_file_is_named_by_its_path(tree: Path) -> None:
     (tree / "docs").mkdir()
     (tree / "docs" / "six.toml").write_text("a = 1\n")
-    before = code_hash(["softslide.models.other", "docs/six.toml"], tree)
+    before = code_hash(["softslide.models.other", "docs/six.toml"])
     (tree / "docs" / "six.toml").write_text("a = 2\n")
-    assert code_hash(["softslide.models.other", "docs/six.toml"], tree) != before
+    assert code_hash(["softslide.models.other", "docs/six.toml"]) != before
 
 
 @pytest.mark.parametrize("name", ["softslide.models.none", "docs/none.toml"])
 def test_what_is_not_there_is_named(tree: Path, name: str) -> None:
     with pytest.raises(ValueError, match=f"holds no {name}"):
-        code_hash([name], tree)
+        code_hash([name])

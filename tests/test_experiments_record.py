@@ -8,7 +8,8 @@ import subprocess
 import sys
 import threading
 import time
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import closing, suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -20,12 +21,13 @@ from sender import PLAN, SENDER, TIMES, UDP, free_port, sending
 from streams import a_sensor
 
 import softslide
-from softslide.experiments.acquisition.capture import Phases, remarks
+from softslide.experiments.acquisition.capture import Level, Listener, Lost, Phases, capture, remarks
 from softslide.experiments.acquisition.record import read_plan
 from softslide.features.errors import InputError
 from softslide.pipeline.recordings.folder import Recording, read_folder
 from softslide.pipeline.recordings.growing_folder import add_recording, open_growing
 from softslide.pipeline.sensor import Base, write_sensor
+from softslide.serve.stream.framing import Chunk
 
 RATE_HZ = 1000.0
 
@@ -231,17 +233,18 @@ def test_bad_usage_is_an_error_of_one_line(
 
 
 def test_a_plan_says_what_a_stage_needs(lab: Path) -> None:
-    plan = lab / "plan.csv"
-    plan.write_text("direction_deg,speed_mm_s,start_x_mm,start_y_mm,travel_mm\n0,2,-29,0,58\n90,2,0,-29,58\n")
+    plan, head = lab / "plan.csv", "direction_deg,speed_mm_s,start_x_mm,start_y_mm,travel_mm\n"
+    plan.write_text(f"{head}0,2,-29,0,58\n90,2,0,-29,58\n")
     read = read_plan(plan, a_sensor())
     assert list(read.index) == ["p01", "p02"]
     assert set(read["split"]) == {"calibration"}
-    plan.write_text("direction_deg,speed_mm_s,start_x_mm,start_y_mm,travel_mm\n0,2,-29,0,58\n90,,0,-29,58\n")
-    with pytest.raises(InputError, match=r"row 2 \(p02\), speed_mm_s is empty"):
-        read_plan(plan, a_sensor())
-    plan.write_text("direction_deg,speed_mm_s,start_x_mm,start_y_mm,travel_mm\n400,2,-29,0,58\n")
-    with pytest.raises(InputError, match=r"row 1 \(p01\), direction_deg"):
-        read_plan(plan, a_sensor())
+    for rows, says in (
+        ("0,2,-29,0,58\n90,,0,-29,58\n", r"row 2 \(p02\), speed_mm_s is empty"),
+        ("400,2,-29,0,58\n", r"row 1 \(p01\), direction_deg"),
+    ):
+        plan.write_text(head + rows)
+        with pytest.raises(InputError, match=says):
+            read_plan(plan, a_sensor())
 
 
 def a_recording(name: str, seconds: float = 2.0) -> Recording:
@@ -294,6 +297,26 @@ def test_the_operator_is_shown_what_looks_wrong() -> None:
     dead[:, 1] = 1.65
     assert "a0_vy does not change" in shown(dead)
     assert "a0_vx is clipped" in shown(np.minimum(1.65 + bump + noise, [1.7, 9.0, 9.0]))
+
+
+def test_a_sample_that_is_no_number_costs_the_slide_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As lost packets leave it; the level goes on without it."""
+
+    def chunks(name: str, columns: int, form: str) -> Iterator[Chunk]:
+        for n in range(1000):
+            time.sleep(0.02)
+            yield np.full((20, columns), 1.65 if n < 20 else np.nan), 0.02 * n + np.arange(20) / 1000
+
+    monkeypatch.setattr("softslide.experiments.acquisition.capture.open_live", chunks)
+    shown = list[float]()
+    listening = closing(Listener("udp://:1", a_sensor(), "csv", 0.5))
+    with listening as listener, pytest.raises(Lost, match="no finite number"):
+        capture(listener, "one", Phases(0.2, 0.2, 2.0), lambda recorded_s, level_v: shown.append(level_v))
+    assert shown
+    assert np.isfinite(shown).all()
+    level, good = Level(20), (np.full((20, 3), 1.65), None)
+    assert level.of([good, (np.full((20, 3), np.nan), None)]) == 0.0
+    assert level.of([(np.full((20, 3), 1.75), None)]) == pytest.approx(0.1)
 
 
 def test_a_robot_that_moves_is_a_row_of_the_plan(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -22,6 +22,7 @@ from softslide.experiments.acquisition import approach
 from softslide.experiments.acquisition import record as recording
 from softslide.experiments.acquisition import stage as module
 from softslide.experiments.acquisition.capture import clock_line
+from softslide.experiments.acquisition.driven import drive_in_the_air
 from softslide.experiments.acquisition.gcode import CLEAR_MM
 from softslide.experiments.acquisition.record import read_plan
 from softslide.experiments.acquisition.stage import Stage, check_slides, numbered
@@ -137,40 +138,37 @@ def test_a_dry_run_touches_nothing_and_records_nothing(lab: Path) -> None:
     assert not list((lab / "out").glob("slides/*"))
 
 
+def test_a_dry_run_of_a_press_stays_over_its_place() -> None:
+    with Printer(haste=100.0) as printer, Stage(printer.url, ORIGIN) as mover:
+        drive_in_the_air(mover, np.array(WAYS["presses"], float))
+    assert printer.place == pytest.approx(np.add(ORIGIN, [3.0, 0.0, CLEAR_MM]))
+    assert min(end[2] for _, end, _ in printer.moves) >= ORIGIN[2] + CLEAR_MM
+
+
 BUSY_S = 0.15  # that a thread may wait on a busy machine; 20 ms on an idle one
 WAYS = {
     "bends": [(0, -29, 0, 0.5), (1, -5, 3, 0.5), (1.6, 5, 12, 0.2), (2.4, 5, 28.9, 0.5)],
     "rests": [(0, -29, 0, 0.5), (1, 0, 0, 0.5), (1.4, 0, 0, 0.5), (2.4, 0, 28.9, 0.5)],
     "presses": [(0, 3, 0, -8), (0.5, 3, 0, 0.4), (0.9, 3, 0, 0.4), (1.5, 3, 0, -8)],
+    "ramps": [(0, -30, 0, 0.5), (2, -16, 0, 0.5), (3, -16, 0, 0.5), (5, -16, 14, 0.5)],
 }
+# GRBL's machines begin with 10 mm/s2: ramps of 2.5 mm at 7 mm/s.
+SLOW = {"haste": 1.0, "acceleration": 10.0}
 
 
 @pytest.mark.parametrize("firmware", ["marlin", "grbl"])
 @pytest.mark.parametrize("way", WAYS)
 def test_the_truth_of_a_path_is_where_the_stage_was(lab: Path, firmware: str, way: str) -> None:
-    """At each moment, to the way within a packet and a wait, though the stage goes faster than planned."""
+    """At each moment, to the way within a packet and a wait, though the stage goes faster than planned, or slowly gains
+    its speed."""
     (lab / "sensor.toml").write_bytes(DEFAULT_SENSOR.read_bytes())  # its atlas is at hand
     write_waypoints(lab / "way.csv", np.array(WAYS[way], float))
     (lab / "plan.csv").write_text("recording,split,waypoints\nw,track-way,way.csv\n")
-    with Printer(firmware, haste=3.0) as printer, skin(printer) as source:
+    with (
+        Printer(firmware, **(SLOW if way == "ramps" else {"haste": 3.0})) as printer,
+        skin(printer) as source,
+    ):
         assert recorded(lab, source, printer) == 0
-    check_truth(lab, printer)
-
-
-@pytest.mark.parametrize("firmware", ["marlin", "grbl"])
-def test_a_slow_acceleration_is_in_the_truth(lab: Path, firmware: str) -> None:
-    """GRBL's machines begin with 10 mm/s2: ramps of 2.5 mm at 7 mm/s."""
-    (lab / "sensor.toml").write_bytes(DEFAULT_SENSOR.read_bytes())
-    way = [(0, -30, 0, 0.5), (2, -16, 0, 0.5), (3, -16, 0, 0.5), (5, -16, 14, 0.5)]
-    write_waypoints(lab / "way.csv", np.array(way, float))
-    (lab / "plan.csv").write_text("recording,split,waypoints\nw,track-way,way.csv\n")
-    with Printer(firmware, haste=1.0, acceleration=10.0) as printer, skin(printer) as source:
-        assert recorded(lab, source, printer) == 0
-    check_truth(lab, printer)
-
-
-def check_truth(lab: Path, printer: Printer) -> None:
-    """Of the recording "w": where the printer was."""
     folder = read_folder(lab / "out")
     recording, row = folder.load("w"), folder.manifest.loc["w"]
     truth = recording.truth
@@ -300,21 +298,17 @@ def test_nothing_is_sent_after_a_stop_in_the_middle_of_a_path(lab: Path, firmwar
             assert len(printer.moves) < 100
 
 
-def test_a_slide_whose_samples_come_late_is_not_kept(lab: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Its contact would lie in the next recording, with another slide's labels."""
+@pytest.mark.parametrize(
+    ("haste", "late_s", "says"),
+    [(5.0, 3.0, "its samples come late"), (0.5, 0.0, r"the stage took 1\.[4-9] s longer than planned")],
+)
+def test_a_slide_whose_samples_or_stage_come_late_is_not_kept(
+    lab: Path, monkeypatch: pytest.MonkeyPatch, haste: float, late_s: float, says: str
+) -> None:
+    """Its contact would lie in the next recording; a stage that limits its own speed gives another slide's labels."""
     monkeypatch.setattr(recording, "ATTEMPTS", 1)
-    with Printer() as printer, skin(printer, late_s=3.0) as source:
-        with pytest.raises(CheckFailed, match="its samples come late"):
-            recorded(lab, source, printer)
-        assert printer.place[2] == ORIGIN[2] + CLEAR_MM
-    assert not list((lab / "out").glob("slides/*"))
-
-
-def test_a_stage_that_is_slower_than_the_plan_is_said(lab: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Its ramps are long, or it limits its own speed: the labels would be another slide's."""
-    monkeypatch.setattr(recording, "ATTEMPTS", 1)
-    with Printer(haste=0.5) as printer, skin(printer) as source:
-        with pytest.raises(CheckFailed, match=r"the stage took 1\.[4-9] s longer than planned"):
+    with Printer(haste=haste) as printer, skin(printer, late_s=late_s) as source:
+        with pytest.raises(CheckFailed, match=says):
             recorded(lab, source, printer)
         assert printer.place[2] == ORIGIN[2] + CLEAR_MM
     assert not list((lab / "out").glob("slides/*"))

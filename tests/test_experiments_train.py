@@ -64,8 +64,22 @@ def test_the_card_says_where_the_model_comes_from(bundle: Path, lab: Path) -> No
     assert provenance["parity"] <= 1e-4
 
 
-def test_the_run_is_kept_with_figures_and_model(bundle: Path, tracking_store: str) -> None:
-    run = the_run(tracking_store, bundle=bundle_hash(bundle), command="train")
+def the_run(store: str, **tags: str) -> mlflow.entities.Run:
+    """The last run with these tags."""
+    found = find_run(mlflow.MlflowClient(store, store), tags)
+    assert found is not None
+    return found
+
+
+@pytest.fixture(scope="module")
+def run(bundle: Path, tracking_store: str) -> mlflow.entities.Run:
+    """The bundle's training."""
+    return the_run(tracking_store, bundle=bundle_hash(bundle), command="train")
+
+
+def test_the_run_is_kept_with_figures_and_model(
+    bundle: Path, run: mlflow.entities.Run, tracking_store: str
+) -> None:
     assert run.info.run_name == "interpolation on bump"
     assert run.data.metrics["fitted_speed_percent_mean"] < 8
     assert (
@@ -79,18 +93,10 @@ def test_the_run_is_kept_with_figures_and_model(bundle: Path, tracking_store: st
     assert held >= {"configuration.json", "fitted.html", "model.json"}
 
 
-def the_run(store: str, **tags: str) -> mlflow.entities.Run:
-    """The last run with these tags."""
-    found = find_run(mlflow.MlflowClient(store, store), tags)
-    assert found is not None
-    return found
-
-
 def test_a_run_repeats_from_itself(
-    bundle: Path, tracking_store: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    run: mlflow.entities.Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The same bytes, with the bundle gone and its settings in no file but the run's."""
-    run = the_run(tracking_store, bundle=bundle_hash(bundle), command="train")
     assert call("train", "--from-run", run.info.run_id, "--out", tmp_path / "again") == 0
     assert capsys.readouterr().out.splitlines() == [
         "model.onnx: the same to the byte",
@@ -99,9 +105,8 @@ def test_a_run_repeats_from_itself(
 
 
 def test_the_configuration_of_a_run_is_one_for_training(
-    bundle: Path, lab: Path, tracking_store: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    run: mlflow.entities.Run, lab: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    run = the_run(tracking_store, bundle=bundle_hash(bundle), command="train")
     path = Path(mlflow.artifacts.download_artifacts(run.info.artifact_uri + "/configuration.json"))
     default = model_named("interpolation").config()
     assert (
@@ -113,13 +118,12 @@ def test_the_configuration_of_a_run_is_one_for_training(
 
 
 def test_what_differs_is_named(
-    bundle: Path, lab: Path, tracking_store: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    run: mlflow.entities.Run, lab: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     shutil.copytree(lab, tmp_path / "lab")
     manifest = pd.read_csv(lab / "manifest.csv")
     manifest.loc[manifest["split"].str.startswith("calibration"), "speed_mm_s"] *= 1.01
     manifest.to_csv(tmp_path / "lab" / "manifest.csv", index=False)
-    run = the_run(tracking_store, bundle=bundle_hash(bundle), command="train")
     command = ["train", "--from-run", run.info.run_id, "--recordings", tmp_path / "lab"]
     assert call(*command, "--out", tmp_path / "again") == 1
     printed = capsys.readouterr()
@@ -130,17 +134,19 @@ def test_what_differs_is_named(
 
 
 def test_an_evaluation_is_a_run_below_its_training(
-    bundle: Path, whole: Path, tracking_store: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    bundle: Path, whole: Path, tracking_store: str, tmp_path: Path
 ) -> None:
     options = ["--split", "test", "--jobs", 1, "--out", tmp_path / "results"]
     call("evaluate", "--model", bundle, "--recordings", whole, *options)
-    training = the_run(tracking_store, bundle=bundle_hash(bundle), command="train")
-    run = the_run(tracking_store, bundle=bundle_hash(bundle), command="evaluate")
-    assert run.data.tags["mlflow.parentRunId"] == training.info.run_id
-    assert run.data.tags["bound.direction"] in ("met", "missed", "not tested")
+    training, scored = (
+        the_run(tracking_store, bundle=bundle_hash(bundle), command=command)
+        for command in ("train", "evaluate")
+    )
+    assert scored.data.tags["mlflow.parentRunId"] == training.info.run_id
+    assert scored.data.tags["bound.direction"] in ("met", "missed", "not tested")
     metrics = json.loads((tmp_path / "results/metrics.json").read_text())
     mean = metrics["splits"]["test"]["1.0"]["direction_deg"]["mean"]
-    assert run.data.metrics["test.direction_deg.mean"] == mean
+    assert scored.data.metrics["test.direction_deg.mean"] == mean
 
 
 @pytest.mark.parametrize("identifier", ["none", "0" * 32])

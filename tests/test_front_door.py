@@ -234,14 +234,8 @@ CALLS: dict[str, tuple[object, ...]] = {
     "predict": ("--model", "BUNDLE", "slide.parquet"),
     "serve": ("--model", "BUNDLE", "--source", "-", "--page", "0"),
 }
-EXTRAS = {
-    "check": "io",
-    "import": "io",
-    "synthesize": "io",
-    "export-recordings": "io",
-    "predict": "io",
-    "record": "io",
-    "serve": "live",
+EXTRAS = dict.fromkeys(("check", "import", "synthesize", "export-recordings", "predict", "record"), "io") | {
+    "serve": "live"
 }
 
 

@@ -71,30 +71,6 @@ def said(folder: Path) -> str:
     return folder.with_name(f"{folder.name}.log").read_text()
 
 
-@pytest.mark.parametrize("kills", [2, pytest.param(KILLS, marks=pytest.mark.long)])
-def test_import(softslide: Commands, tmp_path: Path, kills: int) -> None:
-    command = an_import(tmp_path, ("one", "two", "three", "four", "five", "six"))
-    before = contents(tmp_path / "lab" / "lab")
-    check(softslide, Case(command, "out", ".out.partial/raw/*.parquet"), tmp_path, kills)
-    assert contents(tmp_path / "lab" / "lab") == before
-
-
-@pytest.mark.long
-def test_synthesize(softslide: Commands, tmp_path: Path) -> None:
-    check(softslide, Case(SYNTHESIZE, "out"), tmp_path, KILLS)
-
-
-@pytest.mark.long
-def test_evaluate(softslide: Commands, tmp_path: Path) -> None:
-    command = [*an_evaluation(tmp_path, 13), "--no-report"]
-    check(softslide, Case(command, "out", ".out.work/*.npz"), tmp_path, KILLS)
-
-
-@pytest.mark.long
-def test_train(softslide: Commands, tmp_path: Path) -> None:
-    check(softslide, Case(TRAIN, "out"), tmp_path, KILLS)
-
-
 def solved(place: Path) -> dict[str, str]:
     """A hash of each array of an atlas; empty where there is no atlas."""
     if not place.exists():
@@ -103,7 +79,23 @@ def solved(place: Path) -> dict[str, str]:
     return {name: hashlib.sha256(a.tobytes()).hexdigest() for name, a in arrays.items() if name != "meta"}
 
 
+@pytest.mark.parametrize("kills", [2, pytest.param(KILLS, marks=pytest.mark.long)])
+def test_import(softslide: Commands, tmp_path: Path, kills: int) -> None:
+    command = an_import(tmp_path, ("one", "two", "three", "four", "five", "six"))
+    before = contents(tmp_path / "lab" / "lab")
+    check(softslide, Case(command, "out", ".out.partial/raw/*.parquet"), tmp_path, kills)
+    assert contents(tmp_path / "lab" / "lab") == before
+
+
+CASES: dict[str, Callable[[Path], Case]] = {
+    "synthesize": lambda root: Case(SYNTHESIZE, "out"),
+    "evaluate": lambda root: Case([*an_evaluation(root, 13), "--no-report"], "out", ".out.work/*.npz"),
+    "train": lambda root: Case(TRAIN, "out"),
+    "simulate": lambda root: Case(a_simulation(root), "out.npz", ".out.npz.lines/*/*.npz", solved),
+}
+
+
 @pytest.mark.long
-def test_simulate(softslide: Commands, tmp_path: Path) -> None:
-    case = Case(a_simulation(tmp_path), "out.npz", ".out.npz.lines/*/*.npz", solved)
-    check(softslide, case, tmp_path, KILLS)
+@pytest.mark.parametrize("command", CASES)
+def test_others(softslide: Commands, tmp_path: Path, command: str) -> None:
+    check(softslide, CASES[command](tmp_path), tmp_path, KILLS)

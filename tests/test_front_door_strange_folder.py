@@ -19,19 +19,8 @@ TRAP = "open({!r}, 'a').write(__name__ + '\\n')\nraise SystemExit('a trap')\n"
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     """A folder whose modules note that they were imported."""
-    names = (
-        "features",
-        "pipeline",
-        "multiprocessing",
-        "joblib",
-        "numpy",
-        "json",
-        "socket",
-        "uvicorn",
-        "typing",
-        "re",
-    )
-    for name in names:
+    ours, theirs = ("features", "pipeline"), ("joblib", "numpy", "uvicorn")
+    for name in (*ours, *theirs, "multiprocessing", "json", "socket", "typing", "re"):
         (tmp_path / name).mkdir()
         (tmp_path / name / "__init__.py").write_text(TRAP.format(str(tmp_path / "sprung")))
     return tmp_path
@@ -48,19 +37,22 @@ def called(folder: Path, *words: str) -> subprocess.Popen:
     )
 
 
-def test_the_module_is_called(folder: Path) -> None:
-    few = sample_folder(folder / "few", "split == 'test-fast'")
-    with called(folder, "-m", "softslide", "check", str(few)) as running:
+def printed(folder: Path, *words: str) -> bytes:
+    """What it has printed once it has ended well."""
+    with called(folder, *words) as running:
         said, wrong = running.communicate(timeout=120)
     assert running.returncode == 0, wrong
-    assert b"3 recordings, 0 errors" in said
+    return said
+
+
+def test_the_module_is_called(folder: Path) -> None:
+    few = sample_folder(folder / "few", "split == 'test-fast'")
+    assert b"3 recordings, 0 errors" in printed(folder, "-m", "softslide", "check", str(few))
     assert not (folder / "sprung").exists()
 
 
 def test_a_study_is_called(folder: Path) -> None:
-    with called(folder, "-m", "softslide.experiments.bench", "--help") as running:
-        said, wrong = running.communicate(timeout=120)
-    assert b"usage:" in said, wrong
+    assert b"usage:" in printed(folder, "-m", "softslide.experiments.bench", "--help")
     assert not (folder / "sprung").exists()
 
 
@@ -68,13 +60,9 @@ def test_settings_of_libraries_are_not_taken_from_the_folder(tmp_path: Path) -> 
     """A cache of compiled code is loaded as it is; LaTeX is a program of its own."""
     (tmp_path / ".numba_config.yaml").write_text("cache_dir: compiled\n")
     show = "import softslide.pipeline.skin.loads, numba; print(repr(numba.config.CACHE_DIR))"
-    with called(tmp_path, "-P", "-c", show) as running:
-        said, wrong = running.communicate(timeout=120)
-    assert said.strip() == b"''", wrong
+    assert printed(tmp_path, "-P", "-c", show).strip() == b"''"
     (tmp_path / "matplotlibrc").write_text("text.usetex: True\n")
-    with called(tmp_path, "-m", "softslide", "check", str(SAMPLE), "--picture", "seen.svg") as running:
-        said, wrong = running.communicate(timeout=120)
-    assert running.returncode == 0, wrong
+    printed(tmp_path, "-m", "softslide", "check", str(SAMPLE), "--picture", "seen.svg")
     assert (tmp_path / "seen.svg").exists()
 
 
@@ -90,7 +78,5 @@ def test_the_page_has_a_process_of_its_own(folder: Path, bundle: Path) -> None:
 
 def test_workers_are_processes_of_their_own(folder: Path) -> None:
     work = "from pipeline.workers import results; print(list(results(pow, [(2, 3), (3, 2)], 2)))"
-    with called(folder, "-P", "-c", work) as running:
-        said, wrong = running.communicate(timeout=120)
-    assert said.strip() == b"[8, 9]", wrong
+    assert printed(folder, "-P", "-c", work).strip() == b"[8, 9]"
     assert not (folder / "sprung").exists()

@@ -16,6 +16,7 @@ from scipy.optimize import linprog
 from softslide.features.angles import tilt_channels
 from softslide.features.clock import RATE_TOLERANCE, check_clock
 from softslide.features.errors import InputError
+from softslide.features.stream.conditioning import Conditioning
 from softslide.pipeline.checks.rail_run import MOST_AT_RAIL, rail_run
 from softslide.pipeline.recordings.folder import Recording
 from softslide.pipeline.recordings.successive_means import successive_means
@@ -27,7 +28,7 @@ AGAIN_S = 0.5  # between two attempts to open a source that is gone
 POLL_S = 0.05
 # Samples arrive in bundles: of a stream without times, the moments of the first and the last are known this well.
 ARRIVAL_S = 0.5
-BLOCK_S = 0.02  # the localizer's; a level is the mean over one
+BLOCK_S = Conditioning.block_s  # a level is the mean over one
 FAINT = 6.0  # times the rest's deviation: a peak below it is no contact
 # Shares of the peak from which on the output is off its rest before the stage moves, or after it has stopped.
 EARLY, LATE = 0.1, 0.5

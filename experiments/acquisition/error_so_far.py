@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 
+from softslide.experiments.evaluation.scoring import QUANTITIES, WORDS
 from softslide.experiments.kept_map import kept_map
 from softslide.features.errors import InputError
 from softslide.models.cnn.fit import CnnConfig
@@ -25,7 +26,7 @@ from softslide.pipeline.sensor import Sensor
 
 # Slides that the first map is calibrated on, and the newest ones that an error is the mean of (experiments/LOG.md).
 FIRST, NEWEST = 6, 8
-COLUMNS = {"deg": "direction_deg", "%": "speed_percent", "mm": "offset_mm"}
+COLUMNS = {QUANTITIES[name]: name for name in WORDS}
 
 
 def read_goal(words: Sequence[str]) -> dict[str, float]:

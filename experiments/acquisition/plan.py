@@ -13,9 +13,10 @@ import pandas as pd
 from softslide.experiments.acquisition.gcode import NEEDED, check_height
 from softslide.experiments.acquisition.gcode import gcode as program_of
 from softslide.experiments.acquisition.pictures import draw_plan
-from softslide.experiments.acquisition.slides_to_test import LEAST_CHORD_MM, draw_tests
+from softslide.experiments.acquisition.slides_to_test import draw_tests
 from softslide.experiments.acquisition.waypoints import of_path, write_waypoints
 from softslide.features.errors import InputError
+from softslide.models.design.line_information import LEAST_CHORD_MM
 from softslide.models.design.plan import Plan, plan_slides
 from softslide.models.response_map.from_atlas import SensorSpread
 from softslide.models.response_map.slide_fit import CalibrationConfig

@@ -7,12 +7,12 @@ import pandas as pd
 
 from softslide.experiments.evaluation.bounds import Bound, read_bounds
 from softslide.features.errors import InputError
+from softslide.models.design.line_information import LEAST_CHORD_MM
 from softslide.pipeline.recordings.learned import learned_lines
 from softslide.pipeline.sensor import Sensor
 from softslide.pipeline.synthesis.slide_plan import crossing
 
 DRAWS = 500
-LEAST_CHORD_MM = 20.0  # over the chamber
 # Of lines in any direction, from the reference point, in shares of the chamber's shorter side: the article's detectable
 # area of X-slides is 17.5 mm of 50 (section 5.2.2, figure 23).
 DETECTABLE = 0.35

@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 
 from softslide.experiments.acquisition.error_so_far import COLUMNS, NEWEST, ErrorSoFar, read_goal
 from softslide.experiments.acquisition.waypoints import waypoints_of
+from softslide.experiments.evaluation.scoring import QUANTITIES, WORDS
 from softslide.experiments.pages.figures import COLOURS, EDGE, Panel, chart, on_skin
 from softslide.experiments.pages.page import panels_page
 from softslide.features.errors import InputError
@@ -19,7 +20,7 @@ from softslide.pipeline.staging import writing
 
 REFRESH_S = 5
 GROSS_DEG = 20.0  # an error that shows another slide than planned, or none
-TITLES = {"direction_deg": "direction, deg", "speed_percent": "speed, %", "offset_mm": "offset, mm"}
+TITLES = {name: f"{word}, {QUANTITIES[name]}" for name, word in WORDS.items()}
 
 
 class Verdict:

@@ -14,6 +14,7 @@ import pandas as pd
 
 from softslide.experiments.evaluation.archive import Archive
 from softslide.experiments.evaluation.scoring import INTERVALS, interval_ends
+from softslide.features.card import Card
 from softslide.features.errors import InputError
 from softslide.features.estimate import Estimate
 from softslide.pipeline.recordings.folder import Folder, Recording
@@ -77,7 +78,7 @@ def predictions(bundle: Path, folder: Folder, archive: Archive) -> Iterator[pd.D
     Raises:
         InputError: the bundle is broken or made for another sensor, or a recording is.
     """
-    check_fits(open_localizer(bundle), folder)
+    check_fits(open_localizer(bundle).card, folder)
     yield from archive.tables("predictions", _read_out, bundle, folder, list(folder.manifest.index))
 
 
@@ -95,13 +96,13 @@ def samples_for(localizer: Localizer, recording: Recording) -> np.ndarray:
     return recording.volts if localizer.card.base is None else recording.samples
 
 
-def check_fits(localizer: Localizer, folder: Folder) -> None:
+def check_fits(card: Card, folder: Folder) -> None:
     """Sees that the bundle was made for sensors like the folder's.
 
     Raises:
         InputError: other channels, no base where the bundle reads one, or a sample rate that is not read.
     """
-    card, sensor = localizer.card, folder.sensor
+    sensor = folder.sensor
     place = folder.root / "sensor.toml"
     if tuple(card.channels) != sensor.channels:
         raise InputError(

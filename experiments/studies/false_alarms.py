@@ -45,7 +45,7 @@ def false_alarms(
             is without accelerometers, or reads a base: no such streams are made of these.
     """
     localizer = open_localizer(bundle)
-    check_fits(localizer, folder)
+    check_fits(localizer.card, folder)
     if not folder.sensor.measures_gravity and localizer.card.contact is None:
         raise InputError(
             f"{bundle}: has no response map, and with it no noise of such outputs; name one that has"

@@ -14,10 +14,92 @@ from typing import Any
 
 from softslide.features.errors import InputError
 
-Parser = argparse.ArgumentParser
 UNITS = ("DEG", "HZ", "MM", "MM_S", "S")
-# Runs with the arguments given; returns the exit status, None for 0.
-Run = Callable[[argparse.Namespace], int | None]
+
+
+class Parser(argparse.ArgumentParser):
+    """With the options that several commands have."""
+
+    def flag(self, name: str, help: str) -> None:
+        """An option without a value: it is given or not."""
+        self.add_argument(name, action="store_true", help=help)
+
+    def of_bundle(self) -> None:
+        """How the bundle is read: `--height`, for one over heights, and `--unsigned`, for those of release 0.1."""
+        self.add_argument(
+            "--height",
+            dest="height_mm",
+            type=float,
+            metavar="MM",
+            help="of the inflated skin, mm, for a bundle trained at several (default: as the static output shows it)",
+        )
+        self.flag("--unsigned", "also a bundle whose card has no hash, which shows no changes")
+
+    def form(self) -> None:
+        """--format csv, f32 or cobs"""
+        self.add_argument(
+            "--format",
+            choices=("csv", "f32", "cobs"),
+            default="csv",
+            help="of bytes from outside: csv, lines of volts (V) with or without a time (s) before them; f32, "
+            "little-endian float32 frames, one number a channel; cobs, frames with a checksum that can be joined "
+            "anywhere (default: %(default)s; over a serial port take csv or cobs)",
+        )
+
+    def existing(self, name: str, metavar: str, help: str, **options: Any) -> None:
+        """An argument for a path that has to exist, or for several: given again, all are kept."""
+        action = "extend" if "nargs" in options else "store"
+        added = self.add_argument(name, type=Path, action=action, metavar=metavar, help=help, **options)
+        self.set_defaults(existing=[*(self.get_default("existing") or ()), added.dest])
+
+    def model(self) -> None:
+        """--model BUNDLE"""
+        help = "a bundle from 'train', or models:/softslide@champion (needs the train extra)"
+        self.existing("--model", "BUNDLE", help, required=True)
+
+    def recordings(self, help: str, **options: Any) -> None:
+        """--recordings DIR"""
+        self.existing("--recordings", "DIR", help, required=True, **options)
+
+    def sensor(self, help: str, **options: Any) -> None:
+        """--sensor sensor.toml"""
+        self.existing("--sensor", "sensor.toml", help, **options)
+
+    def atlas(self, help: str) -> None:
+        """--atlas ATLAS"""
+        self.existing("--atlas", "ATLAS", help)
+
+    def number(
+        self, name: str, metavar: str, help: str, default: Any = None, *also: str, **further: Any
+    ) -> None:
+        """A number, or several; of the default's type, else a float. Its help ends with the default. also: older names.
+
+        What it is kept as ends with the unit, as the function's parameter does.
+        """
+        shown = f"{help} (default: %(default)s)" if isinstance(default, int | float) else help
+        unit = f"_{metavar.lower()}" if metavar in UNITS else ""
+        kept = {"type": float if default is None else type(default), "default": default}
+        kept["dest"] = name.strip("-") + unit
+        self.add_argument(name, *also, metavar=metavar, help=shown, **(kept | further))
+
+    def picture(self, metavar: str, help: str) -> None:
+        """--picture FILE"""
+        text = f"{help}: .svg, .png or .pdf (needs the train extra)"
+        self.add_argument("--picture", type=Path, metavar=metavar, help=text)
+
+    def out(self, help: str, metavar: str = "DIR", required: bool = True) -> None:
+        """--out DIR"""
+        self.add_argument("--out", type=Path, required=required, metavar=metavar, help=help)
+
+    def scheduler(self) -> None:
+        """--scheduler ADDRESS"""
+        help = "tcp://HOST:PORT of a Dask scheduler (needs the cluster extra): its workers do the work, with this "
+        help += "program and the same files in the same places (default: processes of this computer do)"
+        self.add_argument("--scheduler", default="", metavar="ADDRESS", help=help)
+
+
+# Runs with the values of the arguments by name; returns the exit status, None for 0.
+Run = Callable[..., int | None]
 Command = Callable[[Parser], Run]
 
 
@@ -77,88 +159,10 @@ def _check_place(out: Path) -> None:
 
 
 def options(given: argparse.Namespace) -> dict[str, Any]:
-    """The values of a command's arguments, by name: what the function of the same name takes."""
+    """The values of a command's arguments by name, which what runs it is called with."""
     return {name: value for name, value in vars(given).items() if name not in ("command", "run", "existing")}
 
 
 def is_registered(value: object) -> bool:
     """Whether a bundle is named by its place in the registry, as in `models:/softslide@champion`."""
     return isinstance(value, Path) and str(value).startswith("models:/")
-
-
-def skin_height(parser: Parser) -> None:
-    """`--height`, of the inflated skin, for a bundle over heights."""
-    parser.add_argument(
-        "--height",
-        dest="height_mm",
-        type=float,
-        metavar="MM",
-        help="of the inflated skin, mm, for a bundle trained at several (default: as the static output shows it)",
-    )
-
-
-def unsigned(parser: Parser) -> None:
-    """`--unsigned`, for bundles of release 0.1."""
-    parser.add_argument(
-        "--unsigned", action="store_true", help="also a bundle whose card has no hash, which shows no changes"
-    )
-
-
-def existing(parser: Parser, name: str, metavar: str, help: str, **options: Any) -> None:
-    """An argument for a path that has to exist, or for several: given again, all are kept."""
-    action = "extend" if "nargs" in options else "store"
-    added = parser.add_argument(name, type=Path, action=action, metavar=metavar, help=help, **options)
-    parser.set_defaults(existing=[*(parser.get_default("existing") or ()), added.dest])
-
-
-def model(parser: Parser) -> None:
-    """--model BUNDLE"""
-    help = "a bundle from 'train', or models:/softslide@champion (needs the train extra)"
-    existing(parser, "--model", "BUNDLE", help, required=True)
-
-
-def recordings(parser: Parser, help: str, **options: Any) -> None:
-    """--recordings DIR"""
-    existing(parser, "--recordings", "DIR", help, required=True, **options)
-
-
-def sensor(parser: Parser, help: str) -> None:
-    """--sensor sensor.toml"""
-    existing(parser, "--sensor", "sensor.toml", help)
-
-
-def atlas(parser: Parser, help: str) -> None:
-    """--atlas ATLAS"""
-    existing(parser, "--atlas", "ATLAS", help)
-
-
-def number(
-    parser: Parser, name: str, metavar: str, help: str, default: Any = None, *also: str, **further: Any
-) -> None:
-    """A number, or several; of the default's type, else a float. Its help ends with the default. also: older names.
-
-    What it is kept as ends with the unit, as the function's parameter does.
-    """
-    shown = f"{help} (default: %(default)s)" if isinstance(default, int | float) else help
-    unit = f"_{metavar.lower()}" if metavar in UNITS else ""
-    kept = {"type": float if default is None else type(default), "default": default}
-    kept["dest"] = name.strip("-") + unit
-    parser.add_argument(name, *also, metavar=metavar, help=shown, **(kept | further))
-
-
-def picture(parser: Parser, metavar: str, help: str) -> None:
-    """--picture FILE"""
-    text = f"{help}: .svg, .png or .pdf (needs the train extra)"
-    parser.add_argument("--picture", type=Path, metavar=metavar, help=text)
-
-
-def out(parser: Parser, help: str, metavar: str = "DIR", required: bool = True) -> None:
-    """--out DIR"""
-    parser.add_argument("--out", type=Path, required=required, metavar=metavar, help=help)
-
-
-def scheduler(parser: Parser) -> None:
-    """--scheduler ADDRESS"""
-    help = "tcp://HOST:PORT of a Dask scheduler (needs the cluster extra): its workers do the work, with this program "
-    help += "and the same files in the same places (default: processes of this computer do)"
-    parser.add_argument("--scheduler", default="", metavar="ADDRESS", help=help)

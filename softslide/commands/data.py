@@ -1,10 +1,11 @@
 """Subcommands that make and check data: import, check, simulate, synthesize, export-recordings."""
 
-import argparse
-import json
 import sys
+from json import dumps
+from pathlib import Path
+from typing import Any
 
-from softslide.commands import arguments
+import softslide
 from softslide.commands.arguments import Parser, Run
 from softslide.features.errors import InputError
 
@@ -25,24 +26,22 @@ def check(parser: Parser) -> Run:
         softslide check my-recordings --json
         softslide check my-recordings --picture coverage.svg
     """
-    arguments.existing(parser, "folder", "DIR", "holds sensor.toml, manifest.csv, slides/*.parquet")
-    arguments.atlas(parser, "of the sensor's design (default: the one that ships, or was solved earlier)")
-    parser.add_argument("--json", action="store_true", help="the report as one JSON object")
-    arguments.picture(parser, "coverage.svg", "draw what the slides cover")
+    parser.existing("folder", "DIR", "holds sensor.toml, manifest.csv, slides/*.parquet")
+    parser.atlas("of the sensor's design (default: the one that ships, or was solved earlier)")
+    parser.flag("--json", "the report as one JSON object")
+    parser.picture("coverage.svg", "draw what the slides cover")
 
-    def run(given: argparse.Namespace) -> None:
-        from softslide.experiments.check import check
-
-        report = check(given.folder, given.atlas, given.picture)
-        if given.json:
-            print(json.dumps(report.as_json(), indent=1, allow_nan=False))
+    def run(folder: Path, json: bool, **given: Any) -> None:
+        report = softslide.check(folder, **given)
+        if json:
+            print(dumps(report.as_json(), indent=1, allow_nan=False))
         elif not report.unreadable:
             print(*report.lines(), sep="\n")
         if report.unreadable:
             raise InputError(report.unreadable)
         if errors := report.level("error"):
             first = errors[0].line()
-            raise InputError(f"{given.folder}: {len(errors)} errors, first {first}; correct or remove these")
+            raise InputError(f"{folder}: {len(errors)} errors, first {first}; correct or remove these")
 
     return run
 
@@ -64,40 +63,37 @@ def import_(parser: Parser) -> Run:
     from softslide.pipeline.importers.readers.registry import READERS
 
     kinds = ", ".join(f"{kind} ({reader.title})" for kind, reader in READERS.items())
-    arguments.existing(parser, "sources", "SOURCE", "files, or folders to search", nargs="*")
-    arguments.existing(parser, "--map", "MAP.toml", "what the files mean: columns, units, labels")
-    arguments.out(parser, "the folder of recordings to write", required=False)
+    parser.existing("sources", "SOURCE", "files, or folders to search", nargs="*")
+    parser.existing("--map", "MAP.toml", "what the files mean: columns, units, labels")
+    parser.out("the folder of recordings to write", required=False)
     printed = "print a commented {} to start from".format
     parser.add_argument("--map-template", metavar="KIND", help=f"{printed('map')}: {kinds}, grid")
     guess = "print a map guessed from delimited text files and their names; what is unsure is marked"
-    parser.add_argument("--guess", action="store_true", help=guess)
-    parser.add_argument("--sensor-template", action="store_true", help=printed("sensor.toml"))
+    parser.flag("--guess", guess)
+    parser.flag("--sensor-template", printed("sensor.toml"))
 
-    def run(given: argparse.Namespace) -> None:
+    def run(map_template: str | None, guess: bool, sensor_template: bool, **given: Any) -> None:
         from softslide.pipeline.importers.import_map import template
 
-        if given.sensor_template:
+        if sensor_template:
             print(template("sensor"), end="")
             return
-        if given.map_template:
-            if given.map_template not in (*READERS, "grid"):
-                kinds = ", ".join(READERS)
-                raise InputError(f"{given.map_template}: name one of {kinds}, grid", "map_template")
-            print(template(given.map_template), end="")
+        if map_template:
+            if map_template not in (*READERS, "grid"):
+                raise InputError(f"{map_template}: name one of {', '.join(READERS)}, grid", "map_template")
+            print(template(map_template), end="")
             return
-        if given.guess and given.sources:
+        if guess and given["sources"]:
             from softslide.pipeline.importers.guess import guess_map
 
-            print(guess_map(given.sources), end="")
+            print(guess_map(given["sources"]), end="")
             return
-        if not (given.sources and given.map and given.out):
+        if not all(given.values()):
             raise InputError(
                 "give SOURCE..., --map MAP.toml and --out DIR, or SOURCE... --guess, or --map-template KIND, or "
                 "--sensor-template"
             )
-        from softslide.pipeline.importers.run import import_recordings
-
-        done = import_recordings(given.sources, given.map, given.out)
+        done = softslide.import_recordings(**given)
         print(*done.notes, sep="\n", end="\n" if done.notes else "", file=sys.stderr)
         resumed = f", {done.resumed} of them finished before" if done.resumed else ""
         print(f"{done.out}: {done.recordings} recordings imported{resumed}")
@@ -116,19 +112,17 @@ def simulate(parser: Parser) -> Run:
 
         softslide simulate --sensor sensor.toml --coarse --out atlas.npz
     """
-    arguments.sensor(parser, "the design (default: the article's sensor)")
-    arguments.out(parser, "the .npz file to write", metavar="ATLAS")
-    parser.add_argument("--coarse", action="store_true", help="minutes instead of an hour, for a first look")
-    arguments.number(parser, "--depth", "MM", "contact depths in mm (default: 0.2 0.6 1.2)", nargs="+")
-    arguments.number(parser, "--jobs", "N", "processes", 2, "--workers", dest="jobs")
+    parser.sensor("the design (default: the article's sensor)")
+    parser.out("the .npz file to write", metavar="ATLAS")
+    parser.flag("--coarse", "minutes instead of an hour, for a first look")
+    parser.number("--depth", "MM", "contact depths in mm (default: 0.2 0.6 1.2)", nargs="+")
+    parser.number("--jobs", "N", "processes", 2, "--workers", dest="jobs")
     runs = "what runs them (default: %(default)s)"
     parser.add_argument("--backend", choices=("loky", "dask"), default="loky", help=runs)
-    arguments.scheduler(parser)
+    parser.scheduler()
 
-    def run(given: argparse.Namespace) -> None:
-        from softslide.pipeline.atlas.solve import simulate
-
-        simulate(**arguments.options(given))
+    def run(**given: Any) -> None:
+        softslide.simulate(**given)
 
     return run
 
@@ -150,29 +144,26 @@ def synthesize(parser: Parser) -> Run:
         softslide synthesize --paths 40 --solved --out solved
         softslide synthesize --protocol article --out protocol
     """
-    arguments.atlas(parser, "from 'simulate' (default: the article's sensor's)")
+    parser.atlas("from 'simulate' (default: the article's sensor's)")
     names = "names, places and electronics of the atlas's design"
-    arguments.sensor(parser, f"{names} (default: the article's electronics)")
-    arguments.number(parser, "--slides", "N", "how many slides along straight lines", 0)
+    parser.sensor(f"{names} (default: the article's electronics)")
+    parser.number("--slides", "N", "how many slides along straight lines", 0)
     kinds = "lines, curves, changing speed, stops, turns back, touch-downs, lifts, changing depth, presses"
     paths = f"how many contacts along any path, with their truth: {kinds}; splits track-KIND"
-    arguments.number(parser, "--paths", "N", paths, 0)
+    parser.number("--paths", "N", paths, 0)
     solved = (
         "solve each path on the skin, step by step, instead of reading it from the atlas: truer friction and "
     )
-    parser.add_argument("--solved", action="store_true", help=f"{solved}touch-downs, at some seconds a path")
+    parser.flag("--solved", f"{solved}touch-downs, at some seconds a path")
     protocol = "the article's 512 slides along x and y, split calibration (default: none)"
     parser.add_argument("--protocol", choices=("article",), help=protocol)
-    arguments.number(parser, "--seed", "N", "of all that is random", 0)
+    parser.number("--seed", "N", "of all that is random", 0)
     keys = "height_mm, pressure_share, depth_mm, offset_mm, speed_mm_s, [electronics] noise and more (docs/format.md)"
-    changes = f"a TOML file that changes what slides and sensor are like: {keys}"
-    arguments.existing(parser, "--config", "FILE", changes)
-    arguments.out(parser, "the folder to write")
+    parser.existing("--config", "FILE", f"a TOML file that changes what slides and sensor are like: {keys}")
+    parser.out("the folder to write")
 
-    def run(given: argparse.Namespace) -> None:
-        from softslide.pipeline.synthesis.synthesize import synthesize
-
-        folder = synthesize(**arguments.options(given))
+    def run(**given: Any) -> None:
+        folder = softslide.synthesize(**given)
         counts = folder.manifest["split"].value_counts(sort=False)
         print(f"{folder.root}: {', '.join(f'{count} {split}' for split, count in counts.items())}")
 
@@ -192,20 +183,18 @@ def export_recordings(parser: Parser) -> Run:
         softslide export-recordings --recordings my-recordings --model my-model \\
             --out my-dataset
     """
-    arguments.recordings(parser, "what to export")
+    parser.recordings("what to export")
     parser.add_argument(
         "--to", choices=("lerobot",), default="lerobot", help="the format (default: %(default)s)"
     )
     bundle = "a bundle from 'train': its estimates are exported too (default: volts alone)"
-    arguments.existing(parser, "--model", "BUNDLE", bundle)
+    parser.existing("--model", "BUNDLE", bundle)
     parser.add_argument("--split", nargs="+", metavar="NAME", help="the splits to export (default: all)")
-    arguments.out(parser, "the data set to write")
+    parser.out("the data set to write")
 
-    def run(given: argparse.Namespace) -> None:
-        from softslide.experiments.export_recordings import export_recordings
-
-        info = export_recordings(**arguments.options(given))
-        print(f"{given.out}: {info['total_episodes']} episodes, {info['total_frames']} frames")
+    def run(out: Path, **given: Any) -> None:
+        info = softslide.export_recordings(out=out, **given)
+        print(f"{out}: {info['total_episodes']} episodes, {info['total_frames']} frames")
 
     return run
 

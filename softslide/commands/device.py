@@ -1,6 +1,5 @@
 """Subcommands that a device has, with the base install alone: predict, serve."""
 
-import argparse
 import json
 import sys
 from collections.abc import Callable, Iterator
@@ -9,7 +8,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from softslide.commands import arguments
+import softslide
 from softslide.commands.arguments import Parser, Run
 from softslide.features.errors import InputError
 
@@ -33,37 +32,32 @@ def predict(parser: Parser) -> Run:
         softslide predict --model my-model --track path.csv > path.jsonl
         softslide predict --model my-model --whole-contact curve.csv > curve.jsonl
     """
-    arguments.model(parser)
+    parser.model()
     whole = "as --track, but each moment's estimate is from its whole contact, what comes after it included: sharper "
     whole += "on curves; with a cnn of a skin that is touched anywhere, as of magnetometers"
-    for name, text in (
-        ("--track", "every estimate of each recording, one a block (20 ms)"),
-        ("--whole-contact", whole),
-        ("--presses", "a press in each recording (needs the io extra and --height)"),
-    ):
-        parser.add_argument(name, action="store_true", help=text)
-    arguments.atlas(
-        parser, "with --presses, of the sensor's design (default: the one that ships, or solved now)"
-    )
-    arguments.skin_height(parser)
-    arguments.unsigned(parser)
+    parser.flag("--track", "every estimate of each recording, one a block (20 ms)")
+    parser.flag("--whole-contact", whole)
+    parser.flag("--presses", "a press in each recording (needs the io extra and --height)")
+    parser.atlas("with --presses, of the sensor's design (default: the one that ships, or solved now)")
+    parser.of_bundle()
     raw = "what the files mean, as in 'import', where they are a lab's own (needs the io extra)"
-    arguments.existing(parser, "--map", "MAP.toml", raw)
+    parser.existing("--map", "MAP.toml", raw)
     kinds = "CSV with time_s (s) and a0_vx, a0_vy, a0_vz, ... (V), or Parquet (needs the io extra)"
-    arguments.existing(parser, "files", "FILE", kinds, nargs="+")
+    parser.existing("files", "FILE", kinds, nargs="+")
 
-    def run(given: argparse.Namespace) -> None:
-        from softslide.serve.predict import predict
-
+    def run(files: list[Path], map: Path | None, presses: bool, atlas: Path | None, **given: Any) -> None:
         bad: list[InputError] = []
-        how = (given.track, bad.append, given.height_mm, given.whole_contact, given.unsigned)
         with ExitStack() as stack:
-            if given.map:
+            if map:
                 from softslide.pipeline.importers.run import volts_of
 
                 scratch = stack.enter_context(TemporaryDirectory(prefix="softslide-"))
-                given.files = volts_of(given.files, given.map, Path(scratch) / "volts")
-            lines = _presses(given, bad.append) if given.presses else predict(given.model, given.files, *how)
+                files = volts_of(files, map, Path(scratch) / "volts")
+            if presses:
+                model, height_mm, unsigned = (given[name] for name in ("model", "height_mm", "unsigned"))
+                lines = _presses(model, files, atlas, height_mm, unsigned, bad.append)
+            else:
+                lines = softslide.predict(files=files, refused=bad.append, **given)
             for line in lines:
                 print(json.dumps(line, allow_nan=False), flush=True)
         for error in bad[:-1]:
@@ -74,7 +68,14 @@ def predict(parser: Parser) -> Run:
     return run
 
 
-def _presses(given: argparse.Namespace, refused: Callable[[InputError], None]) -> Iterator[dict[str, Any]]:
+def _presses(
+    model: Path,
+    files: list[Path],
+    atlas: Path | None,
+    height_mm: float | None,
+    unsigned: bool,
+    refused: Callable[[InputError], None],
+) -> Iterator[dict[str, Any]]:
     """The press in each file, by the solved skin of the bundle's sensor.
 
     Raises:
@@ -86,20 +87,20 @@ def _presses(given: argparse.Namespace, refused: Callable[[InputError], None]) -
     from softslide.serve.bundle import open_bundle
     from softslide.serve.files import read_recording
 
-    card, _ = open_bundle(given.model, given.unsigned)
-    if given.height_mm is None:
+    card, _ = open_bundle(model, unsigned)
+    if height_mm is None:
         raise InputError(
             "is needed: a press is read at a height of the inflated skin; name it in mm", "height"
         )
-    sensor = sensor_of(card.sensor, f"{given.model / 'model.json'}: sensor")
-    atlas = atlas_of(sensor, given.atlas)
-    for path in given.files:
+    sensor = sensor_of(card.sensor, f"{model / 'model.json'}: sensor")
+    solved = atlas_of(sensor, atlas)
+    for path in files:
         try:
             volts = read_recording(path, sensor.channels, sensor.sample_rate_hz)
         except InputError as error:
             refused(error)
             continue
-        yield {"recording": path.stem, "file": str(path), **press_in(volts, sensor, atlas, given.height_mm)}
+        yield {"recording": path.stem, "file": str(path), **press_in(volts, sensor, solved, height_mm)}
 
 
 def serve(parser: Parser) -> Run:
@@ -114,7 +115,7 @@ def serve(parser: Parser) -> Run:
         softslide serve --model my-model --source udp://:9000 --log run.mcap
         softslide serve --model my-model --source udp://:9000 --sink udp://127.0.0.1:9001
     """
-    arguments.model(parser)
+    parser.model()
     parser.add_argument(
         "--source",
         required=True,
@@ -128,23 +129,15 @@ def serve(parser: Parser) -> Run:
         help="'-' writes JSON lines on standard output (default); udp://HOST:PORT one JSON object a datagram; "
         "ros2://TOPIC positions in m, velocities in m/s with their covariance, and estimates; may be given again",
     )
-    parser.add_argument(
-        "--format",
-        choices=("csv", "f32", "cobs"),
-        default="csv",
-        help="of bytes from outside: csv, lines of volts (V) with or without a time (s) before them; f32, "
-        "little-endian float32 frames, one number a channel; cobs, frames with a checksum that can be joined anywhere "
-        "(default: %(default)s)",
-    )
-    arguments.skin_height(parser)
-    arguments.unsigned(parser)
+    parser.form()
+    parser.of_bundle()
     log = "a new MCAP file for what comes (V) and goes out, as Foxglove and Rerun open it; 'import' reads its volts "
     parser.add_argument("--log", type=Path, metavar="FILE.mcap", help=f"{log}(needs the live extra)")
     rate = "sample rate of a live source (default: as in the bundle's calibration); a recording has its own clock"
-    arguments.number(parser, "--rate", "HZ", rate)
+    parser.number("--rate", "HZ", rate)
     lag = "give each estimate so many s later, at most 2, from later samples as well: sharper, and valid "
-    arguments.number(parser, "--lag", "S", f"{lag}more often (cnn alone)", default=0.0)
-    parser.add_argument("--fast", action="store_true", help="play a recording as fast as it goes")
+    parser.number("--lag", "S", f"{lag}more often (cnn alone)", default=0.0)
+    parser.flag("--fast", "play a recording as fast as it goes")
     parser.add_argument(
         "--page",
         metavar="[HOST:]PORT",
@@ -152,11 +145,9 @@ def serve(parser: Parser) -> Run:
         "reaches it, port 0 is any that is free; open it before a recording is played: it waits and comes back",
     )
 
-    def run(given: argparse.Namespace) -> None:
-        from softslide.serve.stream.live import serve
-
-        print(f"softslide serve: {given.source}; stop with Ctrl-C", file=sys.stderr)
-        written = serve(**arguments.options(given))
+    def run(source: str, **given: Any) -> None:
+        print(f"softslide serve: {source}; stop with Ctrl-C", file=sys.stderr)
+        written = softslide.serve(source=source, **given)
         print(f"softslide serve: {written} estimates", file=sys.stderr)
 
     return run

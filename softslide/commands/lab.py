@@ -1,9 +1,9 @@
 """Subcommands at the bench: design, plan, record."""
 
-import argparse
 from pathlib import Path
+from typing import Any
 
-from softslide.commands import arguments
+import softslide
 from softslide.commands.arguments import Parser, Run
 
 
@@ -20,21 +20,19 @@ def design(parser: Parser) -> Run:
         softslide design --sensor sensor.toml --boards 1 2 3 4 --out design
         softslide design --sensor sensor.toml --boards 2 --height 9 --out design
     """
-    arguments.existing(parser, "--sensor", "sensor.toml", "the design", required=True)
+    parser.sensor("the design", required=True)
     boards = "numbers of accelerometers (default: 1 2 3 4)"
-    arguments.number(parser, "--boards", "N", boards, [1, 2, 3, 4], type=int, nargs="+")
-    arguments.number(parser, "--thickness", "MM", "of the skin, mm (default: the sensor's)")
-    arguments.number(parser, "--height", "MM", "of the inflated skin, mm (default: 7)")
-    arguments.number(parser, "--chamber", "MM", "along x and y, mm (default: the sensor's)", nargs=2)
-    arguments.number(parser, "--depth", "MM", "contact depth, mm", 0.5)
-    arguments.out(parser, "where the page, the table and the sensors go")
+    parser.number("--boards", "N", boards, [1, 2, 3, 4], type=int, nargs="+")
+    parser.number("--thickness", "MM", "of the skin, mm (default: the sensor's)")
+    parser.number("--height", "MM", "of the inflated skin, mm (default: 7)")
+    parser.number("--chamber", "MM", "along x and y, mm (default: the sensor's)", nargs=2)
+    parser.number("--depth", "MM", "contact depth, mm", 0.5)
+    parser.out("where the page, the table and the sensors go")
 
-    def run(given: argparse.Namespace) -> None:
-        from softslide.experiments.acquisition.design import design
-
-        table = design(**arguments.options(given))
+    def run(out: Path, **given: Any) -> None:
+        table = softslide.design(out=out, **given)
         print(table.to_string(index=False, float_format="{:.3g}".format))
-        print(given.out / "design.html")
+        print(out / "design.html")
 
     return run
 
@@ -57,31 +55,28 @@ def plan(parser: Parser) -> Run:
         softslide plan --sensor my-recordings/sensor.toml --slides 12 --out plan.csv \\
             --candidates my-recordings/manifest.csv
     """
-    arguments.existing(parser, "--sensor", "sensor.toml", "the design", required=True)
-    arguments.number(parser, "--slides", "N", "how many slides", 12)
-    arguments.atlas(parser, "from 'simulate' (default: the shipped one for its design, else solved coarsely)")
+    parser.sensor("the design", required=True)
+    parser.number("--slides", "N", "how many slides", 12)
+    parser.atlas("from 'simulate' (default: the shipped one for its design, else solved coarsely)")
     among = "choose among the calibration and train slides of a manifest (default: lines in all directions)"
-    arguments.existing(parser, "--candidates", "manifest.csv", among)
+    parser.existing("--candidates", "manifest.csv", among)
     directions = "directions that the stage can move in, deg (default: every 15)"
-    speeds = "speeds that the stage can move at, mm/s (default: 1 2 4)"
-    arguments.number(parser, "--directions", "DEG", directions, nargs="+")
-    arguments.number(parser, "--speeds", "MM_S", speeds, nargs="+")
-    arguments.number(parser, "--depth", "MM", "contact depth, mm", 0.5)
+    parser.number("--directions", "DEG", directions, nargs="+")
+    parser.number("--speeds", "MM_S", "speeds that the stage can move at, mm/s (default: 1 2 4)", nargs="+")
+    parser.number("--depth", "MM", "contact depth, mm", 0.5)
     apart = "how many test slides to add, along other lines, so that each of the article's bounds is tested"
-    arguments.number(parser, "--tests", "N", apart, 0)
+    parser.number("--tests", "N", apart, 0)
     others = "how many contacts to add that bend, stop, turn back, press, touch down or lift, for a stage to follow"
-    arguments.number(parser, "--paths", "N", others, 0)
-    arguments.out(parser, "the CSV to write", metavar="plan.csv")
-    arguments.picture(parser, "plan.svg", "draw the plan too")
+    parser.number("--paths", "N", others, 0)
+    parser.out("the CSV to write", metavar="plan.csv")
+    parser.picture("plan.svg", "draw the plan too")
     program = "G-code too, for a printer or a small CNC machine that moves the ball (docs/printer.md)"
     parser.add_argument("--gcode", type=Path, metavar="plan.gcode", help=program)
     firmware = "whose dialect it is in (default: %(default)s)"
     parser.add_argument("--firmware", choices=("marlin", "grbl"), default="marlin", help=firmware)
 
-    def run(given: argparse.Namespace) -> None:
-        from softslide.experiments.acquisition.plan import plan
-
-        print(*plan(**arguments.options(given)).lines(), given.out, sep="\n")
+    def run(out: Path, **given: Any) -> None:
+        print(*softslide.plan(out=out, **given).lines(), out, sep="\n")
 
     return run
 
@@ -113,26 +108,15 @@ def record(parser: Parser) -> Run:
         required=True,
         help="serial:///dev/PORT?BAUD (needs the live extra); udp://HOST:PORT; ros2://TOPIC (needs rclpy)",
     )
-    source = "from 'plan', or any CSV with a manifest's labels"
-    arguments.existing(parser, "--plan", "plan.csv", source, required=True)
-    arguments.sensor(parser, "the sensor, written into a new folder (default: the folder's own)")
-    arguments.out(parser, "the folder to write or to go on with")
-    parser.add_argument(
-        "--format",
-        choices=("csv", "f32", "cobs"),
-        default="csv",
-        help="of the source's bytes, as in 'serve': csv, lines of volts (V) with or without a time (s) before them; "
-        "f32, little-endian float32 frames; cobs, frames with a checksum (default: %(default)s; over a serial port "
-        "take csv or cobs)",
-    )
-    for name, default, text in (
-        ("--rest", 3.0, "rest before and after each motion"),
-        ("--start", 3.0, "to start the stage in"),
-        ("--timeout", 2.0, "silence that counts as a pulled cable"),
-        ("--wait", 600.0, "how long to wait for the source to come back"),
-    ):
-        arguments.number(parser, name, "S", f"{text}, s", default)
-    parser.add_argument("--yes", action="store_true", help="ask nothing: record and keep every slide")
+    parser.existing("--plan", "plan.csv", "from 'plan', or any CSV with a manifest's labels", required=True)
+    parser.sensor("the sensor, written into a new folder (default: the folder's own)")
+    parser.out("the folder to write or to go on with")
+    parser.form()
+    parser.number("--rest", "S", "rest before and after each motion, s", 3.0)
+    parser.number("--start", "S", "to start the stage in, s", 3.0)
+    parser.number("--timeout", "S", "silence that counts as a pulled cable, s", 2.0)
+    parser.number("--wait", "S", "how long to wait for the source to come back, s", 600.0)
+    parser.flag("--yes", "ask nothing: record and keep every slide")
     moves = (
         "what moves the ball: serial:///dev/PORT?firmware=marlin&baud=115200, or grbl (needs the live extra)"
     )
@@ -141,14 +125,13 @@ def record(parser: Parser) -> Run:
         "where, after homing, the ball just touches the skin over the chamber's middle, mm (default: where it is now; "
         "--yes needs it)"
     )
-    arguments.number(parser, "--origin", "MM", origin, nargs=3)
+    parser.number("--origin", "MM", origin, nargs=3)
     height = (
         "with --origin above the skin and the pressure off: find its height, by lowering so far at most, mm; "
         "not with --yes"
     )
-    arguments.number(parser, "--approach", "MM", height)
-    in_the_air = "with --stage: drive the slides above the skin, and record nothing"
-    parser.add_argument("--dry-run", action="store_true", help=in_the_air)
+    parser.number("--approach", "MM", height)
+    parser.flag("--dry-run", "with --stage: drive the slides above the skin, and record nothing")
     enough = (
         "errors that are enough, 0.3deg, 0.7%% or 0.09mm: once the last eight slides are estimated so well by the "
         "map of those before, no more slides to learn from (needs the train extra; default: the whole plan)"
@@ -157,10 +140,8 @@ def record(parser: Parser) -> Run:
     meanwhile = "show slides done and to come and the error so far, in a browser (needs the train extra)"
     parser.add_argument("--page", type=Path, metavar="FILE.html", help=meanwhile)
 
-    def run(given: argparse.Namespace) -> None:
-        from softslide.experiments.acquisition.record import record
-
-        folder, left = record(**arguments.options(given))
+    def run(**given: Any) -> None:
+        folder, left = softslide.record(**given)
         missing = f", {left} of the plan are left" if left else ""
         print(f"{folder.root}: {len(folder)} recordings{missing}")
 

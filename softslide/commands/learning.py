@@ -1,11 +1,12 @@
-"""Subcommands around one model: demo, train, evaluate, export, recalibrate."""
+"""Subcommands around models: demo, train, evaluate, export, recalibrate, article, compare."""
 
-import argparse
 import json
 import shlex
 import sys
+from pathlib import Path
+from typing import Any
 
-from softslide.commands import arguments
+import softslide
 from softslide.commands.arguments import Parser, Run
 from softslide.features.errors import InputError
 
@@ -20,12 +21,10 @@ def demo(parser: Parser) -> Run:
 
         softslide demo --out demo
     """
-    arguments.out(parser, "where everything goes")
+    parser.out("where everything goes")
 
-    def run(given: argparse.Namespace) -> None:
-        from softslide.experiments.demo import demo
-
-        print(demo(given.out))
+    def run(out: Path) -> None:
+        print(softslide.demo(out))
 
     return run
 
@@ -51,7 +50,7 @@ def train(parser: Parser) -> Run:
     from softslide.models import registry
 
     several = "what to learn from; several folders of one sensor, or the option again, are pooled"
-    arguments.existing(parser, "--recordings", "DIR", several, nargs="+")
+    parser.existing("--recordings", "DIR", several, nargs="+")
     again = "train again with the settings and recordings of a run of the store (--recordings: where these are now); "
     again += "exit status 1: a file of the bundle differs from the one made then"
     parser.add_argument("--from-run", metavar="RUN", help=again)
@@ -59,45 +58,43 @@ def train(parser: Parser) -> Run:
         "how much a folder's slides count in the response map, once for each folder (default: 1, all alike)"
     )
     parser.add_argument("--weight", type=float, action="append", default=[], help=weight)
-    arguments.atlas(parser, "the design's response atlas, from 'simulate'")
-    arguments.existing(parser, "--init", "BUNDLE", "a bundle of the same model to start from (warm start)")
+    parser.atlas("the design's response atlas, from 'simulate'")
+    parser.existing("--init", "BUNDLE", "a bundle of the same model to start from (warm start)")
     models = f"{', '.join(registry.MODELS)} (default: %(default)s)"
     parser.add_argument("--model", default=registry.DEFAULT, metavar="NAME", help=models)
     changes = "TOML with changes to the model's defaults, or configuration.json of a run"
-    arguments.existing(parser, "--config", "FILE", changes)
+    parser.existing("--config", "FILE", changes)
     template = "print the configuration of --model, each key with its default, to start FILE from"
-    parser.add_argument("--config-template", action="store_true", help=template)
-    parser.add_argument("--design-alone", action="store_true", help="use no recording, the design alone")
-    register = "register the bundle, as the next version of models:/softslide"
-    parser.add_argument("--register", action="store_true", help=register)
-    fresh = "calibrate the response map anew, even where one is kept"
-    parser.add_argument("--fresh", action="store_true", help=fresh)
-    arguments.out(parser, "where the bundle goes", metavar="BUNDLE", required=False)
+    parser.flag("--config-template", template)
+    parser.flag("--design-alone", "use no recording, the design alone")
+    parser.flag("--register", "register the bundle, as the next version of models:/softslide")
+    parser.flag("--fresh", "calibrate the response map anew, even where one is kept")
+    parser.out("where the bundle goes", metavar="BUNDLE", required=False)
 
-    def run(given: argparse.Namespace) -> int:
-        if given.config_template:
+    def run(
+        recordings: list[Path] | None,
+        from_run: str | None,
+        out: Path | None,
+        config_template: bool,
+        **given: Any,
+    ) -> int:
+        if config_template:
             from softslide.experiments.configuration import configuration_template
 
-            print(configuration_template(given.model), end="")
+            print(configuration_template(given["model"]), end="")
             return 0
-        if not given.out:
+        if not out:
             raise InputError("is needed; name where the bundle goes", "out")
-        if given.from_run:
-            from softslide.experiments.from_run import train_from_run
-
-            found = train_from_run(given.from_run, given.out, given.recordings or ())
+        if from_run:
+            found = softslide.train_from_run(from_run, out, recordings or ())
             for name, difference in found.items():
                 print(f"{name}: {difference or 'the same to the byte'}")
             return int(any(found.values()))
-        if not given.recordings:
+        if not recordings:
             raise InputError("is needed, or --from-run; name a folder", "recordings")
-        from softslide.experiments.train import train
-
-        named = arguments.options(given)
-        del named["from_run"], named["config_template"]
-        done = train(**named)
+        done = softslide.train(recordings, out, **given)
         print(f"softslide train: {done.run.place}", file=sys.stderr)
-        model, folder = shlex.quote(str(done.bundle)), shlex.quote(str(given.recordings[0]))
+        model, folder = shlex.quote(str(done.bundle)), shlex.quote(str(recordings[0]))
         for line in (
             f"softslide evaluate --model {model} --recordings {folder} --out {model}-results",
             f"softslide predict --model {model} slide.csv",
@@ -126,31 +123,26 @@ def evaluate(parser: Parser) -> Run:
         softslide evaluate --model my-model --recordings paths \\
             --split track-line track-curve --out tracks
     """
-    arguments.model(parser)
-    arguments.recordings(parser, "what to score on")
+    parser.model()
+    parser.recordings("what to score on")
     splits = "splits to score, by their full names (default: all that begin with test)"
     parser.add_argument("--split", nargs="+", action="extend", metavar="NAME", help=splits)
-    arguments.out(parser, "where the results go")
-    untested = "a bound that no recording tests does not count as not met"
-    parser.add_argument("--allow-untested", action="store_true", help=untested)
+    parser.out("where the results go")
+    parser.flag("--allow-untested", "a bound that no recording tests does not count as not met")
     no_report = "draw no report.html, which takes seconds"
     parser.add_argument("--no-report", dest="report", action="store_false", help=no_report)
-    arguments.number(parser, "--jobs", "N", "recordings at a time", 2)
-    arguments.scheduler(parser)
+    parser.number("--jobs", "N", "recordings at a time", 2)
+    parser.scheduler()
 
-    def run(given: argparse.Namespace) -> int:
-        from softslide.experiments.evaluate import evaluate
-
-        named = arguments.options(given)
-        del named["allow_untested"]
-        result = evaluate(**named)
-        written = "report.html" if given.report else "metrics.json"
-        print(f"softslide evaluate: wrote {given.out}/{written}", file=sys.stderr)
+    def run(out: Path, report: bool, allow_untested: bool, **given: Any) -> int:
+        result = softslide.evaluate(out=out, report=report, **given)
+        written = "report.html" if report else "metrics.json"
+        print(f"softslide evaluate: wrote {out}/{written}", file=sys.stderr)
         print("\n".join(result.lines()))
-        if result.untested and not given.allow_untested:
+        if result.untested and not allow_untested:
             gaps = f"{result.untested} of {len(result.verdicts)} bounds are not tested, and so not met"
             print(f"softslide evaluate: {gaps}; --allow-untested lets them pass", file=sys.stderr)
-        return 0 if result.met(given.allow_untested) else 1
+        return 0 if result.met(allow_untested) else 1
 
     return run
 
@@ -167,15 +159,13 @@ def export(parser: Parser) -> Run:
 
         softslide export --model my-model --to c --out my-model-c
     """
-    arguments.model(parser)
+    parser.model()
     parser.add_argument("--to", required=True, choices=("ort", "c", "hub"), help="the format")
-    arguments.out(parser, "the bundle to write")
+    parser.out("the bundle to write")
 
-    def run(given: argparse.Namespace) -> None:
-        from softslide.models.export.formats import export
-
-        print(json.dumps(export(**arguments.options(given))))
-        print(f"softslide export: wrote {given.out}", file=sys.stderr)
+    def run(out: Path, **given: Any) -> None:
+        print(json.dumps(softslide.export(out=out, **given)))
+        print(f"softslide export: wrote {out}", file=sys.stderr)
 
     return run
 
@@ -194,18 +184,75 @@ def recalibrate(parser: Parser) -> Run:
 
         softslide recalibrate --model my-model --recordings today --out my-model-today
     """
-    arguments.model(parser)
-    arguments.recordings(parser, "a folder with a stroke or a press of the same sensor")
+    parser.model()
+    parser.recordings("a folder with a stroke or a press of the same sensor")
     splits = "beginnings of the names of the splits to use (default: all but test and track)"
     parser.add_argument("--split", nargs="+", metavar="NAME", help=splits)
-    arguments.out(parser, "where the new bundle goes", metavar="BUNDLE")
+    parser.out("where the new bundle goes", metavar="BUNDLE")
 
-    def run(given: argparse.Namespace) -> None:
-        from softslide.experiments.recalibrate import recalibrate
-
-        print(json.dumps(recalibrate(**arguments.options(given))))
+    def run(**given: Any) -> None:
+        print(json.dumps(softslide.recalibrate(**given)))
 
     return run
 
 
-COMMANDS = (demo, train, evaluate, export, recalibrate)
+def article(parser: Parser) -> Run:
+    """the article's figures and claims on a folder of recordings
+
+    Makes the figures of Trinh et al. (Sensors 2019, 19, 2036) again, 6, 9 to 11
+    and 14 to 26, from the slides along x and y and from the atlas, each next to
+    what the article says; holds its claims against them; and fits its method
+    as published and at its best. Errors are in deg, % and mm, of slides that
+    were not fitted. Writes article.html, and the numbers as CSV: claims.csv,
+    variants.csv, figure-NN.csv. Prints the claims. Pressures and a laser's
+    readings of the skin's height (skin_height_mm) are shown where the folder
+    has them; the page names what is missing.
+
+        softslide article --recordings my-recordings --out article
+        softslide synthesize --protocol article --out protocol
+        softslide article --recordings protocol --out article-protocol
+    """
+    parser.recordings("slides along x and y, with their labels")
+    parser.atlas("from 'simulate' (default: the shipped one for its design, else solved coarsely)")
+    parser.out("where the page and its tables go")
+
+    def run(**given: Any) -> None:
+        made = softslide.article(**given)
+        print("\n".join(made.lines()))
+        print(made.page)
+
+    return run
+
+
+def compare(parser: Parser) -> Run:
+    """models side by side, fitted and scored on the same slides
+
+    Fits the article's interpolation, trees, a small network and a Gaussian
+    process on features, the default model and the inverted response map to
+    the same calibration slides and scores all on the same test slides:
+    errors in degrees (deg), percent (%) and mm, time of a window in ms, and
+    each model's differences from the default (or the first named) on the
+    same slides, with 95 % confidence intervals over lines. Writes
+    comparison.html, comparison.csv and paired.csv; the bundles are kept in
+    DIR, below a folder for each folder of recordings.
+
+        softslide compare --recordings bench-a bench-d --out comparison
+        softslide compare --recordings lab --models my-model other-model --out which
+    """
+    parser.recordings("folders, one sensor each", nargs="+")
+    parser.out("where everything goes")
+    models = "some of interpolation, trees, mlp, gp, cnn, inversion, or folders of bundles, which are read out as they "
+    parser.add_argument(
+        "--models", nargs="+", metavar="NAME", help=f"{models}are (default: all that have a name)"
+    )
+    parser.number("--jobs", "N", "recordings that a bundle reads at a time", 1)
+
+    def run(out: Path, models: list[str] | None, **given: Any) -> None:
+        named = {"models": models} if models else {}
+        softslide.compare(out=out, **named, **given)
+        print(out / "comparison.html")
+
+    return run
+
+
+COMMANDS = (demo, train, evaluate, export, recalibrate, article, compare)
