@@ -15,7 +15,6 @@ from softslide.experiments.article.article import Article, article
 from softslide.experiments.article.axis_slides import AxisSlides, edges_mm, read_axis_slides, seen_from_board
 from softslide.experiments.article.method import BEST, PUBLISHED, Variant, fit_method
 from softslide.experiments.article.skin_figures import pressure, static_output
-from softslide.experiments.article.slide_figures import whole_slides
 from softslide.features.stream.conditioning import Conditioning
 from softslide.features.vector.feature_vector import feature_names
 from softslide.models.classical.interpolation import DIRECTIONS_DEG
@@ -141,9 +140,9 @@ def test_every_figure_is_there_with_the_numbers_behind_it(made: Article) -> None
     assert tuple(s.figures for s in made.sections) == FIGURES
     for section in made.sections:
         assert section.panels or section.missing
-        if section.table is not None:
+        if len(section.table):
             written = pd.read_csv(made.page.parent / section.file)
-            assert len(written) == len(section.table) > 0
+            assert len(written) == len(section.table)
     claims = pd.read_csv(made.page.parent / "claims.csv")
     assert set(claims["verdict"]) <= {"holds", "in part", "does not hold", "not tested"}
     assert claims[["claim", "claimed", "measured", "why"]].notna().all(axis=None)
@@ -153,7 +152,6 @@ def test_what_is_known_not_to_hold_does_not(made: Article) -> None:
     claims = made.claims.set_index("claim")
     assert claims.loc["v = 0.008 t^2 - 0.4331 t + 7.4336 covers X-slides", "verdict"] == "does not hold"
     height = made.sections[1].table
-    assert height is not None
     solved = height[height["source"] == "atlas"]
     ends = solved["formula_error_percent"].iloc[[0, -1]].to_numpy()
     assert ends == pytest.approx([38.0, 6.0], abs=1.5)
@@ -167,18 +165,16 @@ def test_pressures_and_lasers_of_the_folder_are_read(tmp_path: Path) -> None:
     atlas = read_atlas(DEFAULT_ATLAS)
     without = static_output(atlas, read_folder(tmp_path))
     assert "o recording holds a laser's reading" in without.missing
-    assert without.table is not None
     height = without.table["formula_mm"].iloc[-1] / 1.1
     manifest.assign(skin_height_mm=height).to_csv(tmp_path / "manifest.csv", index=False)
     section = static_output(atlas, read_folder(tmp_path))
     assert section.missing == ""
-    assert section.table is not None
     recorded = section.table[section.table["source"] == "recordings"]
     assert set(recorded["pressure_mpa"]) == {0.028, 0.035}
     assert recorded["formula_error_percent"].mean() == pytest.approx(10.0, abs=2.0)
     slides, _ = read_axis_slides(read_folder(tmp_path))
     assert slides is not None
-    role = pressure(atlas, read_folder(tmp_path), whole_slides(slides))
+    role = pressure(atlas, read_folder(tmp_path), slides.whole)
     assert role.missing == ""
     assert "at 0.028 MPa" in role.here
     # A gauge's uneven readings of one pressure are no several ones.
@@ -186,7 +182,7 @@ def test_pressures_and_lasers_of_the_folder_are_read(tmp_path: Path) -> None:
     manifest.assign(pressure_mpa=uneven_mpa).to_csv(tmp_path / "manifest.csv", index=False)
     slides, _ = read_axis_slides(read_folder(tmp_path))
     assert slides is not None
-    assert "one pressure" in pressure(atlas, read_folder(tmp_path), whole_slides(slides)).missing
+    assert "one pressure" in pressure(atlas, read_folder(tmp_path), slides.whole).missing
 
 
 def test_the_best_variant_answers_less_and_errs_less(made: Article) -> None:

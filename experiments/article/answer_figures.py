@@ -6,21 +6,21 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 
-from softslide.experiments.article.axis_slides import AxisSlides
+from softslide.experiments.article.axis_slides import EXTREMES, AxisSlides
 from softslide.experiments.article.method import LEAST_SPEED_MM_S, Method
 from softslide.experiments.article.scoring import Scored, at_end
 from softslide.experiments.article.section import Section
 from softslide.experiments.article.slide_figures import SINCE_EDGE, delays_mm, nearest
+from softslide.experiments.evaluation.figures import paths
 from softslide.experiments.evaluation.scoring import AXES
 from softslide.experiments.pages.figures import COLOURS, EDGE, INK, Panel, chart, on_skin, rectangle
+from softslide.models.classical.interpolation import DETECTABLE_MM
 from softslide.pipeline.recordings.learned import CALIBRATION
 from softslide.pipeline.sensor import Sensor
 
 # The one fit that the article still shows, of X-sliding: v in mm/s of t_max in s, coefficients in rising powers.
 PUBLISHED_CHI = (7.4336, -0.4331, 0.008)
-EXTREMES = {"low": "minimum", "high": "maximum"}
 SPEED_LIMIT, DISTANCE_LIMIT = 8.0, 15.0  # %, the article's
-ARTICLE_MM = (17.5, 25.0)  # detectable area, by axis
 BIN_MM = 2.5
 SHOWN_MM, SHOWN_MM_S = (5.0, 10.0, 15.0), 2.0  # of the trajectories
 
@@ -214,14 +214,14 @@ def _area_panel(rows: pd.DataFrame, axis: int, sensor: Sensor) -> Panel:
                     rectangle(ax, low, high, facecolor=colours[name], alpha=0.45, linewidth=0)
         for name, colour in colours.items():
             ax.plot([], [], "s", color=colour, alpha=0.45, label=name)
-        for reach in (-ARTICLE_MM[axis], ARTICLE_MM[axis]):
+        for reach in (-DETECTABLE_MM[axis], DETECTABLE_MM[axis]):
             (ax.axhline, ax.axvline)[axis](centre + reach, color=INK, linestyle="--", linewidth=1)
 
     text = (
         f"Measured area of {'XY'[axis]}-slides by the distance of the line, on both sides alike; dashed: the article's "
         "detectable area; blank: no slide."
     )
-    return on_skin(sensor, text, draw, f"{'XY'[axis]}-slides", entries=4)
+    return on_skin(sensor, text, draw, f"{'XY'[axis]}-slides")
 
 
 def trajectories(whole: AxisSlides, best: Scored, sensor: Sensor, axis: int) -> Section:
@@ -234,10 +234,15 @@ def trajectories(whole: AxisSlides, best: Scored, sensor: Sensor, axis: int) -> 
         rows = best.new[(best.new["kind"] == kind) & best.new["valid"]]
         ends = rows[rows["stroke_fraction"] == 1.0].assign(speed_mm_s=lambda end: end["true_speed_mm_s"])
         if len(ends):
-            names = {str(nearest(ends, distance, SHOWN_MM_S)["recording"]): None for distance in SHOWN_MM}
-            shown = best.new[best.new["recording"].isin(names)]
-            panels.append(_trajectory(shown, kind, sensor))
-            tables.append(shown.assign(kind=AXES[kind]))
+            names = {str(nearest(ends, distance, SHOWN_MM_S)["recording"]) for distance in SHOWN_MM}
+            shown = best.new[best.new["recording"].isin(names)].assign(kind=AXES[kind])
+            slides = shown["recording"] + shown["true_speed_mm_s"].map(", {:.2g} mm/s".format)
+            text = (
+                f"Actual and estimated places of the contact in the plane, {AXES[kind]} slides, at each tenth of the "
+                "stroke; no estimate before the extremes."
+            )
+            panels.append(paths(shown.assign(slide=slides), "slide", sensor, text, AXES[kind]))
+            tables.append(shown)
     if not panels:
         return Section(number, title, says, missing=f"No {letter}-slide is answered.")
     columns = ["recording", "stroke_fraction", "travelled_mm", "x_mm", "y_mm", "position_mm_error"]
@@ -248,23 +253,3 @@ def trajectories(whole: AxisSlides, best: Scored, sensor: Sensor, axis: int) -> 
         for row in first[first["kind"].str.startswith(letter)].itertuples()
     )
     return Section(number, title, says, here + "; medians.", tuple(panels), table)
-
-
-def _trajectory(shown: pd.DataFrame, kind: int, sensor: Sensor) -> Panel:
-    def draw(ax: Axes) -> None:
-        for n, (name, rows) in enumerate(shown.groupby("recording", sort=False)):
-            start, angle = rows.iloc[0][["true_start_x_mm", "true_start_y_mm"]], np.deg2rad(90.0 * kind)
-            end = start + rows["true_travel_mm"].iloc[0] * np.array([np.cos(angle), np.sin(angle)])
-            line, label = np.array([start, end], float).T, "" if n else "actual"
-            ax.plot(*line, color=EDGE, linewidth=5, alpha=0.5, label=label)
-            valid = rows[rows["valid"]]
-            label = f"{name}, {rows['true_speed_mm_s'].iloc[0]:.2g} mm/s"
-            ax.plot(
-                valid["x_mm"], valid["y_mm"], "o-", markersize=3, linewidth=1, color=COLOURS[n], label=label
-            )
-
-    text = (
-        f"Actual and estimated places of the contact in the plane, {AXES[kind]} slides, at each tenth of the stroke; "
-        "no estimate before the extremes."
-    )
-    return on_skin(sensor, text, draw, AXES[kind], entries=5)

@@ -14,13 +14,13 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from softslide.experiments.article.axis_slides import AxisSlides
+from softslide.experiments.article.axis_slides import AxisSlides, extremes_of
 from softslide.experiments.evaluation.readout import COLUMNS
 from softslide.features.vector.feature_vector import feature_names
 from softslide.models.classical.interpolation import (
+    DETECTABLE_MM,
     DIRECTIONS_DEG,
     Polynomials,
-    abscissas,
     degree,
     evaluate_polynomials,
     fit_polynomials,
@@ -28,8 +28,7 @@ from softslide.models.classical.interpolation import (
     slide_direction,
 )
 
-# Distances fitted, by direction: the article's detectable area, and the outer edges of its effective one.
-DETECTABLE_MM = (17.5, 25.0, 17.5, 25.0)
+# Distances fitted, by direction, where not DETECTABLE_MM: the outer edges of the article's effective area.
 EFFECTIVE_MM = (17.5, 22.5, 17.5, 22.5)
 # The lowest speed that a quadratic in t is fitted to here. The published one has its minimum at 1.57 mm/s.
 LEAST_SPEED_MM_S = 1.5
@@ -52,7 +51,7 @@ class Variant:
     edge: bool = False
     least_speed_mm_s: float = 0.0
     bounded: bool = False
-    reach_mm: tuple[float, ...] = DETECTABLE_MM
+    reach_mm: tuple[float, ...] = tuple(DETECTABLE_MM)
 
 
 PUBLISHED = Variant("as published")
@@ -85,16 +84,15 @@ class Method:
     def predict(self, slides: AxisSlides) -> pd.DataFrame:
         """Rows of `predictions.csv` for the windows; NaN and not valid where the method gives no answer."""
         features, variant = slides.features, self.variant
-        extremes, passed = abscissas(features, "distance")
-        moments, _ = abscissas(features, "speed", "quadratic")
-        distance = np.clip(evaluate_polynomials(self.distance, extremes, passed), 0.0, None)
+        values, moments, passed = extremes_of(features)
+        distance = np.clip(evaluate_polynomials(self.distance, values, passed), 0.0, None)
         behind = _powers(distance) * self.trigger
         way = behind.sum(axis=-1) if variant.edge else np.zeros_like(distance)
         speed, times = self._speed(moments, passed, way)
         answered = slide_direction(features) & np.isfinite(speed) & np.isfinite(distance) & (speed > 0)
         if variant.bounded:
             answered &= np.where(passed, _within(times, self.times_s), True).all(axis=-1)
-            answered &= np.where(passed, _within(extremes, self.volts), True).all(axis=-1)
+            answered &= np.where(passed, _within(values, self.volts), True).all(axis=-1)
         elapsed = features[:, [_ELAPSED]]
         edge = slides.table["edge_mm"].to_numpy()[:, None]
         along = edge + way + speed * elapsed if variant.edge else self.start_mm + speed * elapsed
@@ -152,8 +150,7 @@ def fit_method(slides: AxisSlides, variant: Variant) -> Method:
     table, kinds = slides.table, slides.table["kind"].to_numpy()
     ours = kinds[:, None] == np.arange(4)
     near = table["distance_mm"].to_numpy()[:, None] <= np.array(variant.reach_mm)
-    extremes, passed = abscissas(slides.features, "distance")
-    moments, _ = abscissas(slides.features, "speed", "quadratic")
+    values, moments, passed = extremes_of(slides.features)
     speed, distance = table["speed_mm_s"].to_numpy(), table["distance_mm"].to_numpy()
     usable = passed & (ours & near)[..., None]
     late = (table["trigger_mm"] / table["speed_mm_s"]).to_numpy()
@@ -164,7 +161,7 @@ def fit_method(slides: AxisSlides, variant: Variant) -> Method:
     weight = 1.0 / speed if variant.form == "reciprocal" else np.ones(len(speed))
     argument = _argument(times, passed, variant.form)
     chi = fit_polynomials(argument, timed, speed, degree("speed", variant.form), weight)
-    f = fit_polynomials(extremes, usable, distance, degree("distance", ""), np.ones(len(speed)))
+    f = fit_polynomials(values, usable, distance, degree("distance", ""), np.ones(len(speed)))
     trigger, way, start = np.full((4, 3), np.nan), np.full((4, 2), np.nan), np.full(4, np.nan)
     travelled = speed[:, None, None] * moments + table["trigger_mm"].to_numpy()[:, None, None]
     for k in range(4):
@@ -175,7 +172,7 @@ def fit_method(slides: AxisSlides, variant: Variant) -> Method:
         for e in range(2):
             if (both := usable[:, k, e] & known[:, 0, 0]).any():
                 way[k, e] = np.median(travelled[both, k, e])
-    return Method(variant, chi, f, trigger, way, _ranges(times, timed), _ranges(extremes, usable), start)
+    return Method(variant, chi, f, trigger, way, _ranges(times, timed), _ranges(values, usable), start)
 
 
 def _argument(times: np.ndarray, passed: np.ndarray, form: str) -> np.ndarray:

@@ -62,10 +62,8 @@ def simulation(atlas: Atlas, sensor: Sensor) -> Section:
             f"accelerometer: {changes}."
         )
         labels = (f"{axis}-slide, forward", f"{axis.lower()} of the indenter, mm", "displacement, mm")
-        draw, below = partial(nodes, rows=rows), 2 + len(atlas.height_mm)
-        panels.append(
-            chart(rows, "along_mm", "node_1_mm", "height", labels, text, mark="-", draw=draw, below=below)
-        )
+        draw = partial(nodes, rows=rows)
+        panels.append(chart(rows, "along_mm", "node_1_mm", "height", labels, text, mark="-", draw=draw))
     largest = table["node_1_mm"].abs().groupby(table["height_mm"]).max()
     found = ", ".join(f"{most:.2g} mm at {height:.3g} mm" for height, most in largest.items())
     return Section(
@@ -168,7 +166,7 @@ def _static_panels(table: pd.DataFrame, atlas: Atlas, sensor: Sensor) -> list[Pa
     )
     error, off = solved.assign(of="solved"), "formula_error_percent"
     return [
-        chart(rows, "height_mm", "mv", "output", labels[0], texts[0], mark="-", draw=static, below=4),
+        chart(rows, "height_mm", "mv", "output", labels[0], texts[0], mark="-", draw=static),
         chart(tops, "x", "height_mm", "height", labels[1], texts[1], draw=parabolas),
         chart(error, "height_mm", off, "of", labels[2], texts[2], mark="-", colours=COLOURS[1:], draw=limits),
     ]
@@ -196,7 +194,7 @@ def pressure(atlas: Atlas, folder: Folder, whole: AxisSlides | None) -> Section:
         here += "; ".join(f"{value:.0f} mV at {name}" for name, value in medians.items()) + "."
         text = "Recorded output along the motion from its lowest to its highest against the distance of the line."
         labels = ("recorded", FROM_BOARD, "lowest to highest, mV")
-        panels.append(chart(rows, "distance_mm", "swing_mv", "series", labels, text, below=MOST_SERIES))
+        panels.append(chart(rows, "distance_mm", "swing_mv", "series", labels, text))
     says = "The output grows with the pressure; 0.045 MPa adds little to 0.035."
     return Section("26", "The role of pressure", says, here, tuple(panels), table, missing)
 

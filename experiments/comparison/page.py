@@ -1,6 +1,7 @@
 """comparison.html: the models side by side, by differences of their errors on the same slides."""
 
 from collections.abc import Mapping
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -9,9 +10,7 @@ from matplotlib.axes import Axes
 
 from softslide.experiments.evaluation.figures import along_the_stroke
 from softslide.experiments.evaluation.scoring import QUANTITIES, WORDS, summary
-from softslide.experiments.pages.figures import COLOURS, INK, Panel, axis_marks, drawn
-
-ROW_INCHES = 0.16
+from softslide.experiments.pages.figures import Panel, axis_marks, intervals
 
 
 def section(folder: str, scored: Mapping[str, pd.DataFrame], pairs: pd.DataFrame) -> dict[str, Any]:
@@ -48,34 +47,18 @@ def verdict(row: Mapping[Any, Any]) -> str:
 
 def _differences(pairs: pd.DataFrame, quantity: str) -> Panel:
     """A row a model, in it a dot with its interval a split; linear about zero, logarithmic beyond."""
-    rows = pairs[pairs["quantity"] == quantity]
-    models, splits = list(dict.fromkeys(rows["model"])), list(dict.fromkeys(rows["split"]))
+    rows = pairs[pairs["quantity"] == quantity].rename(columns={"difference": "middle"})
     word, unit, against = WORDS[quantity], QUANTITIES[quantity], rows["against"].iloc[0]
-    every = len(splits) + 1
-
-    def draw(ax: Axes) -> None:
-        ax.axvline(0.0, color=INK, linestyle="--", linewidth=1)
-        for n, split in enumerate(splits):
-            part = rows[rows["split"] == split]
-            place = [models.index(model) * every + n for model in part["model"]]
-            colour = COLOURS[n % len(COLOURS)]
-            ax.hlines(place, part["low"], part["high"], color=colour, linewidth=2)
-            ax.plot(part["difference"], place, "o", color=colour, markersize=4, label=split)
-        _about_zero(ax, rows[["difference", "low", "high"]].to_numpy(float))
-        ax.set_yticks([n * every + (len(splits) - 1) / 2 for n in range(len(models))], models)
-        ax.set_ylim(len(models) * every - 0.5, -1.5)
-        ax.grid(axis="y", visible=False)
-        ax.set(xlabel=f"error less that of {against}, {unit}", title=f"{word}: right of zero is worse")
-
+    labels = (f"{word}: right of zero is worse", f"error less that of {against}, {unit}")
     text = (
         f"Mean difference of the {word} error ({unit}), each model less {against} on the same slides, by split; "
         "bars: 95 % confidence intervals over lines. A bar that does not reach zero: the two differ."
     )
-    height = 1.0 + ROW_INCHES * len(models) * every
-    return drawn(text, draw, height, entries=len(splits), left=1.15)
+    scale = partial(_about_zero, rows[["middle", "low", "high"]].to_numpy(float))
+    return intervals(rows, "model", "split", labels, text, line=0.0, left=1.15, draw=scale)
 
 
-def _about_zero(ax: Axes, values: np.ndarray) -> None:
+def _about_zero(values: np.ndarray, ax: Axes) -> None:
     """An axis that shows differences of a hundredth next to those of ten."""
     sizes = np.abs(values[np.isfinite(values) & (values != 0)])
     if not len(sizes):

@@ -13,11 +13,11 @@ from softslide.experiments.evaluation.scoring import INTERVALS, WORDS
 from softslide.experiments.pages.figures import (
     COLOURS,
     EDGE,
-    INK,
     Panel,
     axis_marks,
     chart,
     drawn,
+    intervals,
     on_cells,
     on_skin,
 )
@@ -54,7 +54,7 @@ def coverage(scored: pd.DataFrame, calibration: pd.DataFrame, sensor: Sensor) ->
     text = (
         "Lines of the recordings on the skin, by split, with their number; what no line passes is not tested."
     )
-    return on_skin(sensor, text, draw, entries=len(groups) + 1)
+    return on_skin(sensor, text, draw)
 
 
 def by_angle(end: pd.DataFrame) -> list[Panel]:
@@ -136,30 +136,19 @@ def interval_coverage(scored: pd.DataFrame) -> list[Panel]:
     panels = []
     for column, word in zip(INTERVALS, WORDS.values(), strict=True):
         rows = scored[scored[f"{column}_covered"].notna()]
-        if len(rows):
-            panels.append(_held(rows, f"{column}_covered", word))
-    return panels
-
-
-def _held(rows: pd.DataFrame, column: str, word: str) -> Panel:
-    groups = rows.groupby("split").agg(share=(column, "mean"), count=("recording", "nunique"))[::-1]
-
-    def draw(ax: Axes) -> None:
-        ax.axvline(100 * INTERVAL, color=INK, linestyle="--", linewidth=1)
-        for n, (share, count) in enumerate(zip(groups["share"], groups["count"], strict=True)):
-            ax.plot(100 * np.array(wilson(share, count)), [n, n], color=COLOURS[0], linewidth=1.5)
-            ax.plot(100 * share, n, "o", color=COLOURS[0], markersize=5)
-        ax.set_yticks(range(len(groups)), [f"{split} ({n})" for split, n in groups["count"].items()])
-        ax.set(
-            xlim=(-3, 103), ylim=(-0.6, len(groups) - 0.4), xlabel="labels within the interval, %", title=word
+        if rows.empty:
+            continue
+        groups = rows.groupby("split").agg(share=(f"{column}_covered", "mean"), n=("recording", "nunique"))
+        middle, low, high = 100 * np.array([(s, *wilson(s, n)) for s, n in groups.to_numpy()]).T
+        names = [f"{split} ({n})" for split, n in groups["n"].items()]
+        table = pd.DataFrame({"split": names, "of": "", "middle": middle, "low": low, "high": high})
+        text = (
+            f"Share of labels within the 90 % interval of the {word}, by split with the number of recordings; bars: "
+            "what chance leaves open with so many recordings."
         )
-        ax.grid(axis="y", visible=False)
-
-    text = (
-        f"Share of labels within the 90 % interval of the {word}, by split with the number of recordings; bars: "
-        "what chance leaves open with so many recordings."
-    )
-    return drawn(text, draw, 0.9 + 0.42 * len(groups), left=1.6)
+        labels, look = (word, "labels within the interval, %"), {"line": 100 * INTERVAL, "left": 1.6}
+        panels.append(intervals(table, "split", "of", labels, text, **look, xlim=(-3, 103)))
+    return panels
 
 
 def wilson(share: float, count: int) -> tuple[float, float]:
@@ -213,20 +202,17 @@ def over_bound(found: Mapping[str, Mapping[str, Mapping[str, float]]]) -> list[P
     return panels
 
 
-def path(rows: pd.DataFrame, sensor: Sensor) -> Panel:
-    """One recording's true line, and the places estimated at each tenth of the stroke."""
-    valid = rows[rows["valid"].astype(bool)]
+def paths(scored: pd.DataFrame, by: str, sensor: Sensor, caption: str, title: str = "") -> Panel:
+    """True lines of recordings, and the places estimated at each tenth of the stroke. by: a column that names them."""
 
     def draw(ax: Axes) -> None:
-        for line in slide_lines(rows.iloc[-1:], "true_"):
-            ax.plot(*line.T, color=EDGE, linewidth=5, alpha=0.5, label="true")
-        ax.plot(
-            valid["x_mm"], valid["y_mm"], "o-", markersize=3, linewidth=1, color=COLOURS[0], label="estimated"
-        )
+        for n, (name, rows) in enumerate(scored.groupby(by, sort=False)):
+            for line in slide_lines(rows.iloc[-1:], "true_"):
+                ax.plot(*line.T, color=EDGE, linewidth=5, alpha=0.5, label="" if n else "true")
+            x, y = rows.loc[rows["valid"].astype(bool), ["x_mm", "y_mm"]].to_numpy(float).T
+            ax.plot(x, y, "o-", markersize=3, linewidth=1, color=COLOURS[n % len(COLOURS)], label=str(name))
 
-    name = rows["recording"].iloc[-1]
-    text = f"{name}: true line and the {len(valid)} valid estimates at tenths of the stroke."
-    return on_skin(sensor, text, draw, entries=3, columns=3)
+    return on_skin(sensor, caption, draw, title)
 
 
 def outputs(

@@ -150,7 +150,8 @@ def _shown(row: pd.Series, rows: pd.DataFrame, folder: Folder) -> tuple[str, str
     name, sensor = str(row["recording"]), folder.sensor
     label = folder.manifest.loc[name]
     motion = label[["motion_start_s", "motion_end_s"]].to_numpy(float)
-    panels = [figures.path(rows, sensor)]
+    text = f"{name}: true line and the {int(rows['valid'].sum())} valid estimates at tenths of the stroke."
+    panels = [figures.paths(rows, "recording", sensor, text)]
     if np.isfinite(motion).all():
         channels = [c for c in sensor.channels if c[-1] in sensor.touch_axes][:6]
         over_time = trace(folder, name, Conditioning(), len(sensor.accelerometers))

@@ -51,7 +51,8 @@ IN_PAGE |= {INK: "var(--ink)", LABEL: "var(--label)", EDGE: "var(--edge)", GRID:
 # Inches: at 72 points an inch 302 points, which a phone of 400 px shows a fifth larger.
 PANEL_INCHES = (4.2, 3.1)
 MARGINS = (0.68, 0.14, 0.5, 0.32)  # left, right, bottom, top, inches
-LEGEND_ROW_INCHES = 0.18
+LEGEND_ROW_INCHES, LEGEND_COLUMNS = 0.18, 2
+ROW_INCHES = 0.16  # of `intervals`
 
 
 def draw_sensor(ax: Axes, sensor: Sensor, width: float, label: str) -> None:
@@ -73,30 +74,28 @@ class Panel:
 def drawn(
     caption: str,
     draw: Callable[[Axes], None],
-    height: float,
+    height: float = PANEL_INCHES[1],
     *,
-    entries: int = 0,
-    columns: int = 2,
     left: float = MARGINS[0],
     **options: Any,
 ) -> Panel:
-    """A panel of one pair of axes in the page's style, that `draw` draws into.
+    """A panel of one pair of axes in the page's style, that `draw` draws into; what has a label is named below.
 
-    height, left: inches, of the figure and of the margin at the left. entries: of a legend below the axes, in so many
-    columns; 0: none. options: of `add_subplot`. The margins are fixed: to fit them to each figure takes as long as to
-    draw it.
+    height, left: inches, of the figure without its legend and of the margin at the left. options: of `add_subplot`. The
+    margins are fixed: to fit them to each figure takes as long as to draw it.
     """
-    below, width = LEGEND_ROW_INCHES * -(-entries // columns), PANEL_INCHES[0]
+    width, (_, right, bottom, top) = PANEL_INCHES[0], MARGINS
     with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(width, height + below))
-        _, right, bottom, top = MARGINS
-        low, high = (bottom + below) / (height + below), 1 - top / (height + below)
-        figure.subplots_adjust(left / width, low, 1 - right / width, high)
+        figure = Figure()
         ax = figure.add_subplot(**options)
         draw(ax)
         handles, names = ax.get_legend_handles_labels()
-        if entries and handles:
-            figure.legend(handles, names, loc="lower center", ncols=columns, fontsize=8)
+        below = LEGEND_ROW_INCHES * -(-len(names) // LEGEND_COLUMNS)
+        figure.set_size_inches(width, height + below)
+        low, high = (bottom + below) / (height + below), 1 - top / (height + below)
+        figure.subplots_adjust(left / width, low, 1 - right / width, high)
+        if handles:
+            figure.legend(handles, names, loc="lower center", ncols=LEGEND_COLUMNS, fontsize=8)
         return Panel(inline(figure, caption), caption)
 
 
@@ -113,13 +112,12 @@ def chart(
     limit: float | None = None,
     log: bool = False,
     draw: Callable[[Axes], None] = lambda ax: None,
-    below: int = 0,
     **axes: Any,
 ) -> Panel:
     """A panel of column `y` against column `x`, a series for each value of column `by` in the order of the rows.
 
     labels: title, and what x and y are. mark: Matplotlib's format. limit: drawn dashed. log: y logarithmic, with zero.
-    draw: draws the rest. below: entries of a legend below the axes; 0: it stands in them. axes: of `Axes.set`.
+    draw: draws the rest. axes: of `Axes.set`.
     """
 
     def series(ax: Axes) -> None:
@@ -135,20 +133,46 @@ def chart(
         if log:
             log_with_zero(ax, np.array([*table[y].astype(float), *([] if limit is None else [limit])]))
         ax.set(title=labels[0], xlabel=labels[1], ylabel=labels[2], **axes)
-        if not below and ax.get_legend_handles_labels()[0]:
-            ax.legend(fontsize=8)
 
-    return drawn(caption, series, PANEL_INCHES[1], entries=below)
+    return drawn(caption, series)
 
 
-def on_skin(
-    sensor: Sensor,
+def intervals(
+    table: pd.DataFrame,
+    row: str,
+    by: str,
+    labels: tuple[str, str],
     caption: str,
-    draw: Callable[[Axes], None],
-    title: str = "",
-    entries: int = 2,
-    columns: int = 2,
+    *,
+    line: float,
+    left: float,
+    draw: Callable[[Axes], None] = lambda ax: None,
+    **axes: Any,
 ) -> Panel:
+    """A panel of columns `middle`, `low` and `high`, dots with bars: a row for each value of column `row`, in it a
+    colour for each value of column `by`, in the order of the rows.
+
+    labels: title, and what the values are. line: drawn dashed. left, draw, axes: as `drawn` and `chart`.
+    """
+    names, series = list(dict.fromkeys(table[row])), list(dict.fromkeys(table[by]))
+    every = len(series) + 1
+
+    def dots(ax: Axes) -> None:
+        ax.axvline(line, color=INK, linestyle="--", linewidth=1)
+        for n, name in enumerate(series):
+            part, colour = table[table[by] == name], COLOURS[n % len(COLOURS)]
+            place = [names.index(each) * every + n for each in part[row]]
+            ax.hlines(place, part["low"], part["high"], color=colour, linewidth=2)
+            ax.plot(part["middle"], place, "o", color=colour, markersize=4, label=name)
+        draw(ax)
+        ax.set_yticks([n * every + (len(series) - 1) / 2 for n in range(len(names))], names)
+        ax.grid(axis="y", visible=False)
+        ax.set(ylim=(len(names) * every - 0.5, -1.5), title=labels[0], xlabel=labels[1], **axes)
+
+    return drawn(caption, dots, 1.0 + ROW_INCHES * len(names) * every, left=left)
+
+
+def on_skin(sensor: Sensor, caption: str, draw: Callable[[Axes], None], title: str = "") -> Panel:
     """A panel of the skin from above, x and y in mm, with the chamber and the accelerometers; else as `drawn`."""
     x, y = np.array(sensor.chamber_mm) / 2
 
@@ -158,7 +182,7 @@ def on_skin(
         ax.set(xlim=(-x - 6, x + 6), ylim=(-y - 6, y + 6), aspect="equal", title=title)
         ax.set(xlabel="x, mm", ylabel="y, mm")
 
-    return drawn(caption, skin, 4.1, entries=entries, columns=columns)
+    return drawn(caption, skin, 4.1)
 
 
 def on_cells(
@@ -188,7 +212,7 @@ def on_cells(
         ax.grid(visible=False)
         draw(ax)
 
-    return on_skin(sensor, caption, fill, title, entries=0)
+    return on_skin(sensor, caption, fill, title)
 
 
 def rectangle(ax: Axes, low: np.ndarray, high: np.ndarray, **look: Any) -> None:
