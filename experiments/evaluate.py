@@ -17,7 +17,7 @@ import pandas as pd
 
 from softslide.experiments.derived_labels import derived
 from softslide.experiments.evaluation.archive import Archive
-from softslide.experiments.evaluation.bounds import Verdict, check, read_bounds
+from softslide.experiments.evaluation.bounds import WORDS, Verdict, check, read_bounds
 from softslide.experiments.evaluation.efficiency import bounds_of, over_bound
 from softslide.experiments.evaluation.readout import check_fits, open_localizer, predictions
 from softslide.experiments.evaluation.report import write_report
@@ -40,11 +40,6 @@ from softslide.pipeline.recordings.derived_labels import with_derived_labels
 from softslide.pipeline.recordings.folder import Folder, read_folder
 from softslide.pipeline.recordings.learned import learned_depths_mm, learned_lines
 from softslide.pipeline.staging import alone, staged
-from softslide.serve.whole_contacts import has_whole_contacts
-
-WHOLE = "from whole contacts"
-# A verdict as a run's tag.
-WORDS = {True: "met", False: "missed", None: "not tested"}
 
 
 @dataclass(frozen=True)
@@ -74,9 +69,10 @@ class Evaluation:
 
     def lines(self) -> list[str]:
         """Each bound's verdict, then each split's tracks, in a line."""
-        rows = [(split, row) for split, row in self.metrics.get("tracks", {}).items()]
-        rows += [(f"{split}, {WHOLE}", row) for split, row in self.metrics.get("whole_contacts", {}).items()]
-        return [verdict.line() for verdict in self.verdicts] + [line(*row) for row in rows]
+        live, whole = (self.metrics.get(key, {}) for key in ("tracks", "whole_contacts"))
+        followed = [line(split, row) for split, row in live.items()]
+        followed += [line(f"{split}, from whole contacts", row) for split, row in whole.items()]
+        return [verdict.line() for verdict in self.verdicts] + followed
 
 
 def evaluate(
@@ -141,7 +137,7 @@ def _evaluated(
         rows = predictions(bundle, folder, archive)
         table = pd.concat(_watched(f"localizing with {bundle.name}", rows, len(folder)), ignore_index=True)
         write_predictions(scratch / "predictions.csv", table)
-        followed, whole_paths = _followed(bundle, folder, archive)
+        followed = _followed(bundle, folder, archive)
         least = list(bounds_of(bundle, folder, archive))
         scored = score(table, folder.manifest, folder.sensor)
         along = scored["recording"].map(learned_lines(whole.manifest)) != ""
@@ -157,8 +153,7 @@ def _evaluated(
             "sensor": folder.sensor.name,
             "over_bound": over_bound(unseen, pd.concat(least)) if least else None,
         }
-        metrics |= {"tracks": summaries(followed)} if followed else {}
-        metrics |= {"whole_contacts": summaries(whole_paths)} if whole_paths else {}
+        metrics |= summaries(followed)
         text = json.dumps(_finite(metrics), indent=1, allow_nan=False)
         (scratch / "metrics.json").write_text(text + "\n", encoding="utf-8")
         if report:
@@ -180,19 +175,14 @@ def _watched(what: str, tables: Iterator[pd.DataFrame], recordings: int) -> Iter
             bar.update(table["recording"].nunique())
 
 
-def _followed(bundle: Path, folder: Folder, archive: Archive) -> tuple[list[Track], list[Track]]:
-    """Every recording that has its truth next to it, followed live, and from whole contacts where the bundle knows
-    these; says which of the chosen have no truth, if some have."""
+def _followed(bundle: Path, folder: Folder, archive: Archive) -> list[Track]:
+    """Every recording that has its truth next to it; says how many of the chosen have none, if some have."""
     names = with_truth(folder)
     if names and len(names) < len(folder):
         left_out = f"{len(folder) - len(names)} of {len(folder)} recordings have no truth next to them"
         print(f"softslide evaluate: {left_out}; these are not followed over time", file=sys.stderr)
-
-    def all_tracks(what: str, whole: bool) -> list[Track]:
-        return list(progress_bar(what, "recording", tracks(bundle, folder, archive, whole), len(names)))
-
-    live = all_tracks(f"following with {bundle.name}", whole=False)
-    return live, all_tracks(WHOLE, whole=True) if has_whole_contacts(open_localizer(bundle).card) else []
+    followed = tracks(bundle, folder, archive)
+    return list(progress_bar(f"following with {bundle.name}", "recording", followed, len(names)))
 
 
 def measure(scored: pd.DataFrame, verdicts: Sequence[Verdict]) -> dict[str, Any]:

@@ -17,6 +17,7 @@ from softslide.experiments.article.slide_figures import DELAY_MM
 from softslide.experiments.derived_labels import derived
 from softslide.experiments.evaluation.bounds import INFLATED_MM
 from softslide.experiments.evaluation.scoring import summary
+from softslide.experiments.evaluation.tables import error_table
 from softslide.experiments.pages.page import render
 from softslide.pipeline.atlas.library import atlas_of
 from softslide.pipeline.recordings.folder import read_folder
@@ -73,7 +74,9 @@ def article(recordings: str | Path, out: str | Path, atlas: str | Path | None = 
             left_out=left_out,
             sections=sections,
             claims=claims.to_dict("records"),
-            errors={f"{name}, {max(low, 0.5):g} to 4 mm/s": row for (name, low), row in errors.items()},
+            errors=error_table(
+                {f"{name}, {max(low, 0.5):g} to 4 mm/s": row for (name, low), row in errors.items()}
+            ),
             on=results[PUBLISHED.name].on if results else "",
         )
         (scratch / "article.html").write_text(text, encoding="utf-8")

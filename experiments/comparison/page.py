@@ -10,7 +10,9 @@ from matplotlib.axes import Axes
 
 from softslide.experiments.evaluation.figures import along_the_stroke
 from softslide.experiments.evaluation.scoring import QUANTITIES, WORDS, summary
+from softslide.experiments.evaluation.tables import error_table
 from softslide.experiments.pages.figures import Panel, axis_marks, intervals
+from softslide.experiments.pages.page import number
 
 
 def section(folder: str, scored: Mapping[str, pd.DataFrame], pairs: pd.DataFrame) -> dict[str, Any]:
@@ -25,16 +27,26 @@ def section(folder: str, scored: Mapping[str, pd.DataFrame], pairs: pd.DataFrame
         "over_stroke": [
             (split, along_the_stroke(rows, "model", f", {split}")) for split, rows in table.groupby("split")
         ],
-        "rows": {
-            name: {row["quantity"]: row | {"verdict": verdict(row)} for row in part.to_dict("records")}
-            for name, part in compared
-        },
-        "errors": {
-            f"{split}, {model}": summary(rows)
-            for (split, model), rows in end.groupby(["split", "model"], sort=False)
-        },
-        "words": {quantity: f"{word}, {QUANTITIES[quantity]}" for quantity, word in WORDS.items()},
+        "differences": {f"{split}, {model}": _compared(part) for (split, model), part in compared},
+        "errors": error_table(
+            {
+                f"{split}, {model}": summary(rows)
+                for (split, model), rows in end.groupby(["split", "model"], sort=False)
+            }
+        ),
     }
+
+
+def _compared(pairs: pd.DataFrame) -> dict[str, dict[str, str]]:
+    """A row of the table of differences: of one model on one split."""
+    first, cells = pairs.iloc[0], {}
+    for row in pairs.to_dict("records"):
+        interval = f"[{number(row['low'], 2)}, {number(row['high'], 2)}]"
+        shown = {"difference": number(row["difference"], 2), "interval": interval, "error": verdict(row)}
+        cells[f"{WORDS[row['quantity']]}, {QUANTITIES[row['quantity']]}"] = shown
+    counts = {"": {"lines": str(first["lines"]), "recordings": str(first["recordings"])}}
+    alone = {"it": str(first["valid_alone"]), first["against"]: str(first["against_alone"])}
+    return counts | cells | {"alone": alone}
 
 
 def verdict(row: Mapping[Any, Any]) -> str:

@@ -108,10 +108,9 @@ def score(predictions: pd.DataFrame, manifest: pd.DataFrame, sensor: Sensor) -> 
     return table
 
 
-def near_deg(direction: pd.Series, axis_deg: float) -> pd.Series:
-    """Whether a direction lies within AXIS_TOLERANCE_DEG of another."""
-    off = np.abs(wrapped_deg((direction - axis_deg).to_numpy(dtype=float)))
-    return pd.Series(off < AXIS_TOLERANCE_DEG, direction.index)
+def near_deg(direction: Any, other_deg: float, turn_deg: float = 360.0) -> Any:
+    """Whether a direction, or each of several, lies within AXIS_TOLERANCE_DEG of another, after any number of turns."""
+    return abs((direction - other_deg + turn_deg / 2) % turn_deg - turn_deg / 2) < AXIS_TOLERANCE_DEG
 
 
 def summary(scored: pd.DataFrame) -> dict[str, Any]:

@@ -1,6 +1,7 @@
 """Pictures of followed contacts: the path on the skin, and place, speed and direction against time."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -40,7 +41,7 @@ def along_the_contact(followed: Sequence[Track]) -> list[Panel]:
 
 def _since_touch(track: Track) -> pd.DataFrame:
     """Absolute errors of the live estimates in contact, with the middle of their bin of time since the touch."""
-    rows = track.judged[track.judged["touching"]]
+    rows = track.estimates[track.estimates["touching"]]
     bins = (rows["time_s"] - rows["time_s"].min()) // _BIN_S
     moment = {"time_s": _BIN_S * (bins + 0.5), "moving": rows["moving"]}
     table = rows[list(_ERRORS)].abs().assign(split=track.split, **moment)
@@ -51,11 +52,18 @@ def pictures(followed: Sequence[Track], sensor: Sensor) -> list[Panel]:
     """Some recordings of one split: true and estimated path on the skin; speed and direction against time."""
     panels = []
     for track, word in zip(_chosen(followed), PICTURES, strict=False):
+        touching = track.estimates[track.estimates["touching"]].set_index("time_s")
+        moving, live = touching[touching["moving"]], touching[touching["live"]]
+        speeds = {"true": touching["true_speed_mm_s"], "estimated": live["speed_mm_s"]}
+        # A direction within 180 degrees of the truth.
+        turned = live["true_direction_deg"] + live["direction_error"]
+        directions = {"true": moving["true_direction_deg"], "estimated": turned}
+        fastest = np.fmax(touching["true_speed_mm_s"].max(), 0.1)
         of = f"{track.name}, the {word} of {track.split} by place: true and estimated"
         panels += [
             _path(track, sensor, f"{of} path."),
-            _over_time(track, "speed_mm_s", "speed, mm/s", f"{of} speed."),
-            _over_time(track, "direction_deg", "direction, deg", f"{of} direction."),
+            _over_time(speeds, "speed, mm/s", f"{of} speed.", ylim=(0, 1.6 * fastest)),
+            _over_time(directions, "direction, deg", f"{of} direction."),
         ]
     return panels
 
@@ -64,7 +72,7 @@ def _chosen(followed: Sequence[Track]) -> list[Track]:
     """Best, middle and worst recording; one without any estimate is the worst."""
 
     def error(track: Track) -> float:
-        median = summarize([track.judged])["position"]["median"]
+        median = summarize([track.estimates])["position"]["median"]
         return np.inf if median is None else median
 
     ranked = sorted(followed, key=error)
@@ -73,38 +81,25 @@ def _chosen(followed: Sequence[Track]) -> list[Track]:
 
 
 def _path(track: Track, sensor: Sensor, caption: str) -> Panel:
+    rows, live = track.estimates, track.estimates["live"]
+    wrong = rows["wrong"] | ~rows["touching"]
+    parts = ((live & ~wrong, COLOURS[0], "estimated"), (live & wrong, COLOURS[1], "estimated, wrong"))
+
     def draw(ax: Axes) -> None:
-        truth = _thinned(track.truth[track.truth["contact"] > 0])
-        ax.plot(truth["x_mm"], truth["y_mm"], color=EDGE, linewidth=5, alpha=0.5, label="true, in contact")
-        rows = track.judged[track.judged["live"]]
-        wrong = rows["wrong"] | ~rows["touching"]
-        for part, colour, name in (
-            (~wrong, COLOURS[0], "estimated"),
-            (wrong, COLOURS[1], "estimated, wrong"),
-        ):
+        true = _thinned(rows[rows["touching"]])
+        ax.plot(true["true_x_mm"], true["true_y_mm"], color=EDGE, linewidth=5, alpha=0.5, label="true")
+        for part, colour, name in parts:
             shown = _thinned(rows[part])
             ax.plot(shown["x_mm"], shown["y_mm"], ".", color=colour, markersize=3, label=name)
 
     return on_skin(sensor, caption, draw, track.name)
 
 
-def _over_time(track: Track, column: str, title: str, caption: str) -> Panel:
-    rows = track.judged[track.judged["touching"]]
-    true = rows if column == "speed_mm_s" else rows[rows["moving"]]
-    live = rows[rows["live"]]
-    # A direction within 180 degrees of the truth.
-    turned = live["true_direction_deg"] + live["direction_error"]
-    estimated = turned if column == "direction_deg" else live[column]
-    table = pd.concat(
-        [
-            _thinned(true.assign(of="true", shown=true[f"true_{column}"])),
-            _thinned(live.assign(of="estimated", shown=estimated)),
-        ]
-    )
-    fastest = rows["true_speed_mm_s"].max()
-    top = {"ylim": (0, 1.6 * max(fastest, 0.1))} if column == "speed_mm_s" and len(rows) else {}
-    labels = (title, "time, s", "")
-    return chart(table, "time_s", "shown", "of", labels, caption, mark=".", colours=(EDGE, COLOURS[0]), **top)
+def _over_time(values: Mapping[str, pd.Series], title: str, caption: str, **axes: Any) -> Panel:
+    """values: true and estimated, by time_s."""
+    series = [_thinned(each.rename("value").reset_index().assign(of=name)) for name, each in values.items()]
+    labels, look = (title, "time, s", ""), {"mark": ".", "colours": (EDGE, COLOURS[0])}
+    return chart(pd.concat(series), "time_s", "value", "of", labels, caption, **look, **axes)
 
 
 def _thinned(rows: pd.DataFrame) -> pd.DataFrame:

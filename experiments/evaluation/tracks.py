@@ -4,7 +4,7 @@ An estimate counts where it is *live*: valid, in state `slide`. Direction, speed
 where the contact moves at `MOVING_MM_S` or more; the rest wherever something touches. The offset is the tangent's.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,10 +19,10 @@ from softslide.features.angles import wrapped_deg
 from softslide.features.estimate import Estimate
 from softslide.pipeline.recordings.folder import Folder
 from softslide.pipeline.recordings.signed_offset import signed_offset
-from softslide.pipeline.recordings.truth import read_truth, truth_path
+from softslide.pipeline.recordings.truth import truth_path
 from softslide.serve.localizer import Localizer
 from softslide.serve.records import record
-from softslide.serve.whole_contacts import whole_contacts
+from softslide.serve.whole_contacts import has_whole_contacts, whole_contacts
 
 # Below this speed a contact counts as standing, without a direction.
 MOVING_MM_S = 0.2
@@ -39,12 +39,13 @@ _COLUMNS = [name for column in BOUNDED for name in (column, *interval_ends(colum
 
 @dataclass(frozen=True)
 class Track:
-    """One recording: its truth and its estimates, a row a moment."""
+    """One recording and what `judge` says of its estimates, a row a moment: of those of the stream, and of those from
+    whole contacts (`serve.whole_contacts`), of which there are none where the bundle does not know these."""
 
     name: str
     split: str
-    truth: pd.DataFrame
-    judged: pd.DataFrame
+    estimates: pd.DataFrame
+    from_whole: pd.DataFrame
 
 
 def with_truth(folder: Folder) -> list[str]:
@@ -52,47 +53,40 @@ def with_truth(folder: Folder) -> list[str]:
     return [str(n) for n, file in folder.manifest["file"].items() if truth_path(folder.root / file).is_file()]
 
 
-def tracks(bundle: Path, folder: Folder, archive: Archive, whole: bool = False) -> Iterator[Track]:
+def tracks(bundle: Path, folder: Folder, archive: Archive) -> Iterator[Track]:
     """Every recording that has its truth, in the manifest's order.
-
-    whole: the estimates are those of `serve.whole_contacts`, not the live ones.
 
     Raises:
         InputError: a recording or its truth is not what the contract says.
     """
-    names = with_truth(folder)
-    what, make = ("whole contacts", _judged_whole) if whole else ("tracks", _judged_live)
-    for table in archive.tables(what, make, bundle, folder, names):
-        for name, judged in table.groupby("recording", sort=False):
-            row = folder.manifest.loc[str(name)]
-            truth = read_truth(truth_path(folder.root / row["file"]))
-            yield Track(
-                str(name), str(row["split"]), truth, judged.drop(columns="recording").reset_index(drop=True)
+    for table in archive.tables("tracks", _judged, bundle, folder, with_truth(folder)):
+        for name, both in table.groupby("recording", sort=False):
+            of_stream, from_whole = (
+                both[both["whole"] == each].drop(columns=["recording", "whole"]).reset_index(drop=True)
+                for each in (False, True)
             )
+            yield Track(str(name), str(folder.manifest.loc[str(name), "split"]), of_stream, from_whole)
 
 
-def _judged_live(bundle: Path, folder: Folder, names: list[str]) -> pd.DataFrame:
-    def live(localizer: Localizer, volts: np.ndarray) -> list[Estimate]:
-        localizer.reset()
-        return localizer.push(volts)
-
-    return pd.concat([_judged(bundle, folder, name, live) for name in names])
-
-
-def _judged_whole(bundle: Path, folder: Folder, names: list[str]) -> pd.DataFrame:
-    return pd.concat([_judged(bundle, folder, name, whole_contacts) for name in names])
-
-
-def _judged(
-    bundle: Path, folder: Folder, name: str, estimates: Callable[[Localizer, np.ndarray], list[Estimate]]
-) -> pd.DataFrame:
+def _judged(bundle: Path, folder: Folder, names: list[str]) -> pd.DataFrame:
     localizer = open_localizer(bundle, folder.sensor.sample_rate_hz)
-    recording = folder.load(name)
-    assert recording.truth is not None
-    samples = samples_for(localizer, recording)
-    stream = estimate_table([record(estimate) for estimate in estimates(localizer, samples)])
-    stream["time_s"] += recording.time_s[0]
-    return judge(stream, recording.truth, folder.sensor.reference_mm).assign(recording=name)
+    ways = [_live, whole_contacts] if has_whole_contacts(localizer.card) else [_live]
+    tables = []
+    for name in names:
+        recording = folder.load(name)
+        assert recording.truth is not None
+        for way in ways:
+            estimates = way(localizer, samples_for(localizer, recording))
+            stream = estimate_table([record(estimate) for estimate in estimates])
+            stream["time_s"] += recording.time_s[0]
+            judged = judge(stream, recording.truth, folder.sensor.reference_mm)
+            tables.append(judged.assign(recording=name, whole=way is whole_contacts))
+    return pd.concat(tables)
+
+
+def _live(localizer: Localizer, volts: np.ndarray) -> list[Estimate]:
+    localizer.reset()
+    return localizer.push(volts)
 
 
 def estimate_table(records: Sequence[dict[str, Any]]) -> pd.DataFrame:
@@ -187,9 +181,14 @@ def by_split(followed: Sequence[Track]) -> dict[str, list[Track]]:
     return {split: [track for track in followed if track.split == split] for split in splits}
 
 
-def summaries(followed: Sequence[Track]) -> dict[str, dict[str, Any]]:
-    """`summarize` for each split."""
-    return {split: summarize([each.judged for each in part]) for split, part in by_split(followed).items()}
+def summaries(followed: Sequence[Track]) -> dict[str, dict[str, dict[str, Any]]]:
+    """`summarize` for each split, as `metrics.json` has it: of the `tracks`, of the `whole_contacts` if any."""
+    found: dict[str, dict[str, dict[str, Any]]] = {}
+    for split, part in by_split(followed).items():
+        found.setdefault("tracks", {})[split] = summarize([each.estimates for each in part])
+        if whole := [each.from_whole for each in part if len(each.from_whole)]:
+            found.setdefault("whole_contacts", {})[split] = summarize(whole)
+    return found
 
 
 def line(split: str, row: dict[str, Any]) -> str:
