@@ -4,7 +4,6 @@ It is logged as a run, a child of the bundle's training where the store has that
 """
 
 import json
-import math
 import shutil
 import sys
 from collections.abc import Iterator, Sequence
@@ -154,7 +153,9 @@ def _evaluated(
             "over_bound": over_bound(unseen, pd.concat(least)) if least else None,
         }
         metrics |= summaries(followed)
-        text = json.dumps(_finite(metrics), indent=1, allow_nan=False)
+        # JSON has null alone for a number that is not finite.
+        known = json.loads(json.dumps(metrics), parse_constant=lambda _: None)
+        text = json.dumps(known, indent=1)
         (scratch / "metrics.json").write_text(text + "\n", encoding="utf-8")
         if report:
             write_report(scratch / "report.html", metrics, verdicts, unseen, followed, whole)
@@ -232,14 +233,3 @@ def to_score(folder: Folder, splits: Sequence[str] | None) -> Folder:
     if unknown := [split for split in splits if split not in present]:
         raise InputError(f"{place}, not '{unknown[0]}'; name one of these")
     return replace(folder, manifest=folder.manifest[folder.manifest["split"].isin(splits)])
-
-
-def _finite(value: Any) -> Any:
-    """The same with null for every number that is not finite, which JSON cannot hold."""
-    if isinstance(value, dict):
-        return {key: _finite(inner) for key, inner in value.items()}
-    if isinstance(value, list):
-        return [_finite(inner) for inner in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value

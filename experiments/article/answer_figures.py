@@ -13,7 +13,7 @@ from softslide.experiments.article.section import Section
 from softslide.experiments.article.slide_figures import SINCE_EDGE, delays_mm, nearest
 from softslide.experiments.evaluation.figures import paths
 from softslide.experiments.evaluation.scoring import AXES
-from softslide.experiments.pages.figures import COLOURS, EDGE, INK, Panel, chart, on_skin, rectangle
+from softslide.experiments.pages.figures import COLOURS, EDGE, INK, Panel, chart, on_skin
 from softslide.models.classical.interpolation import DETECTABLE_MM
 from softslide.pipeline.recordings.learned import CALIBRATION
 from softslide.pipeline.sensor import Sensor
@@ -59,27 +59,22 @@ def interpolation(whole: AxisSlides, best: Method, kind: int) -> Section:
 def _curves(rows: pd.DataFrame, best: Method, kind: int) -> list[Panel]:
     """Slides as points with the polynomials fitted to them, over the abscissas fitted."""
 
-    def part(letter: str, x: dict[str, pd.Series]) -> pd.DataFrame:
-        """The slides once for each extreme, with its abscissa x."""
-        return pd.concat([rows.assign(x=x[e], of=f"{letter} of the {word}") for e, word in EXTREMES.items()])
-
-    def lines(ax: Axes, coefficients: np.ndarray, over: np.ndarray, scale: float) -> None:
-        for e in np.flatnonzero(np.isfinite(over).all(axis=1)):
-            along = np.linspace(over[e, 0], over[e, 1], 100)
-            ax.plot(scale * along, np.polynomial.Polynomial(coefficients[e])(along), color=COLOURS[e])
-
     def speeds(ax: Axes) -> None:
-        lines(ax, best.speed.coefficients[kind], best.times_s[kind], 1.0)
+        _draw_fitted(ax, best.speed.coefficients[kind], best.times_s[kind], 1.0)
         if kind == 0:
             t = np.linspace(5, max(float(times["x"].max()), 30.0), 200)
             curve = np.polynomial.Polynomial(PUBLISHED_CHI)(t)
             ax.plot(t, curve, ":", color=INK, label="the article's, t of the maximum")
 
     def distances(ax: Axes) -> None:
-        lines(ax, best.distance.coefficients[kind], best.volts[kind], 1000.0)
+        _draw_fitted(ax, best.distance.coefficients[kind], best.volts[kind], 1000.0)
 
-    times = part("t", {e: rows[f"{e}_since_edge_s"] for e in EXTREMES})
-    values = part("V", {e: 1000 * rows[f"{e}_v"] for e in EXTREMES})
+    times, values = (
+        pd.concat(
+            [rows.assign(x=unit * rows[f"{e}_{of}"], of=f"{letter} of the {EXTREMES[e]}") for e in EXTREMES]
+        )
+        for letter, of, unit in (("t", "since_edge_s", 1.0), ("V", "v", 1000.0))
+    )
     texts = (
         f"Speed against the moments of the extremes in {AXES[kind]} calibration slides; lines: quadratics fitted to "
         f"{LEAST_SPEED_MM_S:g} mm/s and more, over the times fitted.",
@@ -90,6 +85,13 @@ def _curves(rows: pd.DataFrame, best: Method, kind: int) -> list[Panel]:
         chart(times, "x", "speed_mm_s", "of", speed, texts[0], draw=speeds, ylim=(0, 8)),
         chart(values, "x", "distance_mm", "of", distance, texts[1], draw=distances, ylim=(-1, 26)),
     ]
+
+
+def _draw_fitted(ax: Axes, coefficients: np.ndarray, over: np.ndarray, unit: float) -> None:
+    """Each extreme's polynomial over the abscissas fitted, of which the axis shows so many times as many."""
+    for e in np.flatnonzero(np.isfinite(over).all(axis=1)):
+        along = np.linspace(over[e, 0], over[e, 1], 100)
+        ax.plot(unit * along, np.polynomial.Polynomial(coefficients[e])(along), color=COLOURS[e])
 
 
 def _polynomial(coefficients: np.ndarray, of: str) -> str:
@@ -199,19 +201,16 @@ def _listed(rows: pd.DataFrame, column: str) -> str:
 
 
 def _area_panel(rows: pd.DataFrame, axis: int, sensor: Sensor) -> Panel:
-    half, across = np.array(sensor.chamber_mm) / 2, 1 - axis
-    centre = (sensor.accelerometers[0].x_mm, sensor.accelerometers[0].y_mm)[across]
+    board, across = sensor.accelerometers[0], 1 - axis
+    centre, half = (board.x_mm, board.y_mm)[across], sensor.chamber_mm[across] / 2
     colours = {"effective": COLOURS[2], "detectable": COLOURS[5], "neither": COLOURS[1]}
 
     def draw(ax: Axes) -> None:
         for row in rows.to_dict("records"):
             name = "effective" if row["effective"] else "detectable" if row["detectable"] else "neither"
             for place in {centre + row["distance_mm"], centre - row["distance_mm"]}:
-                low, high = -half, half.copy()
-                low[across] = max(place - BIN_MM / 2, -half[across])
-                high[across] = min(place + BIN_MM / 2, half[across])
-                if low[across] < high[across]:
-                    rectangle(ax, low, high, facecolor=colours[name], alpha=0.45, linewidth=0)
+                low, high = np.clip([place - BIN_MM / 2, place + BIN_MM / 2], -half, half)
+                (ax.axhspan, ax.axvspan)[axis](low, high, color=colours[name], alpha=0.45, linewidth=0)
         for name, colour in colours.items():
             ax.plot([], [], "s", color=colour, alpha=0.45, label=name)
         for reach in (-DETECTABLE_MM[axis], DETECTABLE_MM[axis]):

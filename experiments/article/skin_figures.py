@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from functools import partial
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -11,7 +12,7 @@ from softslide.experiments.article.axis_slides import AxisSlides
 from softslide.experiments.article.section import Section
 from softslide.experiments.article.slide_figures import FROM_BOARD
 from softslide.experiments.evaluation.traces import static_outputs
-from softslide.experiments.pages.figures import COLOURS, EDGE, INK, Panel, chart
+from softslide.experiments.pages.figures import COLOURS, EDGE, Panel, chart
 from softslide.features.errors import InputError
 from softslide.pipeline.atlas.atlas import Atlas
 from softslide.pipeline.atlas.static_contact import height_by_atlas, height_by_formula
@@ -48,22 +49,16 @@ def simulation(atlas: Atlas, sensor: Sensor) -> Section:
     arm, table, panels = sensor.board.size_mm[0] / 2, board_slides(atlas, sensor), []
     # The end of an axis goes down where the board's reading along it is positive.
     table["node_1_mm"], table["node_2_mm"] = -arm * table["tilt_x_g"], -arm * table["tilt_y_g"]
-
-    def nodes(ax: Axes, rows: pd.DataFrame) -> None:
-        for n, (_, part) in enumerate(rows.groupby("height_mm")):
-            ax.plot(part["along_mm"], part["node_2_mm"], "--", color=COLOURS[n])
-        for line, name in (("-", "node 1, on the board's x"), ("--", "node 2, on its y")):
-            ax.plot([], [], line, color=INK, label=name)
-
     for axis, changes in (("X", "x changes its sign, y keeps it"), ("Y", "y changes its sign, x keeps it")):
-        rows = _named(table[table["slide"] == axis])
+        one = _named(table[table["slide"] == axis])
+        nodes = [one.assign(mm=one[f"node_{n}_mm"], node=f"node {n}, " + one["height"]) for n in (1, 2)]
         text = (
-            f"Displacement of the board's nodes against its centre in an {axis}-slide {LINE_MM:g} mm from the "
-            f"accelerometer: {changes}."
+            f"Displacement of the board's nodes, 1 on its x and 2 on its y, against its centre in an {axis}-slide "
+            f"{LINE_MM:g} mm from the accelerometer: {changes}."
         )
         labels = (f"{axis}-slide, forward", f"{axis.lower()} of the indenter, mm", "displacement, mm")
-        draw = partial(nodes, rows=rows)
-        panels.append(chart(rows, "along_mm", "node_1_mm", "height", labels, text, mark="-", draw=draw))
+        look: dict[str, Any] = {"mark": "-", "colours": COLOURS[: len(atlas.height_mm)]}
+        panels.append(chart(pd.concat(nodes), "along_mm", "mm", "node", labels, text, **look))
     largest = table["node_1_mm"].abs().groupby(table["height_mm"]).max()
     found = ", ".join(f"{most:.2g} mm at {height:.3g} mm" for height, most in largest.items())
     return Section(
