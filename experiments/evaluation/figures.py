@@ -122,7 +122,7 @@ def by_place(scored: pd.DataFrame, sensor: Sensor) -> list[Panel]:
 def along_the_stroke(scored: pd.DataFrame, by: str = "split", of: str = "") -> list[Panel]:
     """Mean error of each split against the share of the stroke seen, a panel a quantity. of: which, in words."""
     panels = []
-    for quantity, rows in _known(scored):
+    for quantity, rows in _known(scored, "split"):
         word, unit, *_ = SHOWN[quantity]
         means = rows.groupby([by, "stroke_fraction"], as_index=False)[[f"{quantity}_error"]].mean()
         text = f"Mean {word} ({unit}) of valid estimates by the share of the stroke seen, a line a {by}{of}."
@@ -163,14 +163,13 @@ def recording_by_recording(end: pd.DataFrame, verdicts: Sequence[Verdict]) -> li
     """Error of each recording at the end of its stroke against its label, with the article's bound."""
     limits = {v.bound.quantity: v.bound.limit for v in reversed(verdicts)}
     panels = []
-    for quantity, (word, unit, label, title) in SHOWN.items():
-        limit = limits.get(quantity)
-        for _, rows in _known(end, label, (quantity,)):
-            text = f"{word.capitalize()} ({unit}) of each of {len(rows)} recordings at the end of the stroke"
-            text += f"; dashed: the article's bound, {limit:g} {unit}." if limit else "."
-            rows, axes = rows.sort_values("split"), _label_axis(quantity)
-            labels, error = (f"{word}, {unit}", title, ""), f"{quantity}_error"
-            panels.append(chart(rows, label, error, "split", labels, text, limit=limit, log=True, **axes))
+    for quantity, rows in _known(end):
+        (word, unit, label, title), limit = SHOWN[quantity], limits.get(quantity)
+        text = f"{word.capitalize()} ({unit}) of each of {len(rows)} recordings at the end of the stroke"
+        text += f"; dashed: the article's bound, {limit:g} {unit}." if limit else "."
+        rows, axes = rows.sort_values("split"), _label_axis(quantity)
+        labels, error = (f"{word}, {unit}", title, ""), f"{quantity}_error"
+        panels.append(chart(rows, label, error, "split", labels, text, limit=limit, log=True, **axes))
     return panels
 
 
@@ -236,11 +235,12 @@ def outputs(
     return chart(long, "time_s", "output", "channel", labels, text, mark="-", draw=draw)
 
 
-def _known(
-    scored: pd.DataFrame, label: str = "split", quantities: Sequence[str] = tuple(SHOWN)
-) -> list[tuple[str, pd.DataFrame]]:
-    """For each quantity the rows with an error and a label, if any."""
-    rows = {q: scored[scored[f"{q}_error"].notna() & scored[label].notna()] for q in quantities}
+def _known(scored: pd.DataFrame, label: str = "") -> list[tuple[str, pd.DataFrame]]:
+    """For each quantity the rows with an error and a label, if any. label: by default the quantity's own."""
+    rows = {
+        quantity: scored.dropna(subset=[f"{quantity}_error", label or own])
+        for quantity, (_, _, own, _) in SHOWN.items()
+    }
     return [(quantity, part) for quantity, part in rows.items() if len(part)]
 
 

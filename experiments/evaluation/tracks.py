@@ -117,11 +117,12 @@ def judge(stream: pd.DataFrame, truth: pd.DataFrame, reference_mm: tuple[float, 
     table["live"] = stream["valid"] & (stream["state"] == "slide")
     table["ended"] = stream["valid"] & (stream["state"] == "ended")
 
-    table["position_error"] = np.hypot(stream["x_mm"] - true["x_mm"], stream["y_mm"] - true["y_mm"])
-    table["direction_error"] = wrapped_deg((stream["direction_deg"] - true["direction_deg"]).to_numpy())
+    errors = stream[list(BOUNDED)] - true[list(BOUNDED)]
+    errors["direction_deg"] = wrapped_deg(errors["direction_deg"].to_numpy())
+    table["position_error"] = np.hypot(errors["x_mm"], errors["y_mm"])
     table["speed_error"] = 100 * (stream["speed_mm_s"] / true["speed_mm_s"].clip(lower=1e-9) - 1)
-    table["offset_error"] = stream["offset_mm"] - true["offset_mm"]
-    table["depth_error"] = stream["depth_mm"] - true["depth_mm"]
+    for column in ("direction_deg", "offset_mm", "depth_mm"):
+        table[f"{column.split('_')[0]}_error"] = errors[column]
 
     off, half = _from_middles(stream, true)
     held = (off.abs() <= half).astype(float).where(half.notna() & true[half.columns].notna())
@@ -130,8 +131,6 @@ def judge(stream: pd.DataFrame, truth: pd.DataFrame, reference_mm: tuple[float, 
     table["position_held"] = (held["x_mm"] + held["y_mm"]) / 2
     table["velocity_held"] = (held["vx_mm_s"] + held["vy_mm_s"]) / 2
 
-    errors = stream[half.columns] - true[half.columns]
-    errors["direction_deg"] = table["direction_error"]
     wide = errors.abs() > WRONG_HALF_WIDTHS * half
     beyond = wide[["x_mm", "y_mm", "speed_mm_s"]].any(axis=1)
     beyond |= wide[["direction_deg", "offset_mm"]].any(axis=1) & table["moving"]
