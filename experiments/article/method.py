@@ -28,8 +28,8 @@ from softslide.models.classical.interpolation import (
     slide_direction,
 )
 
-# Distances fitted, by direction, where not DETECTABLE_MM: the outer edges of the article's effective area.
-EFFECTIVE_MM = (17.5, 22.5, 17.5, 22.5)
+# Outer edges of the article's effective area, by direction.
+EFFECTIVE_MM = np.array([17.5, 22.5, 17.5, 22.5])
 # The lowest speed that a quadratic in t is fitted to here. The published one has its minimum at 1.57 mm/s.
 LEAST_SPEED_MM_S = 1.5
 # Of the least and the largest abscissa fitted, by which an answered slide may leave their range.
@@ -43,7 +43,7 @@ _ELAPSED = feature_names(1).index("elapsed_s")
 @dataclass(frozen=True)
 class Variant:
     """How the method is used. form: of chi, "quadratic" or "reciprocal", v = a / t + b. edge: t counts from the
-    chamber's edge. least_speed_mm_s, reach_mm: of the slides fitted, the latter by direction; bounded: slides out of
+    chamber's edge. least_speed_mm_s: of the slides fitted; bounded: these are in the effective area, and slides out of
     the fitted range get no answer."""
 
     name: str
@@ -51,18 +51,15 @@ class Variant:
     edge: bool = False
     least_speed_mm_s: float = 0.0
     bounded: bool = False
-    reach_mm: tuple[float, ...] = tuple(DETECTABLE_MM)
 
 
 PUBLISHED = Variant("as published")
-BEST = Variant(
-    "at its best", edge=True, least_speed_mm_s=LEAST_SPEED_MM_S, bounded=True, reach_mm=EFFECTIVE_MM
-)
+BEST = Variant("at its best", edge=True, least_speed_mm_s=LEAST_SPEED_MM_S, bounded=True)
 VARIANTS = (
     PUBLISHED,
     Variant("t from the edge", edge=True),
     BEST,
-    Variant("v = a / t + b, t from the edge", "reciprocal", edge=True, bounded=True, reach_mm=EFFECTIVE_MM),
+    Variant("v = a / t + b, t from the edge", "reciprocal", edge=True, bounded=True),
 )
 
 
@@ -149,7 +146,7 @@ def fit_method(slides: AxisSlides, variant: Variant) -> Method:
     """
     table, kinds = slides.table, slides.table["kind"].to_numpy()
     ours = kinds[:, None] == np.arange(4)
-    near = table["distance_mm"].to_numpy()[:, None] <= np.array(variant.reach_mm)
+    near = table["distance_mm"].to_numpy()[:, None] <= (EFFECTIVE_MM if variant.bounded else DETECTABLE_MM)
     values, moments, passed = extremes_of(slides.features)
     speed, distance = table["speed_mm_s"].to_numpy(), table["distance_mm"].to_numpy()
     usable = passed & (ours & near)[..., None]

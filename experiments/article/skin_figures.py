@@ -11,13 +11,12 @@ from matplotlib.axes import Axes
 from softslide.experiments.article.axis_slides import AxisSlides
 from softslide.experiments.article.section import Section
 from softslide.experiments.article.slide_figures import FROM_BOARD
-from softslide.experiments.evaluation.traces import static_outputs
 from softslide.experiments.pages.figures import COLOURS, EDGE, Panel, chart
 from softslide.features.errors import InputError
 from softslide.pipeline.atlas.atlas import Atlas
 from softslide.pipeline.atlas.static_contact import height_by_atlas, height_by_formula
 from softslide.pipeline.recordings.folder import Folder
-from softslide.pipeline.recordings.heights import alike_mpa
+from softslide.pipeline.recordings.heights import alike_mpa, laser_readings_mm
 from softslide.pipeline.sensor import Sensor
 
 DEPTH_MM = 0.5  # the article's
@@ -25,6 +24,9 @@ LINE_MM = 10.0  # from the accelerometer, of the slides shown: where the article
 STEP_MM = 0.5
 LEVELS = 25  # of the pressure
 HEIGHT_LIMIT_PERCENT = 12.0
+# Of each pressure, recordings whose static output is read; more say the same.
+MOST_AT_REST = 8
+LEAST_REST_S = 0.4
 MOST_SERIES = 6  # of pressures and depths, those of most slides
 
 
@@ -113,17 +115,25 @@ def _solved(atlas: Atlas, sensor: Sensor) -> pd.DataFrame:
 
 
 def _recorded(atlas: Atlas, folder: Folder) -> pd.DataFrame:
-    """Of `static_outputs`, with heights (mm) by the formula and by the atlas and the formula's error (%) against a
-    laser's reading."""
-    table, volts_per_g = static_outputs(folder), folder.sensor.accelerometers[0].sensitivity_v_per_g
-    tilts = table[["static_x_v", "static_y_v"]].to_numpy() / volts_per_g
-    formula = np.array([_formula(x, folder.sensor) for x, _ in tilts], float)
-    return table.assign(
-        source="recordings",
-        formula_mm=formula,
-        atlas_height_mm=np.array([_by_atlas(tilt, atlas) for tilt in tilts], float),
-        formula_error_percent=100 * (formula / table["laser_mm"] - 1),
-    )
+    """The first board's static output (V, less the zero-g output) of some recordings of each pressure, a laser's
+    reading of the skin's height (mm), NaN without one, heights (mm) by the formula and by the atlas, and the formula's
+    error (%) against the laser."""
+    board, known = folder.sensor.accelerometers[0], folder.manifest["motion_start_s"].notna()
+    labels = folder.manifest.assign(laser_mm=laser_readings_mm(folder))[known]
+    rows = []
+    for _, part in labels.groupby(alike_mpa(labels["pressure_mpa"].dropna()), dropna=False):
+        for name, label in part.iloc[:: -(-len(part) // MOST_AT_REST)].iterrows():
+            recording = folder.load(str(name))
+            rest = recording.time_s < label["motion_start_s"]
+            if rest.sum() < LEAST_REST_S * folder.sensor.sample_rate_hz:
+                continue
+            volts = recording.volts[rest, :2].mean(axis=0) - board.zero_g_v
+            tilt = volts / board.sensitivity_v_per_g
+            heights = _formula(tilt[0], folder.sensor), _by_atlas(tilt, atlas)
+            rows.append((name, label["pressure_mpa"], label["laser_mm"], *volts, "recordings", *heights))
+    columns = ["recording", "pressure_mpa", "laser_mm", "static_x_v", "static_y_v", "source"]
+    table = pd.DataFrame(rows, columns=[*columns, "formula_mm", "atlas_height_mm"])
+    return table.assign(formula_error_percent=100 * (table["formula_mm"] / table["laser_mm"] - 1))
 
 
 def _static_panels(table: pd.DataFrame, atlas: Atlas, sensor: Sensor) -> list[Panel]:
