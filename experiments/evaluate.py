@@ -178,12 +178,12 @@ def _watched(what: str, tables: Iterator[pd.DataFrame], recordings: int) -> Iter
 
 def _followed(bundle: Path, folder: Folder, archive: Archive) -> list[Track]:
     """Every recording that has its truth next to it; says how many of the chosen have none, if some have."""
-    names = with_truth(folder)
-    if names and len(names) < len(folder):
-        left_out = f"{len(folder) - len(names)} of {len(folder)} recordings have no truth next to them"
+    known = len(with_truth(folder))
+    if 0 < known < len(folder):
+        left_out = f"{len(folder) - known} of {len(folder)} recordings have no truth next to them"
         print(f"softslide evaluate: {left_out}; these are not followed over time", file=sys.stderr)
     followed = tracks(bundle, folder, archive)
-    return list(progress_bar(f"following with {bundle.name}", "recording", followed, len(names)))
+    return list(progress_bar(f"following with {bundle.name}", "recording", followed, known))
 
 
 def measure(scored: pd.DataFrame, verdicts: Sequence[Verdict]) -> dict[str, Any]:

@@ -103,7 +103,7 @@ def test_each_uncommitted_edit_has_chunks_of_its_own(
     def count(source: str) -> int:
         """How many chunks are kept after a call with this code."""
         (code / "experiments" / "reader.py").write_text(source)
-        list(Archive(1, "", work).tables("a", make, bundle, folder, ["one"]))
+        list(Archive(1, "", work).tables("a", make, bundle, folder))
         return len(list(work.iterdir()))
 
     sources = ("gain = 1\n", "gain = 2\n", "gain = 3\n", "gain = 3  # of the amplifier\n")

@@ -21,24 +21,25 @@ from softslide.models.classical.interpolation import DIRECTIONS_DEG
 from softslide.pipeline.atlas.atlas import DEFAULT_ATLAS, read_atlas
 from softslide.pipeline.recordings.folder import SAMPLE, read_folder
 
-NAMES = {name: n for n, name in enumerate(feature_names(1))}
 EDGE_MM, EXTREMES_MM = -30.0, (20.0, 38.0)  # of X forward; the extremes past the edge
 
 
-def slides_by_formula(speeds: np.ndarray, distances: np.ndarray, trigger_mm: np.ndarray) -> AxisSlides:
-    """X forward slides whose extremes come at EXTREMES_MM past the edge and have the values -+ (0.3 - d / 100) V."""
-    n = len(speeds)
-    features = np.zeros((n, len(NAMES)))
-    elapsed = (50.0 - trigger_mm) / speeds
-    features[:, NAMES["elapsed_s"]] = elapsed
+def drawn(n: int, seed: int, between_mm_s: tuple[float, float]) -> AxisSlides:
+    """X forward slides, triggered 1 + 0.01 d^2 mm past the edge, whose extremes come at EXTREMES_MM past it and have
+    the values -+ (0.3 - d / 100) V."""
+    random = np.random.default_rng(seed)
+    distances = random.uniform(2.0, 17.0, n)
+    speeds, trigger_mm = random.uniform(*between_mm_s, n), 1.0 + 0.01 * distances**2
+    features = dict.fromkeys(feature_names(1), np.zeros(n))
+    features["elapsed_s"] = elapsed = (50.0 - trigger_mm) / speeds
     for name, way, sign in zip(("min", "max"), EXTREMES_MM, (-1.0, 1.0), strict=True):
         moment = (way - trigger_mm) / speeds
-        features[:, NAMES[f"a0_vx_{name}_v"]] = sign * (0.3 - distances / 100)
-        features[:, NAMES[f"a0_vx_{name}_s"]] = moment
-        features[:, NAMES[f"a0_vx_{name}_fraction"]] = moment / elapsed
-    features[:, NAMES["a0_vx_sign_first"]], features[:, NAMES["a0_vx_sign_last"]] = -1.0, 1.0
-    features[:, NAMES["a0_vy_sign_first"]] = features[:, NAMES["a0_vy_sign_last"]] = 1.0
-    features[:, NAMES["a0_vy_max_v"]] = 0.3
+        features[f"a0_vx_{name}_v"] = sign * (0.3 - distances / 100)
+        features[f"a0_vx_{name}_s"] = moment
+        features[f"a0_vx_{name}_fraction"] = moment / elapsed
+    ones = np.ones(n)
+    features |= {"a0_vx_sign_first": -ones, "a0_vx_sign_last": ones, "a0_vy_max_v": 0.3 * ones}
+    features |= {"a0_vy_sign_first": ones, "a0_vy_sign_last": ones}
     table = pd.DataFrame(
         {
             "recording": [f"r{k}" for k in range(n)],
@@ -55,13 +56,7 @@ def slides_by_formula(speeds: np.ndarray, distances: np.ndarray, trigger_mm: np.
         }
     )
     folder = seen_from_board(read_folder(SAMPLE))
-    return AxisSlides(folder, Conditioning(), features, table)
-
-
-def drawn(count: int, seed: int, speeds: tuple[float, float]) -> AxisSlides:
-    random = np.random.default_rng(seed)
-    distances = random.uniform(2.0, 17.0, count)
-    return slides_by_formula(random.uniform(*speeds, count), distances, 1.0 + 0.01 * distances**2)
+    return AxisSlides(folder, Conditioning(), np.column_stack(list(features.values())), table)
 
 
 def test_a_way_over_a_time_is_recovered_from_the_trigger_alone() -> None:

@@ -180,16 +180,19 @@ def areas(best: Scored, sensor: Sensor) -> Section:
 
 def area_table(end: pd.DataFrame) -> pd.DataFrame:
     """By bins of the distance: slides, share answered, share of these with the right direction, largest errors."""
-    answered = end[end["valid"]].assign(right=lambda rows: rows["direction_deg_error"] < 45)
-    bins = lambda rows: BIN_MM * (rows["distance_mm"] / BIN_MM).round()  # noqa: E731
-    found = answered.groupby(bins(answered)).agg(
-        answered=("right", "size"),
-        direction_right=("right", "sum"),
-        speed_percent_max=("speed_percent_error", "max"),
-        distance_percent_max=("offset_percent_error", "max"),
+    bins = BIN_MM * (end["distance_mm"] / BIN_MM).round()
+    # What is not answered has no error.
+    table = (
+        end.assign(right=end["direction_deg_error"] < 45)
+        .groupby(bins)
+        .agg(
+            slides=("valid", "size"),
+            answered=("valid", "sum"),
+            direction_right=("right", "sum"),
+            speed_percent_max=("speed_percent_error", "max"),
+            distance_percent_max=("offset_percent_error", "max"),
+        )
     )
-    table = end.groupby(bins(end)).size().to_frame("slides").join(found)
-    table[["answered", "direction_right"]] = table[["answered", "direction_right"]].fillna(0).astype(int)
     right = (table["answered"] > 0) & (table["direction_right"] == table["answered"])
     table["detectable"] = right & (table["speed_percent_max"] < SPEED_LIMIT)
     table["effective"] = table["detectable"] & (table["distance_percent_max"] < DISTANCE_LIMIT)

@@ -64,12 +64,12 @@ def predictions(bundle: Path, folder: Folder, archive: Archive) -> Iterator[pd.D
         InputError: the bundle is broken or made for another sensor, or a recording is.
     """
     check_fits(open_localizer(bundle), folder)
-    yield from archive.tables("predictions", _read_out, bundle, folder, list(folder.manifest.index))
+    yield from archive.tables("predictions", _read_out, bundle, folder)
 
 
-def _read_out(bundle: Path, folder: Folder, names: list[str]) -> pd.DataFrame:
+def _read_out(bundle: Path, folder: Folder) -> pd.DataFrame:
     localizer, rows = open_localizer(bundle, folder.sensor.sample_rate_hz), []
-    for name in names:
+    for name in folder.manifest.index:
         recording = folder.read(name)
         samples, label = samples_for(localizer, recording), folder.manifest.loc[name].to_dict()
         rows += rows_of(localizer, recording, samples, label)

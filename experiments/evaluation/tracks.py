@@ -5,7 +5,7 @@ where the contact moves at `MOVING_MM_S` or more; the rest wherever something to
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -48,9 +48,10 @@ class Track:
     from_whole: pd.DataFrame
 
 
-def with_truth(folder: Folder) -> list[str]:
+def with_truth(folder: Folder) -> Folder:
     """The recordings whose truth lies next to them."""
-    return [str(n) for n, file in folder.manifest["file"].items() if truth_path(folder.root / file).is_file()]
+    there = [truth_path(folder.root / file).is_file() for file in folder.manifest["file"]]
+    return replace(folder, manifest=folder.manifest[np.array(there, bool)])
 
 
 def tracks(bundle: Path, folder: Folder, archive: Archive) -> Iterator[Track]:
@@ -59,7 +60,7 @@ def tracks(bundle: Path, folder: Folder, archive: Archive) -> Iterator[Track]:
     Raises:
         InputError: a recording or its truth is not what the contract says.
     """
-    for table in archive.tables("tracks", _judged, bundle, folder, with_truth(folder)):
+    for table in archive.tables("tracks", _judged, bundle, with_truth(folder)):
         for name, both in table.groupby("recording", sort=False):
             of_stream, from_whole = (
                 both[both["whole"] == each].drop(columns=["recording", "whole"]).reset_index(drop=True)
@@ -68,11 +69,11 @@ def tracks(bundle: Path, folder: Folder, archive: Archive) -> Iterator[Track]:
             yield Track(str(name), str(folder.manifest.loc[str(name), "split"]), of_stream, from_whole)
 
 
-def _judged(bundle: Path, folder: Folder, names: list[str]) -> pd.DataFrame:
+def _judged(bundle: Path, folder: Folder) -> pd.DataFrame:
     localizer = open_localizer(bundle, folder.sensor.sample_rate_hz)
     ways = [_live, whole_contacts] if has_whole_contacts(localizer.card) else [_live]
     tables = []
-    for name in names:
+    for name in folder.manifest.index:
         recording = folder.load(name)
         assert recording.truth is not None
         for way in ways:
