@@ -155,9 +155,9 @@ def along_the_stroke(scored: pd.DataFrame) -> dict[str, dict[str, Any]]:
 def by_direction(scored: pd.DataFrame) -> dict[str, dict[str, Any]]:
     """The article's four directions, and what lies between them."""
     direction = scored["true_direction_deg"]
-    names = pd.Series("", index=scored.index)
+    names = pd.Series(np.nan, index=scored.index, dtype=object)
     for quarter, sector in enumerate(BETWEEN):
-        names[(direction // 90 == quarter) & (names == "")] = sector
+        names[(direction // 90 == quarter) & names.isna()] = sector
         names[near_deg(direction, 90 * quarter)] = AXES[quarter]
     return _groups(scored, pd.Categorical(names, (*AXES, *BETWEEN)))
 
