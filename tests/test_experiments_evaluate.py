@@ -23,7 +23,6 @@ from softslide.experiments.evaluation.readout import COLUMNS
 from softslide.experiments.evaluation.scoring import score
 from softslide.experiments.pages.figures import COLOURS, INK, drawn, log_with_zero
 from softslide.models.response_map.card import contact_calibration
-from softslide.pipeline.recordings.folder import SAMPLE, read_folder
 from softslide.serve.localizer import Localizer
 
 
