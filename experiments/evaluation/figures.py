@@ -146,8 +146,9 @@ def interval_coverage(scored: pd.DataFrame) -> list[Panel]:
             f"Share of labels within the 90 % interval of the {word}, by split with the number of recordings; bars: "
             "what chance leaves open with so many recordings."
         )
-        labels, look = (word, "labels within the interval, %"), {"line": 100 * INTERVAL, "left": 1.6}
-        panels.append(intervals(table, "split", "of", labels, text, **look, xlim=(-3, 103)))
+        labels = (word, "labels within the interval, %")
+        look: dict[str, Any] = {"line": 100 * INTERVAL, "left": 1.6, "xlim": (-3, 103)}
+        panels.append(intervals(table, "split", "of", labels, text, **look))
     return panels
 
 

@@ -98,8 +98,8 @@ def _path(track: Track, sensor: Sensor, caption: str) -> Panel:
 def _over_time(values: Mapping[str, pd.Series], title: str, caption: str, **axes: Any) -> Panel:
     """values: true and estimated, by time_s."""
     series = [_thinned(each.rename("value").reset_index().assign(of=name)) for name, each in values.items()]
-    labels, look = (title, "time, s", ""), {"mark": ".", "colours": (EDGE, COLOURS[0])}
-    return chart(pd.concat(series), "time_s", "value", "of", labels, caption, **look, **axes)
+    look: dict[str, Any] = {"mark": ".", "colours": (EDGE, COLOURS[0]), **axes}
+    return chart(pd.concat(series), "time_s", "value", "of", (title, "time, s", ""), caption, **look)
 
 
 def _thinned(rows: pd.DataFrame) -> pd.DataFrame:
