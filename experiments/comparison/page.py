@@ -67,7 +67,7 @@ def _differences(pairs: pd.DataFrame, quantity: str) -> Panel:
         "bars: 95 % confidence intervals over lines. A bar that does not reach zero: the two differ."
     )
     scale = partial(_about_zero, rows[["middle", "low", "high"]].to_numpy(float))
-    return intervals(rows, "model", "split", labels, text, line=0.0, left=1.15, draw=scale)
+    return intervals(rows, "model", "split", labels, text, line=0.0, draw=scale)
 
 
 def _about_zero(values: np.ndarray, ax: Axes) -> None:

@@ -147,7 +147,7 @@ def interval_coverage(scored: pd.DataFrame) -> list[Panel]:
             "what chance leaves open with so many recordings."
         )
         labels = (word, "labels within the interval, %")
-        look: dict[str, Any] = {"line": 100 * INTERVAL, "left": 1.6, "xlim": (-3, 103)}
+        look: dict[str, Any] = {"line": 100 * INTERVAL, "xlim": (-3, 103)}
         panels.append(intervals(table, "split", "of", labels, text, **look))
     return panels
 

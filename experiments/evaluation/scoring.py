@@ -155,11 +155,11 @@ def along_the_stroke(scored: pd.DataFrame) -> dict[str, dict[str, Any]]:
 def by_direction(scored: pd.DataFrame) -> dict[str, dict[str, Any]]:
     """The article's four directions, and what lies between them."""
     direction = scored["true_direction_deg"]
-    names = pd.Series(np.nan, index=scored.index, dtype=object)
+    names = pd.Series("", index=scored.index)
     for quarter, sector in enumerate(BETWEEN):
-        names[(direction // 90 == quarter) & names.isna()] = sector
+        names[(direction // 90 == quarter) & (names == "")] = sector
         names[near_deg(direction, 90 * quarter)] = AXES[quarter]
-    return _groups(scored, pd.Categorical(names, (*AXES, *BETWEEN)))
+    return _groups(scored, pd.Categorical(names.where(names != ""), (*AXES, *BETWEEN)))
 
 
 def by_distance(scored: pd.DataFrame) -> dict[str, dict[str, Any]]:

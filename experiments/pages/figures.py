@@ -52,7 +52,7 @@ IN_PAGE |= {INK: "var(--ink)", LABEL: "var(--label)", EDGE: "var(--edge)", GRID:
 PANEL_INCHES = (4.2, 3.1)
 MARGINS = (0.68, 0.14, 0.5, 0.32)  # left, right, bottom, top, inches
 LEGEND_ROW_INCHES, LEGEND_COLUMNS = 0.18, 2
-ROW_INCHES = 0.16  # of `intervals`
+ROW_INCHES, LETTER_INCHES = 0.16, 0.05  # of `intervals`
 
 
 def draw_sensor(ax: Axes, sensor: Sensor, width: float, label: str) -> None:
@@ -145,14 +145,13 @@ def intervals(
     caption: str,
     *,
     line: float,
-    left: float,
     draw: Callable[[Axes], None] = lambda ax: None,
     **axes: Any,
 ) -> Panel:
     """A panel of columns `middle`, `low` and `high`, dots with bars: a row for each value of column `row`, in it a
     colour for each value of column `by`, in the order of the rows.
 
-    labels: title, and what the values are. line: drawn dashed. left, draw, axes: as `drawn` and `chart`.
+    labels: title, and what the values are. line: drawn dashed. draw, axes: as of `chart`.
     """
     names, series = list(dict.fromkeys(table[row])), list(dict.fromkeys(table[by]))
     every = len(series) + 1
@@ -169,6 +168,7 @@ def intervals(
         ax.grid(axis="y", visible=False)
         ax.set(ylim=(len(names) * every - 0.5, -1.5), title=labels[0], xlabel=labels[1], **axes)
 
+    left = MARGINS[0] + LETTER_INCHES * max(len(str(name)) for name in names)
     return drawn(caption, dots, 1.0 + ROW_INCHES * len(names) * every, left=left)
 
 
