@@ -21,7 +21,7 @@ from softslide.experiments.evaluation.archive import Archive
 from softslide.experiments.evaluation.efficiency import bounds_of, over_bound
 from softslide.experiments.evaluation.readout import COLUMNS
 from softslide.experiments.evaluation.scoring import score
-from softslide.experiments.pages.figures import COLOURS, INK, drawn, log_with_zero
+from softslide.experiments.pages.figures import COLOURS, INK, drawn, log_about_zero
 from softslide.models.response_map.card import contact_calibration
 from softslide.serve.localizer import Localizer
 
@@ -344,7 +344,7 @@ def test_errors_of_zero_are_drawn_inside_the_axes() -> None:
     errors = np.array([0.0, 0.0, 0.03, 2.0])
     ax = Figure().add_subplot()
     (line,) = ax.plot(np.arange(4.0), errors, "o")
-    log_with_zero(ax, errors)
+    log_about_zero(ax.yaxis, errors)
     height = ax.transData.transform(line.get_xydata())[:, 1]
     low, high = ax.bbox.y0, ax.bbox.y1
     assert np.isfinite(height).all()

@@ -1,17 +1,15 @@
 """comparison.html: the models side by side, by differences of their errors on the same slides."""
 
 from collections.abc import Mapping
-from functools import partial
 from typing import Any
 
 import numpy as np
 import pandas as pd
-from matplotlib.axes import Axes
 
 from softslide.experiments.evaluation.figures import along_the_stroke
 from softslide.experiments.evaluation.scoring import QUANTITIES, WORDS, summary
 from softslide.experiments.evaluation.tables import error_table
-from softslide.experiments.pages.figures import Panel, axis_marks, intervals
+from softslide.experiments.pages.figures import Panel, intervals
 from softslide.experiments.pages.page import number
 
 
@@ -66,19 +64,4 @@ def _differences(pairs: pd.DataFrame, quantity: str) -> Panel:
         f"Mean difference of the {word} error ({unit}), each model less {against} on the same slides, by split; "
         "bars: 95 % confidence intervals over lines. A bar that does not reach zero: the two differ."
     )
-    scale = partial(_about_zero, rows[["middle", "low", "high"]].to_numpy(float))
-    return intervals(rows, "model", "split", labels, text, line=0.0, draw=scale)
-
-
-def _about_zero(values: np.ndarray, ax: Axes) -> None:
-    """An axis that shows differences of a hundredth next to those of ten."""
-    sizes = np.abs(values[np.isfinite(values) & (values != 0)])
-    if not len(sizes):
-        return
-    most = np.ceil(np.log10(sizes.max()))
-    least = 10.0 ** max(np.floor(np.log10(np.quantile(sizes, 0.25))), most - 3)
-    ax.set_xscale("symlog", linthresh=least, linscale=0.7)
-    low, high = min(1.3 * np.nanmin(values), -0.3 * least), max(1.3 * np.nanmax(values), 0.3 * least)
-    ax.set_xlim(low, high)
-    decades = 10.0 ** np.arange(np.log10(least), most + 1)
-    axis_marks(ax.xaxis, [mark for mark in (*-decades[::-1], 0.0, *decades) if low <= mark <= high])
+    return intervals(rows, "model", "split", labels, text, line=0.0, log=True)

@@ -1,6 +1,6 @@
 """The report's figures: what the recordings cover, and errors by angle, place, share of the stroke and recording."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import matplotlib as mpl
@@ -9,7 +9,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 
 from softslide.experiments.evaluation.bounds import Verdict
-from softslide.experiments.evaluation.scoring import INTERVALS, WORDS
+from softslide.experiments.evaluation.scoring import INTERVALS, QUANTITIES, WORDS
 from softslide.experiments.pages.figures import (
     COLOURS,
     EDGE,
@@ -24,11 +24,11 @@ from softslide.experiments.pages.figures import (
 from softslide.features.card import HALF_WIDTH_SD
 from softslide.pipeline.sensor import Sensor
 
-# Of each quantity that is shown of every recording: word and unit, and the label that it is drawn against.
-SHOWN = {
-    "direction_deg": ("direction error", "deg", "true_direction_deg", "direction, deg"),
-    "speed_percent": ("speed error", "%", "true_speed_mm_s", "speed, mm/s"),
-    "offset_mm": ("distance error", "mm", "true_offset_mm", "offset, mm"),
+# The label that each recording's error of a quantity is drawn against, in words.
+LABELS = {
+    "direction_deg": ("true_direction_deg", "direction, deg"),
+    "speed_percent": ("true_speed_mm_s", "speed, mm/s"),
+    "offset_mm": ("true_offset_mm", "offset, mm"),
 }
 # Of `efficiency.over_bound`: key and word of each quantity.
 OVER_BOUND = {"direction_deg": "direction", "log_speed": "speed", "offset_mm": "distance"}
@@ -59,11 +59,10 @@ def coverage(scored: pd.DataFrame, calibration: pd.DataFrame, sensor: Sensor) ->
 
 def by_angle(end: pd.DataFrame) -> list[Panel]:
     """Errors at the end of the stroke by the direction of motion, a polar panel a quantity."""
-    return [_angles(rows, quantity) for quantity, rows in _known(end, "true_direction_deg")]
+    return [_angles(*known) for known in _known(end, "true_direction_deg")]
 
 
-def _angles(rows: pd.DataFrame, quantity: str) -> Panel:
-    word, unit, *_ = SHOWN[quantity]
+def _angles(quantity: str, word: str, unit: str, rows: pd.DataFrame) -> Panel:
     error, direction = rows[f"{quantity}_error"], rows["true_direction_deg"]
     means = error.groupby(sectors(direction)).mean()
 
@@ -122,8 +121,7 @@ def by_place(scored: pd.DataFrame, sensor: Sensor) -> list[Panel]:
 def along_the_stroke(scored: pd.DataFrame, by: str = "split", of: str = "") -> list[Panel]:
     """Mean error of each split against the share of the stroke seen, a panel a quantity. of: which, in words."""
     panels = []
-    for quantity, rows in _known(scored, "split"):
-        word, unit, *_ = SHOWN[quantity]
+    for quantity, word, unit, rows in _known(scored, "split"):
         means = rows.groupby([by, "stroke_fraction"], as_index=False)[[f"{quantity}_error"]].mean()
         text = f"Mean {word} ({unit}) of valid estimates by the share of the stroke seen, a line a {by}{of}."
         labels = (f"mean {word}, {unit}", SEEN, "")
@@ -164,8 +162,8 @@ def recording_by_recording(end: pd.DataFrame, verdicts: Sequence[Verdict]) -> li
     """Error of each recording at the end of its stroke against its label, with the article's bound."""
     limits = {v.bound.quantity: v.bound.limit for v in reversed(verdicts)}
     panels = []
-    for quantity, rows in _known(end):
-        (word, unit, label, title), limit = SHOWN[quantity], limits.get(quantity)
+    for quantity, word, unit, rows in _known(end):
+        (label, title), limit = LABELS[quantity], limits.get(quantity)
         text = f"{word.capitalize()} ({unit}) of each of {len(rows)} recordings at the end of the stroke"
         text += f"; dashed: the article's bound, {limit:g} {unit}." if limit else "."
         rows, axes = rows.sort_values("split"), _label_axis(quantity)
@@ -236,13 +234,15 @@ def outputs(
     return chart(long, "time_s", "output", "channel", labels, text, mark="-", draw=draw)
 
 
-def _known(scored: pd.DataFrame, label: str = "") -> list[tuple[str, pd.DataFrame]]:
-    """For each quantity the rows with an error and a label, if any. label: by default the quantity's own."""
-    rows = {
-        quantity: scored.dropna(subset=[f"{quantity}_error", label or own])
-        for quantity, (_, _, own, _) in SHOWN.items()
-    }
-    return [(quantity, part) for quantity, part in rows.items() if len(part)]
+def _known(scored: pd.DataFrame, label: str = "") -> Iterator[tuple[str, str, str, pd.DataFrame]]:
+    """Each quantity, its error in a word and its unit, and the rows with an error and a label, if any.
+
+    label: by default the quantity's own.
+    """
+    for quantity, (own, _) in LABELS.items():
+        rows = scored.dropna(subset=[f"{quantity}_error", label or own])
+        if len(rows):
+            yield quantity, f"{WORDS[quantity]} error", QUANTITIES[quantity], rows
 
 
 def _label_axis(quantity: str) -> dict[str, Any]:

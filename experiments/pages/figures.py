@@ -52,6 +52,7 @@ IN_PAGE |= {INK: "var(--ink)", LABEL: "var(--label)", EDGE: "var(--edge)", GRID:
 PANEL_INCHES = (4.2, 3.1)
 MARGINS = (0.68, 0.14, 0.5, 0.32)  # left, right, bottom, top, inches
 LEGEND_ROW_INCHES, LEGEND_COLUMNS = 0.18, 2
+MOST_MARKS = 9  # of a logarithmic axis
 ROW_INCHES, LETTER_INCHES = 0.16, 0.05  # of `intervals`
 
 
@@ -131,7 +132,7 @@ def chart(
         if limit is not None:
             ax.axhline(limit, color=INK, linestyle="--", linewidth=1)
         if log:
-            log_with_zero(ax, np.array([*table[y].astype(float), *([] if limit is None else [limit])]))
+            log_about_zero(ax.yaxis, np.array([*table[y].astype(float), *([] if limit is None else [limit])]))
         ax.set(title=labels[0], xlabel=labels[1], ylabel=labels[2], **axes)
 
     return drawn(caption, series)
@@ -145,13 +146,13 @@ def intervals(
     caption: str,
     *,
     line: float,
-    draw: Callable[[Axes], None] = lambda ax: None,
+    log: bool = False,
     **axes: Any,
 ) -> Panel:
     """A panel of columns `middle`, `low` and `high`, dots with bars: a row for each value of column `row`, in it a
     colour for each value of column `by`, in the order of the rows.
 
-    labels: title, and what the values are. line: drawn dashed. draw, axes: as of `chart`.
+    labels: title, and what the values are. line: drawn dashed. log: values logarithmic, with zero. axes: of `Axes.set`.
     """
     names, series = list(dict.fromkeys(table[row])), list(dict.fromkeys(table[by]))
     every = len(series) + 1
@@ -163,7 +164,8 @@ def intervals(
             place = [names.index(each) * every + n for each in part[row]]
             ax.hlines(place, part["low"], part["high"], color=colour, linewidth=2)
             ax.plot(part["middle"], place, "o", color=colour, markersize=4, label=name)
-        draw(ax)
+        if log:
+            log_about_zero(ax.xaxis, table[["middle", "low", "high"]].to_numpy(float))
         ax.set_yticks([n * every + (len(series) - 1) / 2 for n in range(len(names))], names)
         ax.grid(axis="y", visible=False)
         ax.set(ylim=(len(names) * every - 0.5, -1.5), title=labels[0], xlabel=labels[1], **axes)
@@ -247,17 +249,23 @@ def axis_marks(axis: Axis, marks: Sequence[float]) -> None:
     axis.set(major_locator=locator, major_formatter="{x:g}", minor_locator=nowhere)
 
 
-def log_with_zero(ax: Axes, values: np.ndarray) -> None:
-    """A logarithmic y axis for values that are not negative; zeros lie on a line of their own at its lower end.
+def log_about_zero(axis: Axis, values: np.ndarray) -> None:
+    """Makes an axis logarithmic either way from zero, on which zero lies too: it shows hundredths next to tens.
 
-    Below a third of the least positive value the axis is linear, down to zero.
+    It is linear about zero, to the decade of the sizes' lower quartile, or three below the largest if that is more.
     """
-    positive = values[np.isfinite(values) & (values > 0)]
-    if not len(positive):
+    sizes = np.abs(values[np.isfinite(values) & (values != 0)])
+    if not len(sizes):
         return
-    least = float(positive.min()) / 3
-    ax.set_yscale("symlog", linthresh=least, linscale=0.3)
-    ax.set_ylim(-0.2 * least, 1.6 * float(positive.max()))
-    decades = np.arange(np.floor(np.log10(least)), np.ceil(np.log10(positive.max())) + 1)
-    marks = np.array([m * 10**d for d in decades for m in ((1, 2, 5) if len(decades) < 4 else (1,))])
-    axis_marks(ax.yaxis, [0.0, *marks[(marks > 1.2 * least) & (marks < 1.5 * positive.max())]])
+    most = np.ceil(np.log10(sizes.max()))
+    least = 10.0 ** max(np.floor(np.log10(np.quantile(sizes, 0.25))), most - 3)
+    low, high = min(1.3 * np.nanmin(values), -0.3 * least), max(1.3 * np.nanmax(values), 0.3 * least)
+    scale = mpl.scale.SymmetricalLogScale(axis, linthresh=least, linscale=0.7)
+    axis.axes.set(**{f"{axis.axis_name}scale": scale, f"{axis.axis_name}lim": (low, high)})
+    decades = 10.0 ** np.arange(np.log10(least), most + 1)
+    for multiples in ((1, 2, 5), (1,)):
+        steps = np.outer(decades, multiples).ravel()
+        marks = [mark for mark in (*-steps[::-1], 0.0, *steps) if low <= mark <= high]
+        if len(marks) <= MOST_MARKS:
+            break
+    axis_marks(axis, marks)
