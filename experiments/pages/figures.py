@@ -254,14 +254,16 @@ def log_about_zero(axis: Axis, values: np.ndarray) -> None:
 
     It is linear about zero, to the decade of the sizes' lower quartile, or three below the largest if that is more.
     """
-    sizes = np.abs(values[np.isfinite(values) & (values != 0)])
+    known = values[np.isfinite(values)]
+    sizes = np.abs(known[known != 0])
     if not len(sizes):
         return
     most = np.ceil(np.log10(sizes.max()))
     least = 10.0 ** max(np.floor(np.log10(np.quantile(sizes, 0.25))), most - 3)
-    low, high = min(1.3 * np.nanmin(values), -0.3 * least), max(1.3 * np.nanmax(values), 0.3 * least)
+    low, high = min(1.3 * known.min(), -0.3 * least), max(1.3 * known.max(), 0.3 * least)
     scale = mpl.scale.SymmetricalLogScale(axis, linthresh=least, linscale=0.7)
-    axis.axes.set(**{f"{axis.axis_name}scale": scale, f"{axis.axis_name}lim": (low, high)})
+    name = "x" if axis is axis.axes.xaxis else "y"
+    axis.axes.set(**{f"{name}scale": scale, f"{name}lim": (low, high)})
     decades = 10.0 ** np.arange(np.log10(least), most + 1)
     for multiples in ((1, 2, 5), (1,)):
         steps = np.outer(decades, multiples).ravel()
