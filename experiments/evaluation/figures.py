@@ -24,11 +24,20 @@ from softslide.experiments.pages.figures import (
 from softslide.features.card import HALF_WIDTH_SD
 from softslide.pipeline.sensor import Sensor
 
-# The label that each recording's error of a quantity is drawn against, in words.
-LABELS = {
-    "direction_deg": ("true_direction_deg", "direction, deg"),
-    "speed_percent": ("true_speed_mm_s", "speed, mm/s"),
-    "offset_mm": ("true_offset_mm", "offset, mm"),
+
+def _log_speeds(ax: Axes) -> None:
+    ax.set_xscale("log")
+    axis_marks(ax.xaxis, [0.5, 1, 2, 4, 8, 13])
+
+
+# The label that each recording's error of a quantity is drawn against: column, in words, and its axis, as of `chart`.
+LABELS: dict[str, tuple[str, str, dict[str, Any]]] = {
+    "direction_deg": (
+        *("true_direction_deg", "direction, deg"),
+        {"xlim": (-12, 372), "xticks": [0, 90, 180, 270, 360]},
+    ),
+    "speed_percent": ("true_speed_mm_s", "speed, mm/s", {"draw": _log_speeds}),
+    "offset_mm": ("true_offset_mm", "offset, mm", {}),
 }
 # Of `efficiency.over_bound`: key and word of each quantity.
 OVER_BOUND = {"direction_deg": "direction", "log_speed": "speed", "offset_mm": "distance"}
@@ -163,12 +172,11 @@ def recording_by_recording(end: pd.DataFrame, verdicts: Sequence[Verdict]) -> li
     limits = {v.bound.quantity: v.bound.limit for v in reversed(verdicts)}
     panels = []
     for quantity, word, unit, rows in _known(end):
-        (label, title), limit = LABELS[quantity], limits.get(quantity)
+        (label, title, axis), limit = LABELS[quantity], limits.get(quantity)
         text = f"{word.capitalize()} ({unit}) of each of {len(rows)} recordings at the end of the stroke"
         text += f"; dashed: the article's bound, {limit:g} {unit}." if limit else "."
-        rows, axes = rows.sort_values("split"), _label_axis(quantity)
-        labels, error = (f"{word}, {unit}", title, ""), f"{quantity}_error"
-        panels.append(chart(rows, label, error, "split", labels, text, limit=limit, log=True, **axes))
+        labels, error, rows = (f"{word}, {unit}", title, ""), f"{quantity}_error", rows.sort_values("split")
+        panels.append(chart(rows, label, error, "split", labels, text, limit=limit, log=True, **axis))
     return panels
 
 
@@ -239,23 +247,10 @@ def _known(scored: pd.DataFrame, label: str = "") -> Iterator[tuple[str, str, st
 
     label: by default the quantity's own.
     """
-    for quantity, (own, _) in LABELS.items():
+    for quantity, (own, *_) in LABELS.items():
         rows = scored.dropna(subset=[f"{quantity}_error", label or own])
         if len(rows):
             yield quantity, f"{WORDS[quantity]} error", QUANTITIES[quantity], rows
-
-
-def _label_axis(quantity: str) -> dict[str, Any]:
-    if quantity == "direction_deg":
-        return {"xlim": (-12, 372), "xticks": [0, 90, 180, 270, 360]}
-    if quantity == "speed_percent":
-        return {"draw": _log_speeds}
-    return {}
-
-
-def _log_speeds(ax: Axes) -> None:
-    ax.set_xscale("log")
-    axis_marks(ax.xaxis, [0.5, 1, 2, 4, 8, 13])
 
 
 def slide_lines(rows: pd.DataFrame, prefix: str = "") -> np.ndarray:
