@@ -4,7 +4,6 @@ It is logged as a run, a child of the bundle's training where the store has that
 """
 
 import json
-import math
 import shutil
 import sys
 from collections.abc import Iterator, Sequence
@@ -17,7 +16,7 @@ import pandas as pd
 
 from softslide.experiments.derived_labels import derived
 from softslide.experiments.evaluation.archive import Archive
-from softslide.experiments.evaluation.bounds import Verdict, check, read_bounds
+from softslide.experiments.evaluation.bounds import WORDS, Verdict, check, read_bounds
 from softslide.experiments.evaluation.efficiency import bounds_of, over_bound
 from softslide.experiments.evaluation.readout import check_fits, open_localizer, predictions
 from softslide.experiments.evaluation.report import write_report
@@ -40,11 +39,6 @@ from softslide.pipeline.recordings.derived_labels import with_derived_labels
 from softslide.pipeline.recordings.folder import Folder, read_folder
 from softslide.pipeline.recordings.learned import learned_depths_mm, learned_lines
 from softslide.pipeline.staging import alone, staged
-from softslide.serve.whole_contacts import has_whole_contacts
-
-WHOLE = "from whole contacts"
-# A verdict as a run's tag.
-WORDS = {True: "met", False: "missed", None: "not tested"}
 
 
 @dataclass(frozen=True)
@@ -74,9 +68,10 @@ class Evaluation:
 
     def lines(self) -> list[str]:
         """Each bound's verdict, then each split's tracks, in a line."""
-        rows = [(split, row) for split, row in self.metrics.get("tracks", {}).items()]
-        rows += [(f"{split}, {WHOLE}", row) for split, row in self.metrics.get("whole_contacts", {}).items()]
-        return [verdict.line() for verdict in self.verdicts] + [line(*row) for row in rows]
+        live, whole = (self.metrics.get(key, {}) for key in ("tracks", "whole_contacts"))
+        followed = [line(split, row) for split, row in live.items()]
+        followed += [line(f"{split}, from whole contacts", row) for split, row in whole.items()]
+        return [verdict.line() for verdict in self.verdicts] + followed
 
 
 def evaluate(
@@ -141,7 +136,7 @@ def _evaluated(
         rows = predictions(bundle, folder, archive)
         table = pd.concat(_watched(f"localizing with {bundle.name}", rows, len(folder)), ignore_index=True)
         write_predictions(scratch / "predictions.csv", table)
-        followed, whole_paths = _followed(bundle, folder, archive)
+        followed = _followed(bundle, folder, archive)
         least = list(bounds_of(bundle, folder, archive))
         scored = score(table, folder.manifest, folder.sensor)
         along = scored["recording"].map(learned_lines(whole.manifest)) != ""
@@ -157,9 +152,10 @@ def _evaluated(
             "sensor": folder.sensor.name,
             "over_bound": over_bound(unseen, pd.concat(least)) if least else None,
         }
-        metrics |= {"tracks": summaries(followed)} if followed else {}
-        metrics |= {"whole_contacts": summaries(whole_paths)} if whole_paths else {}
-        text = json.dumps(_finite(metrics), indent=1, allow_nan=False)
+        metrics |= summaries(followed)
+        # JSON has null alone for a number that is not finite.
+        known = json.loads(json.dumps(metrics), parse_constant=lambda _: None)
+        text = json.dumps(known, indent=1)
         (scratch / "metrics.json").write_text(text + "\n", encoding="utf-8")
         if report:
             write_report(scratch / "report.html", metrics, verdicts, unseen, followed, whole)
@@ -180,19 +176,14 @@ def _watched(what: str, tables: Iterator[pd.DataFrame], recordings: int) -> Iter
             bar.update(table["recording"].nunique())
 
 
-def _followed(bundle: Path, folder: Folder, archive: Archive) -> tuple[list[Track], list[Track]]:
-    """Every recording that has its truth next to it, followed live, and from whole contacts where the bundle knows
-    these; says which of the chosen have no truth, if some have."""
-    names = with_truth(folder)
-    if names and len(names) < len(folder):
-        left_out = f"{len(folder) - len(names)} of {len(folder)} recordings have no truth next to them"
+def _followed(bundle: Path, folder: Folder, archive: Archive) -> list[Track]:
+    """Every recording that has its truth next to it; says how many of the chosen have none, if some have."""
+    known = len(with_truth(folder))
+    if 0 < known < len(folder):
+        left_out = f"{len(folder) - known} of {len(folder)} recordings have no truth next to them"
         print(f"softslide evaluate: {left_out}; these are not followed over time", file=sys.stderr)
-
-    def all_tracks(what: str, whole: bool) -> list[Track]:
-        return list(progress_bar(what, "recording", tracks(bundle, folder, archive, whole), len(names)))
-
-    live = all_tracks(f"following with {bundle.name}", whole=False)
-    return live, all_tracks(WHOLE, whole=True) if has_whole_contacts(open_localizer(bundle).card) else []
+    followed = tracks(bundle, folder, archive)
+    return list(progress_bar(f"following with {bundle.name}", "recording", followed, known))
 
 
 def measure(scored: pd.DataFrame, verdicts: Sequence[Verdict]) -> dict[str, Any]:
@@ -242,14 +233,3 @@ def to_score(folder: Folder, splits: Sequence[str] | None) -> Folder:
     if unknown := [split for split in splits if split not in present]:
         raise InputError(f"{place}, not '{unknown[0]}'; name one of these")
     return replace(folder, manifest=folder.manifest[folder.manifest["split"].isin(splits)])
-
-
-def _finite(value: Any) -> Any:
-    """The same with null for every number that is not finite, which JSON cannot hold."""
-    if isinstance(value, dict):
-        return {key: _finite(inner) for key, inner in value.items()}
-    if isinstance(value, list):
-        return [_finite(inner) for inner in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value

@@ -11,11 +11,11 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
+from front_door import call
 from small_bundle import write_small_bundle
 from team_server import PATIENCE_S, free_port
 from trial_folder import SENSOR, a_folder
 
-import softslide
 from softslide.experiments.evaluation.archive import CHUNK, Archive
 from softslide.experiments.evaluation.readout import open_localizer, predictions
 from softslide.pipeline.recordings.folder import read_folder
@@ -30,8 +30,8 @@ def bundle(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def evaluate(bundle: Path, lab: Path, out: Path, *options: object) -> int:
-    words = ["evaluate", "--model", bundle, "--recordings", lab, "--out", out, "--jobs", 1, "--no-report"]
-    return softslide.main([str(word) for word in (*words, *options)])
+    words = ("--model", bundle, "--recordings", lab, "--out", out, "--jobs", 1, "--no-report")
+    return call("evaluate", *words, *options)
 
 
 def test_a_bundle_that_was_trained_anew_at_its_place_is_the_one_that_is_read(tmp_path: Path) -> None:
@@ -103,7 +103,7 @@ def test_each_uncommitted_edit_has_chunks_of_its_own(
     def count(source: str) -> int:
         """How many chunks are kept after a call with this code."""
         (code / "experiments" / "reader.py").write_text(source)
-        list(Archive(1, "", work).tables("a", make, bundle, folder, ["one"]))
+        list(Archive(1, "", work).tables("a", make, bundle, folder))
         return len(list(work.iterdir()))
 
     sources = ("gain = 1\n", "gain = 2\n", "gain = 3\n", "gain = 3  # of the amplifier\n")

@@ -15,31 +15,31 @@ from softslide.experiments.article.article import Article, article
 from softslide.experiments.article.axis_slides import AxisSlides, edges_mm, read_axis_slides, seen_from_board
 from softslide.experiments.article.method import BEST, PUBLISHED, Variant, fit_method
 from softslide.experiments.article.skin_figures import pressure, static_output
-from softslide.experiments.article.slide_figures import whole_slides
 from softslide.features.stream.conditioning import Conditioning
 from softslide.features.vector.feature_vector import feature_names
 from softslide.models.classical.interpolation import DIRECTIONS_DEG
 from softslide.pipeline.atlas.atlas import DEFAULT_ATLAS, read_atlas
 from softslide.pipeline.recordings.folder import SAMPLE, read_folder
 
-NAMES = {name: n for n, name in enumerate(feature_names(1))}
 EDGE_MM, EXTREMES_MM = -30.0, (20.0, 38.0)  # of X forward; the extremes past the edge
 
 
-def slides_by_formula(speeds: np.ndarray, distances: np.ndarray, trigger_mm: np.ndarray) -> AxisSlides:
-    """X forward slides whose extremes come at EXTREMES_MM past the edge and have the values -+ (0.3 - d / 100) V."""
-    n = len(speeds)
-    features = np.zeros((n, len(NAMES)))
-    elapsed = (50.0 - trigger_mm) / speeds
-    features[:, NAMES["elapsed_s"]] = elapsed
+def drawn(n: int, seed: int, between_mm_s: tuple[float, float]) -> AxisSlides:
+    """X forward slides, triggered 1 + 0.01 d^2 mm past the edge, whose extremes come at EXTREMES_MM past it and have
+    the values -+ (0.3 - d / 100) V."""
+    random = np.random.default_rng(seed)
+    distances = random.uniform(2.0, 17.0, n)
+    speeds, trigger_mm = random.uniform(*between_mm_s, n), 1.0 + 0.01 * distances**2
+    features = dict.fromkeys(feature_names(1), np.zeros(n))
+    features["elapsed_s"] = elapsed = (50.0 - trigger_mm) / speeds
     for name, way, sign in zip(("min", "max"), EXTREMES_MM, (-1.0, 1.0), strict=True):
         moment = (way - trigger_mm) / speeds
-        features[:, NAMES[f"a0_vx_{name}_v"]] = sign * (0.3 - distances / 100)
-        features[:, NAMES[f"a0_vx_{name}_s"]] = moment
-        features[:, NAMES[f"a0_vx_{name}_fraction"]] = moment / elapsed
-    features[:, NAMES["a0_vx_sign_first"]], features[:, NAMES["a0_vx_sign_last"]] = -1.0, 1.0
-    features[:, NAMES["a0_vy_sign_first"]] = features[:, NAMES["a0_vy_sign_last"]] = 1.0
-    features[:, NAMES["a0_vy_max_v"]] = 0.3
+        features[f"a0_vx_{name}_v"] = sign * (0.3 - distances / 100)
+        features[f"a0_vx_{name}_s"] = moment
+        features[f"a0_vx_{name}_fraction"] = moment / elapsed
+    ones = np.ones(n)
+    features |= {"a0_vx_sign_first": -ones, "a0_vx_sign_last": ones, "a0_vy_max_v": 0.3 * ones}
+    features |= {"a0_vy_sign_first": ones, "a0_vy_sign_last": ones}
     table = pd.DataFrame(
         {
             "recording": [f"r{k}" for k in range(n)],
@@ -56,13 +56,7 @@ def slides_by_formula(speeds: np.ndarray, distances: np.ndarray, trigger_mm: np.
         }
     )
     folder = seen_from_board(read_folder(SAMPLE))
-    return AxisSlides(folder, Conditioning(), features, table)
-
-
-def drawn(count: int, seed: int, speeds: tuple[float, float]) -> AxisSlides:
-    random = np.random.default_rng(seed)
-    distances = random.uniform(2.0, 17.0, count)
-    return slides_by_formula(random.uniform(*speeds, count), distances, 1.0 + 0.01 * distances**2)
+    return AxisSlides(folder, Conditioning(), np.column_stack(list(features.values())), table)
 
 
 def test_a_way_over_a_time_is_recovered_from_the_trigger_alone() -> None:
@@ -141,9 +135,9 @@ def test_every_figure_is_there_with_the_numbers_behind_it(made: Article) -> None
     assert tuple(s.figures for s in made.sections) == FIGURES
     for section in made.sections:
         assert section.panels or section.missing
-        if section.table is not None:
+        if len(section.table):
             written = pd.read_csv(made.page.parent / section.file)
-            assert len(written) == len(section.table) > 0
+            assert len(written) == len(section.table)
     claims = pd.read_csv(made.page.parent / "claims.csv")
     assert set(claims["verdict"]) <= {"holds", "in part", "does not hold", "not tested"}
     assert claims[["claim", "claimed", "measured", "why"]].notna().all(axis=None)
@@ -153,7 +147,6 @@ def test_what_is_known_not_to_hold_does_not(made: Article) -> None:
     claims = made.claims.set_index("claim")
     assert claims.loc["v = 0.008 t^2 - 0.4331 t + 7.4336 covers X-slides", "verdict"] == "does not hold"
     height = made.sections[1].table
-    assert height is not None
     solved = height[height["source"] == "atlas"]
     ends = solved["formula_error_percent"].iloc[[0, -1]].to_numpy()
     assert ends == pytest.approx([38.0, 6.0], abs=1.5)
@@ -167,18 +160,16 @@ def test_pressures_and_lasers_of_the_folder_are_read(tmp_path: Path) -> None:
     atlas = read_atlas(DEFAULT_ATLAS)
     without = static_output(atlas, read_folder(tmp_path))
     assert "o recording holds a laser's reading" in without.missing
-    assert without.table is not None
     height = without.table["formula_mm"].iloc[-1] / 1.1
     manifest.assign(skin_height_mm=height).to_csv(tmp_path / "manifest.csv", index=False)
     section = static_output(atlas, read_folder(tmp_path))
     assert section.missing == ""
-    assert section.table is not None
     recorded = section.table[section.table["source"] == "recordings"]
     assert set(recorded["pressure_mpa"]) == {0.028, 0.035}
     assert recorded["formula_error_percent"].mean() == pytest.approx(10.0, abs=2.0)
     slides, _ = read_axis_slides(read_folder(tmp_path))
     assert slides is not None
-    role = pressure(atlas, read_folder(tmp_path), whole_slides(slides))
+    role = pressure(atlas, read_folder(tmp_path), slides.whole)
     assert role.missing == ""
     assert "at 0.028 MPa" in role.here
     # A gauge's uneven readings of one pressure are no several ones.
@@ -186,7 +177,7 @@ def test_pressures_and_lasers_of_the_folder_are_read(tmp_path: Path) -> None:
     manifest.assign(pressure_mpa=uneven_mpa).to_csv(tmp_path / "manifest.csv", index=False)
     slides, _ = read_axis_slides(read_folder(tmp_path))
     assert slides is not None
-    assert "one pressure" in pressure(atlas, read_folder(tmp_path), whole_slides(slides)).missing
+    assert "one pressure" in pressure(atlas, read_folder(tmp_path), slides.whole).missing
 
 
 def test_the_best_variant_answers_less_and_errs_less(made: Article) -> None:

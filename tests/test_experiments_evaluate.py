@@ -21,9 +21,8 @@ from softslide.experiments.evaluation.archive import Archive
 from softslide.experiments.evaluation.efficiency import bounds_of, over_bound
 from softslide.experiments.evaluation.readout import COLUMNS
 from softslide.experiments.evaluation.scoring import score
-from softslide.experiments.pages.figures import COLOURS, INK, drawn, log_with_zero
+from softslide.experiments.pages.figures import COLOURS, INK, drawn, log_about_zero
 from softslide.models.response_map.card import contact_calibration
-from softslide.pipeline.recordings.folder import SAMPLE, read_folder
 from softslide.serve.localizer import Localizer
 
 
@@ -69,7 +68,7 @@ def test_predictions_are_the_contracts(bundle: Path, tmp_path: Path) -> None:
         three={"split": "train"},
     )
     _, table = evaluated(bundle, tmp_path / "lab", tmp_path / "out")
-    assert table.columns.tolist() == list(COLUMNS) == contract_columns()
+    assert table.columns.tolist() == list(COLUMNS)
     one, two = table[table["recording"] == "one"], table[table["recording"] == "two"]
     assert one["stroke_fraction"].tolist() == [f"{n / 10:.1f}" for n in range(1, 11)]
     assert two["stroke_fraction"].tolist() == ["1.0"]
@@ -79,14 +78,6 @@ def test_predictions_are_the_contracts(bundle: Path, tmp_path: Path) -> None:
     assert table.loc[table["valid"] == "true", "direction_deg"].astype(float).to_numpy() == pytest.approx(
         30.0
     )
-
-
-def contract_columns() -> list[str]:
-    names = (
-        "recording, stroke_fraction, direction_deg, direction_lo_deg, direction_hi_deg, speed_mm_s, "
-        "speed_lo_mm_s, speed_hi_mm_s, offset_mm, offset_lo_mm, offset_hi_mm, depth_mm, x_mm, y_mm, valid"
-    )
-    return names.split(", ")
 
 
 def test_each_row_is_the_device_at_that_moment(bundle: Path, tmp_path: Path) -> None:
@@ -255,6 +246,12 @@ def test_every_row_of_the_report_shows_its_numbers_on_a_telephone(report: Path, 
             ),
             "--split",
         ),
+        (
+            lambda lab, bundle: (lab / "sensor.toml").write_text(
+                (lab / "sensor.toml").read_text().replace("= 200.0", "= 20.0")
+            ),
+            "sample_rate_hz 20 Hz is not read",
+        ),
     ],
 )
 def test_bad_input_is_one_line_and_leaves_nothing(
@@ -266,13 +263,6 @@ def test_bad_input_is_one_line_and_leaves_nothing(
     arguments = ["--model", bundle, "--recordings", tmp_path / "lab", "--out", tmp_path / "out", "--jobs", 2]
     assert says in refused(capsys, "evaluate", *arguments)
     assert sorted(path.name for path in tmp_path.iterdir()) == before
-
-
-def test_another_sensors_bundle_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    write_small_bundle(tmp_path / "b", read_folder(SAMPLE).sensor)
-    a_folder(tmp_path / "lab", one={})
-    arguments = ["--model", tmp_path / "b", "--recordings", tmp_path / "lab", "--out", tmp_path / "out"]
-    assert "sample_rate_hz 200 Hz is not read" in refused(capsys, "evaluate", *arguments)
 
 
 def report_of(bundle: Path, lab: Path, out: Path) -> Page:
@@ -318,18 +308,9 @@ def test_errors_are_held_against_the_bound_of_the_bundles_own_map(
     for word in ("direction", "speed", "distance"):
         assert f"Rms error of the {word} over its Cramer-Rao bound" in captions
     assert captions.count("Recordings behind each point: test 1.") == 3
-
-
-def test_a_folder_without_any_bound_is_evaluated_all_the_same(
-    bundle: Path, mapped: Path, tmp_path: Path
-) -> None:
-    """No slide has one: all are of another depth than the map."""
-    deep = a_folder(tmp_path / "deep", one={"depth_mm": 0.8}, two={"depth_mm": 0.9})
-    evaluated(mapped, deep.root, tmp_path / "out")
-    assert json.loads((tmp_path / "out/metrics.json").read_text())["over_bound"] == {}
-    evaluated(bundle, deep.root, tmp_path / "plain")
-    scored = score(pd.read_csv(tmp_path / "plain/predictions.csv"), deep.manifest, deep.sensor)
-    assert scored["valid"].any()
+    # Where all are of another depth than the map, none has a bound.
+    deep = folder.select("test-deep")
+    assert scored.loc[scored["recording"] == "two", "valid"].any()
     assert over_bound(scored, pd.concat(bounds_of(mapped, deep, Archive(1)))) == {}
 
 
@@ -363,7 +344,7 @@ def test_errors_of_zero_are_drawn_inside_the_axes() -> None:
     errors = np.array([0.0, 0.0, 0.03, 2.0])
     ax = Figure().add_subplot()
     (line,) = ax.plot(np.arange(4.0), errors, "o")
-    log_with_zero(ax, errors)
+    log_about_zero(ax.yaxis, errors)
     height = ax.transData.transform(line.get_xydata())[:, 1]
     low, high = ax.bbox.y0, ax.bbox.y1
     assert np.isfinite(height).all()

@@ -2,6 +2,7 @@
 
 import importlib.util
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -86,15 +87,15 @@ def test_a_perfect_stream_is_perfect() -> None:
 
 def test_errors_are_what_was_put_in() -> None:
     """Each estimate off by a known amount, in one quantity at a time."""
-    aside = summary_of(stream(lambda t: perfect(t, y=4.3)))
-    assert aside["position"]["median"] == pytest.approx(0.3)
-    assert (aside["wrong_share"], aside["position_coverage"]) == (0, 1)
-    assert summary_of(stream(lambda t: perfect(t, y=4.6)))["position_coverage"] == 0.5
-    assert (
-        summary_of(stream(lambda t: perfect(t, y=5.6)))["wrong_share"] == 1
-    )  # over three half widths of 0.5 mm
-    assert summary_of(stream(lambda t: perfect(t, y=5.6)))["gross_share"] == 0
-    assert summary_of(stream(lambda t: perfect(t, y=9.6)))["gross_share"] == 1
+    # The interval is y +- 0.5 mm: wrong is what is off by three times that, gross by 5 mm.
+    for off, held, wrong, gross in ((0.3, 1, 0, 0), (0.6, 0.5, 0, 0), (1.6, 0.5, 1, 0), (5.6, 0.5, 1, 1)):
+        aside = summary_of([perfect(float(t), y=4.0 + off) for t in np.arange(1, 500) / 50])
+        assert aside["position"]["median"] == pytest.approx(off)
+        assert (aside["position_coverage"], aside["wrong_share"], aside["gross_share"]) == (
+            held,
+            wrong,
+            gross,
+        )
 
     turned = summary_of(stream(lambda t: perfect(t, direction=359.0)))
     assert turned["direction"]["median"] == pytest.approx(1.0)  # over the seam of 0 degrees
@@ -259,14 +260,10 @@ def test_evaluate_scores_tracks(paths: Folder, tmp_path: Path, capsys: pytest.Ca
 
 def test_a_broken_truth_is_refused(paths: Folder, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     bundle = write_small_bundle(tmp_path / "bundle", replace(paths.sensor, name="trial"))
-    file = paths.root / "slides/p00001.truth.csv"
-    good = file.read_text()
-    try:
-        file.write_text(good.replace("contact", "touching", 1))
-        out = tmp_path / "out"
-        words = ["--model", bundle, "--recordings", paths.root, "--split", "track-curve", "--out", out]
-        assert call("evaluate", *words, "--jobs", 1) == 2
-        assert "p00001.truth.csv: column 'contact' is missing" in capsys.readouterr().err
-        assert not out.exists()
-    finally:
-        file.write_text(good)
+    lab, out = shutil.copytree(paths.root, tmp_path / "lab"), tmp_path / "out"
+    file = lab / "slides/p00001.truth.csv"
+    file.write_text(file.read_text().replace("contact", "touching", 1))
+    words = ["--model", bundle, "--recordings", lab, "--split", "track-curve", "--out", out, "--jobs", 1]
+    assert call("evaluate", *words) == 2
+    assert "p00001.truth.csv: column 'contact' is missing" in capsys.readouterr().err
+    assert not out.exists()

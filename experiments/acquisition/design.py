@@ -177,4 +177,4 @@ def _distribution(found: Arrangement) -> Panel:
 
     text = f"Share of lines over the chamber whose attainable error is below each value; medians: {', '.join(medians)}."
     labels, table = ("over all lines", "attainable error, in its unit", "share of lines, %"), pd.concat(parts)
-    return chart(table, "error", "share", "of", labels, text, mark="-", limit=50.0, draw=logarithmic, below=3)
+    return chart(table, "error", "share", "of", labels, text, mark="-", limit=50.0, draw=logarithmic)

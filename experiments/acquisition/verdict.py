@@ -84,7 +84,7 @@ class Verdict:
                 ax.plot([], [], color=colour, label=f"{name} ({chosen.sum()})")
 
         caption = "The plan's slides on the skin, from above: those recorded and those to come."
-        return on_skin(folder.sensor, caption, draw, "slides", entries=3, columns=3)
+        return on_skin(folder.sensor, caption, draw, "slides")
 
     def _course(self, name: str) -> Panel:
         errors = self._errors.rows[name].reset_index(drop=True)
@@ -102,7 +102,7 @@ class Verdict:
         dashed = " Dashed: enough." if name in self._goal else ""
         caption = f"Errors of {TITLES[name]}: each slide estimated by the map of those before it.{dashed}"
         labels = (TITLES[name], "slide scored", "error")
-        look: dict[str, Any] = {"limit": self._goal.get(name), "draw": band, "below": 2, "ylim": (0, None)}
+        look: dict[str, Any] = {"limit": self._goal.get(name), "draw": band, "ylim": (0, None)}
         return chart(table, "slide", "error", "of", labels, caption, **look)
 
 

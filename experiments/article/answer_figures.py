@@ -6,21 +6,21 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 
-from softslide.experiments.article.axis_slides import AxisSlides
+from softslide.experiments.article.axis_slides import EXTREMES, AxisSlides
 from softslide.experiments.article.method import LEAST_SPEED_MM_S, Method
 from softslide.experiments.article.scoring import Scored, at_end
 from softslide.experiments.article.section import Section
 from softslide.experiments.article.slide_figures import SINCE_EDGE, delays_mm, nearest
+from softslide.experiments.evaluation.figures import paths
 from softslide.experiments.evaluation.scoring import AXES
-from softslide.experiments.pages.figures import COLOURS, EDGE, INK, Panel, chart, on_skin, rectangle
+from softslide.experiments.pages.figures import COLOURS, EDGE, INK, Panel, chart, on_skin
+from softslide.models.classical.interpolation import DETECTABLE_MM
 from softslide.pipeline.recordings.learned import CALIBRATION
 from softslide.pipeline.sensor import Sensor
 
 # The one fit that the article still shows, of X-sliding: v in mm/s of t_max in s, coefficients in rising powers.
 PUBLISHED_CHI = (7.4336, -0.4331, 0.008)
-EXTREMES = {"low": "minimum", "high": "maximum"}
 SPEED_LIMIT, DISTANCE_LIMIT = 8.0, 15.0  # %, the article's
-ARTICLE_MM = (17.5, 25.0)  # detectable area, by axis
 BIN_MM = 2.5
 SHOWN_MM, SHOWN_MM_S = (5.0, 10.0, 15.0), 2.0  # of the trajectories
 
@@ -59,27 +59,22 @@ def interpolation(whole: AxisSlides, best: Method, kind: int) -> Section:
 def _curves(rows: pd.DataFrame, best: Method, kind: int) -> list[Panel]:
     """Slides as points with the polynomials fitted to them, over the abscissas fitted."""
 
-    def part(letter: str, x: dict[str, pd.Series]) -> pd.DataFrame:
-        """The slides once for each extreme, with its abscissa x."""
-        return pd.concat([rows.assign(x=x[e], of=f"{letter} of the {word}") for e, word in EXTREMES.items()])
-
-    def lines(ax: Axes, coefficients: np.ndarray, over: np.ndarray, scale: float) -> None:
-        for e in np.flatnonzero(np.isfinite(over).all(axis=1)):
-            along = np.linspace(over[e, 0], over[e, 1], 100)
-            ax.plot(scale * along, np.polynomial.Polynomial(coefficients[e])(along), color=COLOURS[e])
-
     def speeds(ax: Axes) -> None:
-        lines(ax, best.speed.coefficients[kind], best.times_s[kind], 1.0)
+        _draw_fitted(ax, best.speed.coefficients[kind], best.times_s[kind], 1.0)
         if kind == 0:
             t = np.linspace(5, max(float(times["x"].max()), 30.0), 200)
             curve = np.polynomial.Polynomial(PUBLISHED_CHI)(t)
             ax.plot(t, curve, ":", color=INK, label="the article's, t of the maximum")
 
     def distances(ax: Axes) -> None:
-        lines(ax, best.distance.coefficients[kind], best.volts[kind], 1000.0)
+        _draw_fitted(ax, best.distance.coefficients[kind], best.volts[kind], 1000.0)
 
-    times = part("t", {e: rows[f"{e}_since_edge_s"] for e in EXTREMES})
-    values = part("V", {e: 1000 * rows[f"{e}_v"] for e in EXTREMES})
+    times, values = (
+        pd.concat(
+            [rows.assign(x=unit * rows[f"{e}_{of}"], of=f"{letter} of the {EXTREMES[e]}") for e in EXTREMES]
+        )
+        for letter, of, unit in (("t", "since_edge_s", 1.0), ("V", "v", 1000.0))
+    )
     texts = (
         f"Speed against the moments of the extremes in {AXES[kind]} calibration slides; lines: quadratics fitted to "
         f"{LEAST_SPEED_MM_S:g} mm/s and more, over the times fitted.",
@@ -90,6 +85,13 @@ def _curves(rows: pd.DataFrame, best: Method, kind: int) -> list[Panel]:
         chart(times, "x", "speed_mm_s", "of", speed, texts[0], draw=speeds, ylim=(0, 8)),
         chart(values, "x", "distance_mm", "of", distance, texts[1], draw=distances, ylim=(-1, 26)),
     ]
+
+
+def _draw_fitted(ax: Axes, coefficients: np.ndarray, over: np.ndarray, unit: float) -> None:
+    """Each extreme's polynomial over the abscissas fitted, of which the axis shows so many times as many."""
+    for e in np.flatnonzero(np.isfinite(over).all(axis=1)):
+        along = np.linspace(over[e, 0], over[e, 1], 100)
+        ax.plot(unit * along, np.polynomial.Polynomial(coefficients[e])(along), color=COLOURS[e])
 
 
 def _polynomial(coefficients: np.ndarray, of: str) -> str:
@@ -178,16 +180,19 @@ def areas(best: Scored, sensor: Sensor) -> Section:
 
 def area_table(end: pd.DataFrame) -> pd.DataFrame:
     """By bins of the distance: slides, share answered, share of these with the right direction, largest errors."""
-    answered = end[end["valid"]].assign(right=lambda rows: rows["direction_deg_error"] < 45)
-    bins = lambda rows: BIN_MM * (rows["distance_mm"] / BIN_MM).round()  # noqa: E731
-    found = answered.groupby(bins(answered)).agg(
-        answered=("right", "size"),
-        direction_right=("right", "sum"),
-        speed_percent_max=("speed_percent_error", "max"),
-        distance_percent_max=("offset_percent_error", "max"),
+    bins = BIN_MM * (end["distance_mm"] / BIN_MM).round()
+    # What is not answered has no error.
+    table = (
+        end.assign(right=end["direction_deg_error"] < 45)
+        .groupby(bins)
+        .agg(
+            slides=("valid", "size"),
+            answered=("valid", "sum"),
+            direction_right=("right", "sum"),
+            speed_percent_max=("speed_percent_error", "max"),
+            distance_percent_max=("offset_percent_error", "max"),
+        )
     )
-    table = end.groupby(bins(end)).size().to_frame("slides").join(found)
-    table[["answered", "direction_right"]] = table[["answered", "direction_right"]].fillna(0).astype(int)
     right = (table["answered"] > 0) & (table["direction_right"] == table["answered"])
     table["detectable"] = right & (table["speed_percent_max"] < SPEED_LIMIT)
     table["effective"] = table["detectable"] & (table["distance_percent_max"] < DISTANCE_LIMIT)
@@ -199,29 +204,26 @@ def _listed(rows: pd.DataFrame, column: str) -> str:
 
 
 def _area_panel(rows: pd.DataFrame, axis: int, sensor: Sensor) -> Panel:
-    half, across = np.array(sensor.chamber_mm) / 2, 1 - axis
-    centre = (sensor.accelerometers[0].x_mm, sensor.accelerometers[0].y_mm)[across]
+    board, across = sensor.accelerometers[0], 1 - axis
+    centre, half = (board.x_mm, board.y_mm)[across], sensor.chamber_mm[across] / 2
     colours = {"effective": COLOURS[2], "detectable": COLOURS[5], "neither": COLOURS[1]}
 
     def draw(ax: Axes) -> None:
         for row in rows.to_dict("records"):
             name = "effective" if row["effective"] else "detectable" if row["detectable"] else "neither"
             for place in {centre + row["distance_mm"], centre - row["distance_mm"]}:
-                low, high = -half, half.copy()
-                low[across] = max(place - BIN_MM / 2, -half[across])
-                high[across] = min(place + BIN_MM / 2, half[across])
-                if low[across] < high[across]:
-                    rectangle(ax, low, high, facecolor=colours[name], alpha=0.45, linewidth=0)
+                low, high = np.clip([place - BIN_MM / 2, place + BIN_MM / 2], -half, half)
+                (ax.axhspan, ax.axvspan)[axis](low, high, color=colours[name], alpha=0.45, linewidth=0)
         for name, colour in colours.items():
             ax.plot([], [], "s", color=colour, alpha=0.45, label=name)
-        for reach in (-ARTICLE_MM[axis], ARTICLE_MM[axis]):
+        for reach in (-DETECTABLE_MM[axis], DETECTABLE_MM[axis]):
             (ax.axhline, ax.axvline)[axis](centre + reach, color=INK, linestyle="--", linewidth=1)
 
     text = (
         f"Measured area of {'XY'[axis]}-slides by the distance of the line, on both sides alike; dashed: the article's "
         "detectable area; blank: no slide."
     )
-    return on_skin(sensor, text, draw, f"{'XY'[axis]}-slides", entries=4)
+    return on_skin(sensor, text, draw, f"{'XY'[axis]}-slides")
 
 
 def trajectories(whole: AxisSlides, best: Scored, sensor: Sensor, axis: int) -> Section:
@@ -234,10 +236,15 @@ def trajectories(whole: AxisSlides, best: Scored, sensor: Sensor, axis: int) -> 
         rows = best.new[(best.new["kind"] == kind) & best.new["valid"]]
         ends = rows[rows["stroke_fraction"] == 1.0].assign(speed_mm_s=lambda end: end["true_speed_mm_s"])
         if len(ends):
-            names = {str(nearest(ends, distance, SHOWN_MM_S)["recording"]): None for distance in SHOWN_MM}
-            shown = best.new[best.new["recording"].isin(names)]
-            panels.append(_trajectory(shown, kind, sensor))
-            tables.append(shown.assign(kind=AXES[kind]))
+            names = {str(nearest(ends, distance, SHOWN_MM_S)["recording"]) for distance in SHOWN_MM}
+            shown = best.new[best.new["recording"].isin(names)].assign(kind=AXES[kind])
+            slides = shown["recording"] + shown["true_speed_mm_s"].map(", {:.2g} mm/s".format)
+            text = (
+                f"Actual and estimated places of the contact in the plane, {AXES[kind]} slides, at each tenth of the "
+                "stroke; no estimate before the extremes."
+            )
+            panels.append(paths(shown.assign(slide=slides), "slide", sensor, text, AXES[kind]))
+            tables.append(shown)
     if not panels:
         return Section(number, title, says, missing=f"No {letter}-slide is answered.")
     columns = ["recording", "stroke_fraction", "travelled_mm", "x_mm", "y_mm", "position_mm_error"]
@@ -248,23 +255,3 @@ def trajectories(whole: AxisSlides, best: Scored, sensor: Sensor, axis: int) -> 
         for row in first[first["kind"].str.startswith(letter)].itertuples()
     )
     return Section(number, title, says, here + "; medians.", tuple(panels), table)
-
-
-def _trajectory(shown: pd.DataFrame, kind: int, sensor: Sensor) -> Panel:
-    def draw(ax: Axes) -> None:
-        for n, (name, rows) in enumerate(shown.groupby("recording", sort=False)):
-            start, angle = rows.iloc[0][["true_start_x_mm", "true_start_y_mm"]], np.deg2rad(90.0 * kind)
-            end = start + rows["true_travel_mm"].iloc[0] * np.array([np.cos(angle), np.sin(angle)])
-            line, label = np.array([start, end], float).T, "" if n else "actual"
-            ax.plot(*line, color=EDGE, linewidth=5, alpha=0.5, label=label)
-            valid = rows[rows["valid"]]
-            label = f"{name}, {rows['true_speed_mm_s'].iloc[0]:.2g} mm/s"
-            ax.plot(
-                valid["x_mm"], valid["y_mm"], "o-", markersize=3, linewidth=1, color=COLOURS[n], label=label
-            )
-
-    text = (
-        f"Actual and estimated places of the contact in the plane, {AXES[kind]} slides, at each tenth of the stroke; "
-        "no estimate before the extremes."
-    )
-    return on_skin(sensor, text, draw, AXES[kind], entries=5)

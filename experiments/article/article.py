@@ -2,18 +2,22 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pandas as pd
 
 from softslide.experiments.article import answer_figures, skin_figures, slide_figures
 from softslide.experiments.article.axis_slides import AxisSlides, read_axis_slides
 from softslide.experiments.article.claims import claims_table
-from softslide.experiments.article.method import BEST, PUBLISHED, VARIANTS
+from softslide.experiments.article.method import BEST, LEAST_SPEED_MM_S, PUBLISHED, VARIANTS
 from softslide.experiments.article.scoring import Scored, score_variant
 from softslide.experiments.article.section import Section
-from softslide.experiments.article.slide_figures import whole_slides
+from softslide.experiments.article.slide_figures import DELAY_MM
 from softslide.experiments.derived_labels import derived
-from softslide.experiments.evaluation.bounds import INFLATED_MM, read_bounds
+from softslide.experiments.evaluation.bounds import INFLATED_MM
+from softslide.experiments.evaluation.scoring import summary
+from softslide.experiments.evaluation.tables import error_table
 from softslide.experiments.pages.page import render
 from softslide.pipeline.atlas.library import atlas_of
 from softslide.pipeline.recordings.folder import read_folder
@@ -22,12 +26,8 @@ from softslide.pipeline.sensor import Sensor
 from softslide.pipeline.staging import staged
 
 TEMPLATE = Path(__file__).parent / "article.html.j2"
-# Errors in the table of variants: column of the scores, and name.
-COMPARED = {
-    "speed_percent_error": "speed_percent",
-    "offset_mm_error": "distance_mm",
-    "position_mm_error": "position_mm",
-}
+# Errors of variants.csv: quantity of the scores, and name.
+COMPARED = {"speed_percent": "speed_percent", "offset_mm": "distance_mm", "position_mm": "position_mm"}
 
 
 @dataclass(frozen=True)
@@ -55,19 +55,16 @@ def article(recordings: str | Path, out: str | Path, atlas: str | Path | None = 
     out, folder = Path(out), derived(read_folder(recordings))
     slides, left_out = read_axis_slides(folder)
     sensor, solved = folder.sensor, atlas_of(folder.sensor, atlas)
-    whole = None if slides is None else whole_slides(slides)
+    whole = None if slides is None else slides.whole
     results = _scores(slides)
-    published, best = results.get(PUBLISHED.name), results.get(BEST.name)
     skin, pressure = skin_figures.static_output(solved, folder), skin_figures.pressure(solved, folder, whole)
     slide_sections = _slide_sections(whole, results, sensor)
     sections = (skin_figures.simulation(solved, sensor), skin, *slide_sections, pressure)
-    assert skin.table is not None
-    assert pressure.table is not None
-    claims = claims_table(whole, published, best, read_bounds(), skin.table, pressure.table)
-    variants = _variants(results)
-    tables = {section.file: section.table for section in sections if section.table is not None}
+    claims, errors = claims_table(whole, results, skin.table, pressure.table), _errors(results)
+    tables = {section.file: section.table for section in sections if len(section.table)}
+    tables |= {"claims.csv": claims, "variants.csv": _variants(errors)}
     with staged(out) as scratch:
-        for name, table in (tables | {"claims.csv": claims, "variants.csv": variants}).items():
+        for name, table in tables.items():
             table.to_csv(scratch / name, index=False, float_format="%.6g", lineterminator="\n")
         text = render(
             TEMPLATE,
@@ -77,8 +74,10 @@ def article(recordings: str | Path, out: str | Path, atlas: str | Path | None = 
             left_out=left_out,
             sections=sections,
             claims=claims.to_dict("records"),
-            variants=variants.to_dict("records"),
-            on=published.on if published else "",
+            errors=error_table(
+                {f"{name}, {max(low, 0.5):g} to 4 mm/s": row for (name, low), row in errors.items()}
+            ),
+            on=results[PUBLISHED.name].on if results else "",
         )
         (scratch / "article.html").write_text(text, encoding="utf-8")
     return Article(claims, out / "article.html", sections)
@@ -109,18 +108,26 @@ def _slide_sections(whole: AxisSlides | None, results: dict[str, Scored], sensor
     ]
 
 
-def _variants(results: dict[str, Scored]) -> pd.DataFrame:
-    """Each variant's answers and errors on new slides of 0.5 to 4 mm/s, in all and of 1.5 mm/s and more."""
-    rows = []
+def _errors(results: dict[str, Scored]) -> dict[tuple[str, float], dict[str, Any]]:
+    """By variant and least speed, mm/s, the `scoring.summary` of its answers on new slides of up to 4 mm/s: at the end
+    of the stroke, but of the position once the article's delays are over."""
+    found = {}
     for name, scored in results.items():
-        for low in (0.0, 1.5):
+        for low in (0.0, LEAST_SPEED_MM_S):
             every = scored.new[scored.new["true_speed_mm_s"].between(low - 1e-9, 4.0 + 1e-9)]
-            late = every[every["travelled_mm"].between(21.5, INFLATED_MM)]
+            late = every[every["travelled_mm"].between(max(DELAY_MM), INFLATED_MM)]
             end = every[every["stroke_fraction"] == 1.0]
-            row = {"variant": name, "least_speed_mm_s": low}
-            row |= {"slides": len(end), "answered": int(end["valid"].sum())}
-            for column, error in COMPARED.items():
-                errors = (late if error == "position_mm" else end)[column].dropna()
-                row |= {f"{error}_mean": errors.mean(), f"{error}_max": errors.max()}
-            rows.append(row)
+            found[name, low] = summary(end) | {"position_mm": summary(late)["position_mm"]}
+    return found
+
+
+def _variants(errors: dict[tuple[str, float], dict[str, Any]]) -> pd.DataFrame:
+    """The rows of variants.csv."""
+    rows = []
+    for (name, low), of in errors.items():
+        row = {"variant": name, "least_speed_mm_s": low}
+        row |= {"slides": of["recordings"], "answered": of["speed_percent"]["n"]}
+        for quantity, error in COMPARED.items():
+            row |= {f"{error}_{kind}": of[quantity].get(kind, np.nan) for kind in ("mean", "max")}
+        rows.append(row)
     return pd.DataFrame(rows)

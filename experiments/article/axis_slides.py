@@ -14,13 +14,14 @@ from softslide.features.angles import wrapped_deg
 from softslide.features.errors import InputError
 from softslide.features.stream.conditioning import Conditioning
 from softslide.features.vector.feature_vector import feature_matrix
-from softslide.models.classical.interpolation import DIRECTIONS_DEG
+from softslide.models.classical.interpolation import DIRECTIONS_DEG, abscissas
 from softslide.pipeline.recordings.at_rest import conditioning_for
 from softslide.pipeline.recordings.folder import Folder
 from softslide.pipeline.recordings.learned import SAME_DEPTH_MM, learned_depths_mm
 from softslide.pipeline.recordings.signed_offset import signed_offset
 from softslide.pipeline.recordings.windows import labelled_windows
 
+EXTREMES = {"low": "minimum", "high": "maximum"}
 # Share of the motion up to which a slide surely moves: after its end the window stands still.
 _UNDER_WAY = 0.75
 
@@ -31,8 +32,10 @@ class AxisSlides:
 
     features: (n, F), of the first accelerometer alone. table: a row a window; `recording`, `split`, `fraction`, `kind`
     (index into AXES), `speed_mm_s`, `offset_mm`, `distance_mm` (from the accelerometer), `elapsed_s` (since the
-    trigger), `edge_mm` (where along the line the inflated area begins, from the accelerometer's foot), `along_mm` and
-    `trigger_mm` (where the slide triggers, past that edge; of the whole slide).
+    trigger), `edge_mm` (where along the line the inflated area begins, from the accelerometer's foot), `along_mm`,
+    `trigger_mm` (where the slide triggers, past that edge; of the whole slide), `place_mm` (signed, from the
+    accelerometer, across the line), and for each of EXTREMES of the output along the motion its value `low_v` and its
+    moment, `low_s` after the trigger and `low_mm` past the chamber's edge; NaN where it has not passed.
     """
 
     folder: Folder
@@ -51,6 +54,13 @@ class AxisSlides:
     def whole(self) -> "AxisSlides":
         """The windows at the end of the stroke: one a slide."""
         return self[(self.table["fraction"] == 1.0).to_numpy()]
+
+
+def extremes_of(features: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of features (n, F) the extremes of the output along each direction, (n, 4, 2) each: their values, V, their
+    moments, s since the trigger, and whether they have passed."""
+    values, passed = abscissas(features, "distance")
+    return values, abscissas(features, "speed", "quadratic")[0], passed
 
 
 _NEEDED = (
@@ -129,5 +139,12 @@ def _windows(folder: Folder, conditioning: Conditioning) -> AxisSlides | None:
     trigger = table["along_mm"] - table["edge_mm"] - table["speed_mm_s"] * table["elapsed_s"]
     moving = trigger.where(table["fraction"] < _UNDER_WAY)
     table["trigger_mm"] = moving.groupby(table["recording"]).transform("median")
+    # To the left of +x lies +y, to the left of +y lies -x.
+    table["place_mm"] = np.array([1.0, -1.0, -1.0, 1.0])[kind] * table["offset_mm"]
     features = feature_matrix(windows.volts[:, :3], windows.elapsed_s).astype(np.float32).astype(np.float64)
+    values, moments, passed = (of_all[np.arange(len(kind)), kind] for of_all in extremes_of(features))
+    for e, name in enumerate(EXTREMES):
+        table[f"{name}_v"] = np.where(passed[:, e], values[:, e], np.nan)
+        table[f"{name}_s"] = np.where(passed[:, e], moments[:, e], np.nan)
+        table[f"{name}_mm"] = table["trigger_mm"] + table["speed_mm_s"] * table[f"{name}_s"]
     return AxisSlides(folder, conditioning, features, table)

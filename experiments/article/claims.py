@@ -1,6 +1,6 @@
 """The article's claims: what it says, what the recordings at hand show, whether it holds, and why."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -8,10 +8,11 @@ import pandas as pd
 
 from softslide.experiments.article.answer_figures import published_minimum
 from softslide.experiments.article.axis_slides import AxisSlides
+from softslide.experiments.article.method import BEST, PUBLISHED
 from softslide.experiments.article.scoring import Scored
 from softslide.experiments.article.skin_figures import HEIGHT_LIMIT_PERCENT
 from softslide.experiments.article.slide_figures import delays_mm, extreme_place, sign_share, speed_effect
-from softslide.experiments.evaluation.bounds import Bound, Verdict
+from softslide.experiments.evaluation.bounds import Verdict, check, read_bounds
 from softslide.experiments.evaluation.scoring import QUANTITIES
 from softslide.experiments.pages.page import number
 
@@ -30,17 +31,13 @@ class Claim(NamedTuple):
 
 
 def claims_table(
-    whole: AxisSlides | None,
-    published: Scored | None,
-    best: Scored | None,
-    bounds: Sequence[Bound],
-    skin: pd.DataFrame,
-    pressure: pd.DataFrame,
+    whole: AxisSlides | None, results: Mapping[str, Scored], skin: pd.DataFrame, pressure: pd.DataFrame
 ) -> pd.DataFrame:
-    """The claims, a row each. skin: the table of figure 11; pressure: of figure 26."""
+    """The claims, a row each. results: by variant; skin: the table of figure 11; pressure: of figure 26."""
     found: list[Claim] = []
-    if whole is not None and published is not None and best is not None:
-        found += [_signs(whole), *_bounds(published, best, bounds), *_moments(whole), _delay(whole)]
+    if whole is not None and results:
+        bounds = _bounds(results[PUBLISHED.name], results[BEST.name])
+        found += [_signs(whole), *bounds, *_moments(whole), _delay(whole)]
     return pd.DataFrame([*found, _polynomial(), _height(skin), _pressure(pressure)], columns=Claim._fields)
 
 
@@ -57,12 +54,12 @@ def _signs(whole: AxisSlides) -> Claim:
     )
 
 
-def _bounds(published: Scored, best: Scored, bounds: Sequence[Bound]) -> list[Claim]:
+def _bounds(published: Scored, best: Scored) -> list[Claim]:
     """The article's bounds, as `evaluate` checks them, of both variants."""
     claims = []
-    for bound in bounds:
-        plain, own = published.verdict(bound, published.new), published.verdict(bound, published.fitted)
-        kind, unit = best.verdict(bound, best.new), QUANTITIES[bound.quantity]
+    for bound in read_bounds():
+        plain, own = check(bound, published.new), check(bound, published.fitted)
+        kind, unit = check(bound, best.new), QUANTITIES[bound.quantity]
         answered = kind.met is not None and kind.max is not None and kind.max < bound.limit
         measured = (
             f"as published {_errors(plain)} on {published.on}, {_errors(own)} on the slides fitted; at its best "

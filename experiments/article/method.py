@@ -14,13 +14,13 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from softslide.experiments.article.axis_slides import AxisSlides
+from softslide.experiments.article.axis_slides import AxisSlides, extremes_of
 from softslide.experiments.evaluation.readout import COLUMNS
 from softslide.features.vector.feature_vector import feature_names
 from softslide.models.classical.interpolation import (
+    DETECTABLE_MM,
     DIRECTIONS_DEG,
     Polynomials,
-    abscissas,
     degree,
     evaluate_polynomials,
     fit_polynomials,
@@ -28,9 +28,8 @@ from softslide.models.classical.interpolation import (
     slide_direction,
 )
 
-# Distances fitted, by direction: the article's detectable area, and the outer edges of its effective one.
-DETECTABLE_MM = (17.5, 25.0, 17.5, 25.0)
-EFFECTIVE_MM = (17.5, 22.5, 17.5, 22.5)
+# Outer edges of the article's effective area, by direction.
+EFFECTIVE_MM = np.array([17.5, 22.5, 17.5, 22.5])
 # The lowest speed that a quadratic in t is fitted to here. The published one has its minimum at 1.57 mm/s.
 LEAST_SPEED_MM_S = 1.5
 # Of the least and the largest abscissa fitted, by which an answered slide may leave their range.
@@ -44,7 +43,7 @@ _ELAPSED = feature_names(1).index("elapsed_s")
 @dataclass(frozen=True)
 class Variant:
     """How the method is used. form: of chi, "quadratic" or "reciprocal", v = a / t + b. edge: t counts from the
-    chamber's edge. least_speed_mm_s, reach_mm: of the slides fitted, the latter by direction; bounded: slides out of
+    chamber's edge. least_speed_mm_s: of the slides fitted; bounded: these are in the effective area, and slides out of
     the fitted range get no answer."""
 
     name: str
@@ -52,18 +51,15 @@ class Variant:
     edge: bool = False
     least_speed_mm_s: float = 0.0
     bounded: bool = False
-    reach_mm: tuple[float, ...] = DETECTABLE_MM
 
 
 PUBLISHED = Variant("as published")
-BEST = Variant(
-    "at its best", edge=True, least_speed_mm_s=LEAST_SPEED_MM_S, bounded=True, reach_mm=EFFECTIVE_MM
-)
+BEST = Variant("at its best", edge=True, least_speed_mm_s=LEAST_SPEED_MM_S, bounded=True)
 VARIANTS = (
     PUBLISHED,
     Variant("t from the edge", edge=True),
     BEST,
-    Variant("v = a / t + b, t from the edge", "reciprocal", edge=True, bounded=True, reach_mm=EFFECTIVE_MM),
+    Variant("v = a / t + b, t from the edge", "reciprocal", edge=True, bounded=True),
 )
 
 
@@ -85,16 +81,15 @@ class Method:
     def predict(self, slides: AxisSlides) -> pd.DataFrame:
         """Rows of `predictions.csv` for the windows; NaN and not valid where the method gives no answer."""
         features, variant = slides.features, self.variant
-        extremes, passed = abscissas(features, "distance")
-        moments, _ = abscissas(features, "speed", "quadratic")
-        distance = np.clip(evaluate_polynomials(self.distance, extremes, passed), 0.0, None)
+        values, moments, passed = extremes_of(features)
+        distance = np.clip(evaluate_polynomials(self.distance, values, passed), 0.0, None)
         behind = _powers(distance) * self.trigger
         way = behind.sum(axis=-1) if variant.edge else np.zeros_like(distance)
         speed, times = self._speed(moments, passed, way)
         answered = slide_direction(features) & np.isfinite(speed) & np.isfinite(distance) & (speed > 0)
         if variant.bounded:
             answered &= np.where(passed, _within(times, self.times_s), True).all(axis=-1)
-            answered &= np.where(passed, _within(extremes, self.volts), True).all(axis=-1)
+            answered &= np.where(passed, _within(values, self.volts), True).all(axis=-1)
         elapsed = features[:, [_ELAPSED]]
         edge = slides.table["edge_mm"].to_numpy()[:, None]
         along = edge + way + speed * elapsed if variant.edge else self.start_mm + speed * elapsed
@@ -151,9 +146,8 @@ def fit_method(slides: AxisSlides, variant: Variant) -> Method:
     """
     table, kinds = slides.table, slides.table["kind"].to_numpy()
     ours = kinds[:, None] == np.arange(4)
-    near = table["distance_mm"].to_numpy()[:, None] <= np.array(variant.reach_mm)
-    extremes, passed = abscissas(slides.features, "distance")
-    moments, _ = abscissas(slides.features, "speed", "quadratic")
+    near = table["distance_mm"].to_numpy()[:, None] <= (EFFECTIVE_MM if variant.bounded else DETECTABLE_MM)
+    values, moments, passed = extremes_of(slides.features)
     speed, distance = table["speed_mm_s"].to_numpy(), table["distance_mm"].to_numpy()
     usable = passed & (ours & near)[..., None]
     late = (table["trigger_mm"] / table["speed_mm_s"]).to_numpy()
@@ -164,7 +158,7 @@ def fit_method(slides: AxisSlides, variant: Variant) -> Method:
     weight = 1.0 / speed if variant.form == "reciprocal" else np.ones(len(speed))
     argument = _argument(times, passed, variant.form)
     chi = fit_polynomials(argument, timed, speed, degree("speed", variant.form), weight)
-    f = fit_polynomials(extremes, usable, distance, degree("distance", ""), np.ones(len(speed)))
+    f = fit_polynomials(values, usable, distance, degree("distance", ""), np.ones(len(speed)))
     trigger, way, start = np.full((4, 3), np.nan), np.full((4, 2), np.nan), np.full(4, np.nan)
     travelled = speed[:, None, None] * moments + table["trigger_mm"].to_numpy()[:, None, None]
     for k in range(4):
@@ -175,7 +169,7 @@ def fit_method(slides: AxisSlides, variant: Variant) -> Method:
         for e in range(2):
             if (both := usable[:, k, e] & known[:, 0, 0]).any():
                 way[k, e] = np.median(travelled[both, k, e])
-    return Method(variant, chi, f, trigger, way, _ranges(times, timed), _ranges(extremes, usable), start)
+    return Method(variant, chi, f, trigger, way, _ranges(times, timed), _ranges(values, usable), start)
 
 
 def _argument(times: np.ndarray, passed: np.ndarray, form: str) -> np.ndarray:

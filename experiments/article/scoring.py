@@ -7,9 +7,8 @@ import pandas as pd
 
 from softslide.experiments.article.axis_slides import AxisSlides
 from softslide.experiments.article.method import Method, Variant, fit_method
-from softslide.experiments.evaluation.bounds import Bound, Verdict, check
 from softslide.experiments.evaluation.scoring import score
-from softslide.pipeline.recordings.learned import CALIBRATION, learned_depths_mm
+from softslide.pipeline.recordings.learned import CALIBRATION
 
 FOLDS = 5
 _LINE_MM = 0.5  # lines this close count as one
@@ -18,18 +17,12 @@ _LINE_MM = 0.5  # lines this close count as one
 @dataclass(frozen=True)
 class Scored:
     """A variant on a folder. method: fitted to all calibration slides. fitted, new: rows of `evaluation.scoring.score`
-    for slides that it was fitted to, as in the article, and for slides along other lines; on: what the latter are.
-    depths_mm: that the folder is calibrated at."""
+    for slides that it was fitted to, as in the article, and for slides along other lines; on: what the latter are."""
 
     method: Method
     fitted: pd.DataFrame
     new: pd.DataFrame
     on: str
-    depths_mm: tuple[float, ...]
-
-    def verdict(self, bound: Bound, rows: pd.DataFrame) -> Verdict:
-        """One of the article's bounds, on `fitted` or on `new`."""
-        return check(bound, rows, self.depths_mm)
 
 
 def score_variant(slides: AxisSlides, variant: Variant) -> Scored:
@@ -39,17 +32,16 @@ def score_variant(slides: AxisSlides, variant: Variant) -> Scored:
     """
     fitted_to = slides.table["split"].str.startswith(CALIBRATION).to_numpy()
     tested = slides.table["split"].str.startswith("test").to_numpy()
-    depths = learned_depths_mm(slides.folder.manifest)
     method = fit_method(slides[fitted_to].whole, variant)
     fitted = scored(method, slides[fitted_to])
     if tested.any():
-        return Scored(method, fitted, scored(method, slides[tested]), "test slides", depths)
+        return Scored(method, fitted, scored(method, slides[tested]), "test slides")
     line, parts = _lines(slides.table), []
     for fold in range(FOLDS):
         out = fitted_to & (line % FOLDS == fold)
         if out.any() and (fitted_to & ~out).any():
             parts.append(scored(fit_method(slides[fitted_to & ~out].whole, variant), slides[out]))
-    return Scored(method, fitted, pd.concat(parts, ignore_index=True), "lines left out of the fit", depths)
+    return Scored(method, fitted, pd.concat(parts, ignore_index=True), "lines left out of the fit")
 
 
 def scored(method: Method, slides: AxisSlides) -> pd.DataFrame:

@@ -1,6 +1,6 @@
 """What the page holds of one of the article's figures: panels, a text, and the numbers."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import pandas as pd
 
@@ -11,7 +11,7 @@ from softslide.experiments.pages.figures import Panel
 class Section:
     """figures: the article's numbers, "17" or "9 and 11". article: what it shows and says; here: what is found here.
 
-    table: the numbers, written as `file`.csv; None where there is nothing. missing: what cannot be made, and why.
+    table: the numbers, written as `file`.csv, if any. missing: what cannot be made, and why.
     """
 
     figures: str
@@ -19,7 +19,7 @@ class Section:
     article: str
     here: str = ""
     panels: tuple[Panel, ...] = ()
-    table: pd.DataFrame | None = None
+    table: pd.DataFrame = field(default_factory=pd.DataFrame)
     missing: str = ""
 
     @property

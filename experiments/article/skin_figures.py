@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from functools import partial
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -10,13 +11,12 @@ from matplotlib.axes import Axes
 from softslide.experiments.article.axis_slides import AxisSlides
 from softslide.experiments.article.section import Section
 from softslide.experiments.article.slide_figures import FROM_BOARD
-from softslide.experiments.evaluation.traces import static_outputs
-from softslide.experiments.pages.figures import COLOURS, EDGE, INK, Panel, chart
+from softslide.experiments.pages.figures import COLOURS, EDGE, Panel, chart
 from softslide.features.errors import InputError
 from softslide.pipeline.atlas.atlas import Atlas
 from softslide.pipeline.atlas.static_contact import height_by_atlas, height_by_formula
 from softslide.pipeline.recordings.folder import Folder
-from softslide.pipeline.recordings.heights import alike_mpa
+from softslide.pipeline.recordings.heights import alike_mpa, laser_readings_mm
 from softslide.pipeline.sensor import Sensor
 
 DEPTH_MM = 0.5  # the article's
@@ -24,6 +24,9 @@ LINE_MM = 10.0  # from the accelerometer, of the slides shown: where the article
 STEP_MM = 0.5
 LEVELS = 25  # of the pressure
 HEIGHT_LIMIT_PERCENT = 12.0
+# Of each pressure, recordings whose static output is read; more say the same.
+MOST_AT_REST = 8
+LEAST_REST_S = 0.4
 MOST_SERIES = 6  # of pressures and depths, those of most slides
 
 
@@ -48,24 +51,16 @@ def simulation(atlas: Atlas, sensor: Sensor) -> Section:
     arm, table, panels = sensor.board.size_mm[0] / 2, board_slides(atlas, sensor), []
     # The end of an axis goes down where the board's reading along it is positive.
     table["node_1_mm"], table["node_2_mm"] = -arm * table["tilt_x_g"], -arm * table["tilt_y_g"]
-
-    def nodes(ax: Axes, rows: pd.DataFrame) -> None:
-        for n, (_, part) in enumerate(rows.groupby("height_mm")):
-            ax.plot(part["along_mm"], part["node_2_mm"], "--", color=COLOURS[n])
-        for line, name in (("-", "node 1, on the board's x"), ("--", "node 2, on its y")):
-            ax.plot([], [], line, color=INK, label=name)
-
     for axis, changes in (("X", "x changes its sign, y keeps it"), ("Y", "y changes its sign, x keeps it")):
-        rows = _named(table[table["slide"] == axis])
+        one = _named(table[table["slide"] == axis])
+        nodes = [one.assign(mm=one[f"node_{n}_mm"], node=f"node {n}, " + one["height"]) for n in (1, 2)]
         text = (
-            f"Displacement of the board's nodes against its centre in an {axis}-slide {LINE_MM:g} mm from the "
-            f"accelerometer: {changes}."
+            f"Displacement of the board's nodes, 1 on its x and 2 on its y, against its centre in an {axis}-slide "
+            f"{LINE_MM:g} mm from the accelerometer: {changes}."
         )
         labels = (f"{axis}-slide, forward", f"{axis.lower()} of the indenter, mm", "displacement, mm")
-        draw, below = partial(nodes, rows=rows), 2 + len(atlas.height_mm)
-        panels.append(
-            chart(rows, "along_mm", "node_1_mm", "height", labels, text, mark="-", draw=draw, below=below)
-        )
+        look: dict[str, Any] = {"mark": "-", "colours": COLOURS[: len(atlas.height_mm)]}
+        panels.append(chart(pd.concat(nodes), "along_mm", "mm", "node", labels, text, **look))
     largest = table["node_1_mm"].abs().groupby(table["height_mm"]).max()
     found = ", ".join(f"{most:.2g} mm at {height:.3g} mm" for height, most in largest.items())
     return Section(
@@ -120,17 +115,25 @@ def _solved(atlas: Atlas, sensor: Sensor) -> pd.DataFrame:
 
 
 def _recorded(atlas: Atlas, folder: Folder) -> pd.DataFrame:
-    """Of `static_outputs`, with heights (mm) by the formula and by the atlas and the formula's error (%) against a
-    laser's reading."""
-    table, volts_per_g = static_outputs(folder), folder.sensor.accelerometers[0].sensitivity_v_per_g
-    tilts = table[["static_x_v", "static_y_v"]].to_numpy() / volts_per_g
-    formula = np.array([_formula(x, folder.sensor) for x, _ in tilts], float)
-    return table.assign(
-        source="recordings",
-        formula_mm=formula,
-        atlas_height_mm=np.array([_by_atlas(tilt, atlas) for tilt in tilts], float),
-        formula_error_percent=100 * (formula / table["laser_mm"] - 1),
-    )
+    """The first board's static output (V, less the zero-g output) of some recordings of each pressure, a laser's
+    reading of the skin's height (mm), NaN without one, heights (mm) by the formula and by the atlas, and the formula's
+    error (%) against the laser."""
+    board, known = folder.sensor.accelerometers[0], folder.manifest["motion_start_s"].notna()
+    labels = folder.manifest.assign(laser_mm=laser_readings_mm(folder))[known]
+    rows = []
+    for _, part in labels.groupby(alike_mpa(labels["pressure_mpa"].dropna()), dropna=False):
+        for name, label in part.iloc[:: -(-len(part) // MOST_AT_REST)].iterrows():
+            recording = folder.load(str(name))
+            rest = recording.time_s < label["motion_start_s"]
+            if rest.sum() < LEAST_REST_S * folder.sensor.sample_rate_hz:
+                continue
+            volts = recording.volts[rest, :2].mean(axis=0) - board.zero_g_v
+            tilt = volts / board.sensitivity_v_per_g
+            heights = _formula(tilt[0], folder.sensor), _by_atlas(tilt, atlas)
+            rows.append((name, label["pressure_mpa"], label["laser_mm"], *volts, "recordings", *heights))
+    columns = ["recording", "pressure_mpa", "laser_mm", "static_x_v", "static_y_v", "source"]
+    table = pd.DataFrame(rows, columns=[*columns, "formula_mm", "atlas_height_mm"])
+    return table.assign(formula_error_percent=100 * (table["formula_mm"] / table["laser_mm"] - 1))
 
 
 def _static_panels(table: pd.DataFrame, atlas: Atlas, sensor: Sensor) -> list[Panel]:
@@ -168,7 +171,7 @@ def _static_panels(table: pd.DataFrame, atlas: Atlas, sensor: Sensor) -> list[Pa
     )
     error, off = solved.assign(of="solved"), "formula_error_percent"
     return [
-        chart(rows, "height_mm", "mv", "output", labels[0], texts[0], mark="-", draw=static, below=4),
+        chart(rows, "height_mm", "mv", "output", labels[0], texts[0], mark="-", draw=static),
         chart(tops, "x", "height_mm", "height", labels[1], texts[1], draw=parabolas),
         chart(error, "height_mm", off, "of", labels[2], texts[2], mark="-", colours=COLOURS[1:], draw=limits),
     ]
@@ -196,7 +199,7 @@ def pressure(atlas: Atlas, folder: Folder, whole: AxisSlides | None) -> Section:
         here += "; ".join(f"{value:.0f} mV at {name}" for name, value in medians.items()) + "."
         text = "Recorded output along the motion from its lowest to its highest against the distance of the line."
         labels = ("recorded", FROM_BOARD, "lowest to highest, mV")
-        panels.append(chart(rows, "distance_mm", "swing_mv", "series", labels, text, below=MOST_SERIES))
+        panels.append(chart(rows, "distance_mm", "swing_mv", "series", labels, text))
     says = "The output grows with the pressure; 0.045 MPa adds little to 0.035."
     return Section("26", "The role of pressure", says, here, tuple(panels), table, missing)
 

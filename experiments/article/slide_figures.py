@@ -1,18 +1,17 @@
 """Figures 14 to 16: outputs of each kind of slide, and how their extremes go with distance and speed."""
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 
-from softslide.experiments.article.axis_slides import AxisSlides
+from softslide.experiments.article.axis_slides import EXTREMES, AxisSlides
 from softslide.experiments.article.section import Section
 from softslide.experiments.evaluation.scoring import AXES
 from softslide.experiments.evaluation.traces import trace
 from softslide.experiments.pages.figures import EDGE, LABEL, Panel, chart
-from softslide.models.classical.interpolation import abscissas, slide_direction
+from softslide.models.classical.interpolation import DETECTABLE_MM, slide_direction
 
 # The article's six kinds: name, index into AXES, sign of the offset seen along x or y (0: any), zones passed.
 CASES = (
@@ -30,25 +29,6 @@ DELAY_MM = (18.0, 17.5, 20.5, 21.5)  # the article's, by kind
 PAST_EDGE, SINCE_EDGE = "way past the chamber's edge, mm", "time since the chamber's edge, s"
 FROM_BOARD = "distance from the accelerometer, mm"
 POINTS = 250  # of a trace: more are not seen
-
-
-def whole_slides(slides: AxisSlides) -> AxisSlides:
-    """The slides at the end of their stroke. Their table has more: `place_mm` (signed, from the accelerometer, across
-    the line) and of the output along the motion `low_v`, `high_v`, and the moments of both, `low_s`, `high_s` after the
-    trigger and `low_mm`, `high_mm` past the chamber's edge; NaN where the extreme has not passed."""
-    whole = slides.whole
-    kind, rows = whole.table["kind"].to_numpy(), np.arange(len(whole))
-    values, passed = abscissas(whole.features, "distance")
-    moments, _ = abscissas(whole.features, "speed", "quadratic")
-    # To the left of +x lies +y, to the left of +y lies -x.
-    across = np.array([1.0, -1.0, -1.0, 1.0])[kind]
-    table = whole.table.assign(place_mm=across * whole.table["offset_mm"])
-    for e, name in enumerate(("low", "high")):
-        seen = passed[rows, kind, e]
-        table[f"{name}_v"] = np.where(seen, values[rows, kind, e], np.nan)
-        table[f"{name}_s"] = np.where(seen, moments[rows, kind, e], np.nan)
-        table[f"{name}_mm"] = table["trigger_mm"] + table["speed_mm_s"] * table[f"{name}_s"]
-    return replace(whole, table=table)
 
 
 def zones(whole: AxisSlides) -> Section:
@@ -72,7 +52,7 @@ def zones(whole: AxisSlides) -> Section:
         "from backward.",
         f"So in {share.sum()} of {len(share)} slides ({100 * share.mean():.0f} %) in the article's detectable area.",
         tuple(panels),
-        pd.concat(tables, ignore_index=True) if tables else None,
+        pd.concat(tables, ignore_index=True) if tables else pd.DataFrame(),
         f"No recording of: {'; '.join(lacking)}." if lacking else "",
     )
 
@@ -116,7 +96,7 @@ def extremes(whole: AxisSlides, axis: int) -> Section:
     if drift is not None:
         here += f" On one line, extremes of different speeds differ by {drift:.1f} % (median range)."
     columns = ["recording", "split", "kind", "speed_mm_s", "distance_mm", "place_mm", "trigger_mm"]
-    columns += [f"{name}_{unit}" for name in ("low", "high") for unit in ("v", "s", "mm")]
+    columns += [f"{name}_{unit}" for name in EXTREMES for unit in ("v", "s", "mm")]
     table = rows[columns].assign(kind=rows["kind"].map(dict(enumerate(AXES))))
     return Section(number, title, says, here, tuple(_traces(whole, forward, letter)), table)
 
@@ -159,15 +139,14 @@ def sign_share(whole: AxisSlides) -> pd.Series:
     """For each slide in the article's detectable area whether its signs show its direction."""
     found = slide_direction(whole.features)
     right = found[np.arange(len(found)), whole.table["kind"]]
-    limit = np.where(whole.table["kind"] % 2 == 0, 17.5, 25.0)
-    return pd.Series(right)[(whole.table["distance_mm"] <= limit).to_numpy()]
+    return pd.Series(right)[(whole.table["distance_mm"] <= DETECTABLE_MM[whole.table["kind"]]).to_numpy()]
 
 
 def extreme_place(rows: pd.DataFrame) -> dict[str, tuple[float, float]]:
     """Lowest and highest mean way (mm) past the edge, over lines, at which each extreme comes."""
     near = rows[rows["distance_mm"] <= 17.5]
     lines = (near if len(near) else rows).groupby(rows["distance_mm"].round(1))
-    means = {name: lines[f"{name}_mm"].mean() for name in ("low", "high")}
+    means = {name: lines[f"{name}_mm"].mean() for name in EXTREMES}
     return {name: (float(mean.min()), float(mean.max())) for name, mean in means.items()}
 
 

@@ -93,12 +93,7 @@ def compare(
     tables = {"comparison": pd.DataFrame(rows), "paired": pd.concat(pairs, names=["folder"]).reset_index(0)}
     for name, table in tables.items():
         table.to_csv(out / f"{name}.csv", index=False, float_format="%.6g", lineterminator="\n")
-    sections = [
-        section(name, findings.scored, pairs[name])
-        | {"origin": findings.origin, "along": len(findings.along)}
-        | {"left_out": findings.left_out, "window_ms": findings.window_ms}
-        for name, findings in found.items()
-    ]
+    sections = [vars(of) | section(name, of.scored, pairs[name]) for name, of in found.items()]
     (out / "comparison.html").write_text(render(TEMPLATE, sections=sections), encoding="utf-8")
     return tables["comparison"]
 

@@ -5,13 +5,12 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from matplotlib.axes import Axes
 
 from softslide.experiments.evaluation.figures import along_the_stroke
 from softslide.experiments.evaluation.scoring import QUANTITIES, WORDS, summary
-from softslide.experiments.pages.figures import COLOURS, INK, Panel, axis_marks, drawn
-
-ROW_INCHES = 0.16
+from softslide.experiments.evaluation.tables import error_table
+from softslide.experiments.pages.figures import Panel, intervals
+from softslide.experiments.pages.page import number
 
 
 def section(folder: str, scored: Mapping[str, pd.DataFrame], pairs: pd.DataFrame) -> dict[str, Any]:
@@ -26,16 +25,26 @@ def section(folder: str, scored: Mapping[str, pd.DataFrame], pairs: pd.DataFrame
         "over_stroke": [
             (split, along_the_stroke(rows, "model", f", {split}")) for split, rows in table.groupby("split")
         ],
-        "rows": {
-            name: {row["quantity"]: row | {"verdict": verdict(row)} for row in part.to_dict("records")}
-            for name, part in compared
-        },
-        "errors": {
-            f"{split}, {model}": summary(rows)
-            for (split, model), rows in end.groupby(["split", "model"], sort=False)
-        },
-        "words": {quantity: f"{word}, {QUANTITIES[quantity]}" for quantity, word in WORDS.items()},
+        "differences": {f"{split}, {model}": _compared(part) for (split, model), part in compared},
+        "errors": error_table(
+            {
+                f"{split}, {model}": summary(rows)
+                for (split, model), rows in end.groupby(["split", "model"], sort=False)
+            }
+        ),
     }
+
+
+def _compared(pairs: pd.DataFrame) -> dict[str, dict[str, str]]:
+    """A row of the table of differences: of one model on one split."""
+    first, cells = pairs.iloc[0], {}
+    for row in pairs.to_dict("records"):
+        interval = f"[{number(row['low'], 2)}, {number(row['high'], 2)}]"
+        shown = {"difference": number(row["difference"], 2), "interval": interval, "error": verdict(row)}
+        cells[f"{WORDS[row['quantity']]}, {QUANTITIES[row['quantity']]}"] = shown
+    counts = {"": {"lines": str(first["lines"]), "recordings": str(first["recordings"])}}
+    alone = {"it": str(first["valid_alone"]), first["against"]: str(first["against_alone"])}
+    return counts | cells | {"alone": alone}
 
 
 def verdict(row: Mapping[Any, Any]) -> str:
@@ -48,42 +57,11 @@ def verdict(row: Mapping[Any, Any]) -> str:
 
 def _differences(pairs: pd.DataFrame, quantity: str) -> Panel:
     """A row a model, in it a dot with its interval a split; linear about zero, logarithmic beyond."""
-    rows = pairs[pairs["quantity"] == quantity]
-    models, splits = list(dict.fromkeys(rows["model"])), list(dict.fromkeys(rows["split"]))
+    rows = pairs[pairs["quantity"] == quantity].rename(columns={"difference": "middle"})
     word, unit, against = WORDS[quantity], QUANTITIES[quantity], rows["against"].iloc[0]
-    every = len(splits) + 1
-
-    def draw(ax: Axes) -> None:
-        ax.axvline(0.0, color=INK, linestyle="--", linewidth=1)
-        for n, split in enumerate(splits):
-            part = rows[rows["split"] == split]
-            place = [models.index(model) * every + n for model in part["model"]]
-            colour = COLOURS[n % len(COLOURS)]
-            ax.hlines(place, part["low"], part["high"], color=colour, linewidth=2)
-            ax.plot(part["difference"], place, "o", color=colour, markersize=4, label=split)
-        _about_zero(ax, rows[["difference", "low", "high"]].to_numpy(float))
-        ax.set_yticks([n * every + (len(splits) - 1) / 2 for n in range(len(models))], models)
-        ax.set_ylim(len(models) * every - 0.5, -1.5)
-        ax.grid(axis="y", visible=False)
-        ax.set(xlabel=f"error less that of {against}, {unit}", title=f"{word}: right of zero is worse")
-
+    labels = (f"{word}: right of zero is worse", f"error less that of {against}, {unit}")
     text = (
         f"Mean difference of the {word} error ({unit}), each model less {against} on the same slides, by split; "
         "bars: 95 % confidence intervals over lines. A bar that does not reach zero: the two differ."
     )
-    height = 1.0 + ROW_INCHES * len(models) * every
-    return drawn(text, draw, height, entries=len(splits), left=1.15)
-
-
-def _about_zero(ax: Axes, values: np.ndarray) -> None:
-    """An axis that shows differences of a hundredth next to those of ten."""
-    sizes = np.abs(values[np.isfinite(values) & (values != 0)])
-    if not len(sizes):
-        return
-    most = np.ceil(np.log10(sizes.max()))
-    least = 10.0 ** max(np.floor(np.log10(np.quantile(sizes, 0.25))), most - 3)
-    ax.set_xscale("symlog", linthresh=least, linscale=0.7)
-    low, high = min(1.3 * np.nanmin(values), -0.3 * least), max(1.3 * np.nanmax(values), 0.3 * least)
-    ax.set_xlim(low, high)
-    decades = 10.0 ** np.arange(np.log10(least), most + 1)
-    axis_marks(ax.xaxis, [mark for mark in (*-decades[::-1], 0.0, *decades) if low <= mark <= high])
+    return intervals(rows, "model", "split", labels, text, line=0.0, log=True)

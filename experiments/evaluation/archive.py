@@ -3,7 +3,7 @@
 Chunks and their order depend on the recordings alone: the result is the same for any number of processes.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -19,8 +19,8 @@ from softslide.pipeline.workers import results
 
 # Recordings of a task: of some 0.2 s each, they take long next to the 11 ms that Dask asks for a task.
 CHUNK = 4
-# Called as make(bundle, folder, names), the folder that of a chunk's recordings alone.
-Make = Callable[[Path, Folder, list[str]], pd.DataFrame]
+# Called with the bundle and the folder of a chunk's recordings alone.
+Make = Callable[[Path, Folder], pd.DataFrame]
 
 
 @dataclass(frozen=True)
@@ -32,10 +32,8 @@ class Archive:
     scheduler: str = ""
     work: Path | None = None
 
-    def tables(
-        self, what: str, make: Make, bundle: Path, folder: Folder, names: Sequence[str]
-    ) -> Iterator[pd.DataFrame]:
-        """Each chunk's table, in the order of the names. what: which table.
+    def tables(self, what: str, make: Make, bundle: Path, folder: Folder) -> Iterator[pd.DataFrame]:
+        """Each chunk's table, in the manifest's order. what: which table.
 
         Raises:
             InputError: as `make`.
@@ -46,9 +44,9 @@ class Archive:
             bundle, work = bundle.resolve(), work and work.resolve()
             folder = replace(folder, root=folder.root.resolve())
         of_all = [what, bundle_hash(bundle), code_hash([make.__module__])] if work else []
-        parts = [list(names[n : n + CHUNK]) for n in range(0, len(names), CHUNK)]
         # What a task needs of the manifest.
-        chunks = [Folder(folder.root, folder.sensor, folder.manifest.loc[part]) for part in parts]
+        parts = [folder.manifest.iloc[n : n + CHUNK] for n in range(0, len(folder), CHUNK)]
+        chunks = [Folder(folder.root, folder.sensor, part) for part in parts]
         calls = ((work, [*of_all, *_what_it_is_of(chunk)], make, bundle, chunk) for chunk in chunks)
         return results(_table, calls, self.jobs, self.scheduler)
 
@@ -56,7 +54,7 @@ class Archive:
 def _table(work: Path | None, key: list[Any], make: Make, bundle: Path, chunk: Folder) -> pd.DataFrame:
     # A worker that outlives a call makes no new folder.
     kept_in = work if work and work.is_dir() else None
-    return cached_table(kept_in, key, lambda: make(bundle, chunk, list(chunk.manifest.index)))
+    return cached_table(kept_in, key, lambda: make(bundle, chunk))
 
 
 def _what_it_is_of(chunk: Folder) -> list[Any]:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from softslide.experiments.evaluation.scoring import AXIS_TOLERANCE_DEG, ESTIMATES, QUANTITIES, near_deg
+from softslide.experiments.evaluation.scoring import ESTIMATES, QUANTITIES, near_deg
 from softslide.experiments.pages.page import number
 from softslide.pipeline.toml_tables import from_table, read_toml
 
@@ -18,6 +18,9 @@ ANY = (0.0, float("inf"))
 # Labels that a bound's conditions are judged by; the second, of one that holds on the way.
 NEEDED = ("direction_deg", "offset_mm")
 NEEDED_ON_THE_WAY = (*NEEDED, "start_x_mm", "start_y_mm", "travel_mm", "motion_start_s", "motion_end_s")
+AXIS_DEG = 180.0  # after which a line has the same direction again
+# A verdict in a word, by `Verdict.met`.
+WORDS = {True: "met", False: "missed", None: "not tested"}
 # The article's stroke over the inflated area, section 5.3.
 INFLATED_MM = 50.0
 
@@ -48,7 +51,7 @@ class Bound:
     def area_mm(self, direction_deg: float) -> tuple[float, float] | None:
         """Distances of the lines in a direction that it holds for; None: for no line in it."""
         for axis, area in ((0.0, self.x_offset_mm), (90.0, self.y_offset_mm)):
-            if _along(direction_deg, axis):
+            if near_deg(direction_deg, axis, AXIS_DEG):
                 return area
         return None
 
@@ -149,11 +152,6 @@ def _untested(bound: Bound, scored: pd.DataFrame, rows: pd.DataFrame) -> str | N
     )
 
 
-def _along(direction_deg: Any, axis_deg: float) -> Any:
-    """Whether a direction, or each of several, is along an axis, either way."""
-    return abs((direction_deg - axis_deg + 90.0) % 180.0 - 90.0) < AXIS_TOLERANCE_DEG
-
-
 def _within(bound: Bound, scored: pd.DataFrame, depths_mm: Sequence[float]) -> pd.Series:
     """Which rows meet the bound's conditions, as booleans."""
     distance = scored["true_offset_mm"].abs()
@@ -162,8 +160,8 @@ def _within(bound: Bound, scored: pd.DataFrame, depths_mm: Sequence[float]) -> p
     on_lines = pd.Series(False, index=scored.index)
     for axis, area in ((0, bound.x_offset_mm), (90, bound.y_offset_mm)):
         if area is not None:
-            direction = scored["true_direction_deg"]
-            on_lines |= _along(direction, axis) & distance.between(*area) & straight
+            along = near_deg(scored["true_direction_deg"], axis, AXIS_DEG)
+            on_lines |= along & distance.between(*area) & straight
     speed, depth = scored["true_speed_mm_s"], scored["true_depth_mm"]
     on_lines &= speed.isna() | speed.between(*bound.speed_mm_s)
     if depths_mm:

@@ -38,10 +38,10 @@ def bounds_of(bundle: Path, folder: Folder, archive: Archive) -> Iterator[pd.Dat
     far the zero is off and drifts: that is taken as before any recording (DESIGN_ZERO_V, DESIGN_DRIFT_V_S).
     """
     if open_localizer(bundle).card.contact is not None:
-        yield from archive.tables("bounds", _bounds, bundle, folder, list(folder.labelled().manifest.index))
+        yield from archive.tables("bounds", _bounds, bundle, folder.labelled())
 
 
-def _bounds(bundle: Path, folder: Folder, names: list[str]) -> pd.DataFrame:
+def _bounds(bundle: Path, folder: Folder) -> pd.DataFrame:
     # Imported here: torch takes seconds, and bundles without a map have no bound.
     from softslide.models.cnn.cramer_rao import cramer_rao
 

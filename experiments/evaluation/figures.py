@@ -1,6 +1,6 @@
 """The report's figures: what the recordings cover, and errors by angle, place, share of the stroke and recording."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import matplotlib as mpl
@@ -9,26 +9,35 @@ import pandas as pd
 from matplotlib.axes import Axes
 
 from softslide.experiments.evaluation.bounds import Verdict
-from softslide.experiments.evaluation.scoring import INTERVALS, WORDS
+from softslide.experiments.evaluation.scoring import INTERVALS, QUANTITIES, WORDS
 from softslide.experiments.pages.figures import (
     COLOURS,
     EDGE,
-    INK,
     Panel,
     axis_marks,
     chart,
     drawn,
+    intervals,
     on_cells,
     on_skin,
 )
 from softslide.features.card import HALF_WIDTH_SD
 from softslide.pipeline.sensor import Sensor
 
-# Of each quantity that is shown of every recording: word and unit, and the label that it is drawn against.
-SHOWN = {
-    "direction_deg": ("direction error", "deg", "true_direction_deg", "direction, deg"),
-    "speed_percent": ("speed error", "%", "true_speed_mm_s", "speed, mm/s"),
-    "offset_mm": ("distance error", "mm", "true_offset_mm", "offset, mm"),
+
+def _log_speeds(ax: Axes) -> None:
+    ax.set_xscale("log")
+    axis_marks(ax.xaxis, [0.5, 1, 2, 4, 8, 13])
+
+
+# The label that each recording's error of a quantity is drawn against: column, in words, and its axis, as of `chart`.
+LABELS: dict[str, tuple[str, str, dict[str, Any]]] = {
+    "direction_deg": (
+        *("true_direction_deg", "direction, deg"),
+        {"xlim": (-12, 372), "xticks": [0, 90, 180, 270, 360]},
+    ),
+    "speed_percent": ("true_speed_mm_s", "speed, mm/s", {"draw": _log_speeds}),
+    "offset_mm": ("true_offset_mm", "offset, mm", {}),
 }
 # Of `efficiency.over_bound`: key and word of each quantity.
 OVER_BOUND = {"direction_deg": "direction", "log_speed": "speed", "offset_mm": "distance"}
@@ -54,16 +63,15 @@ def coverage(scored: pd.DataFrame, calibration: pd.DataFrame, sensor: Sensor) ->
     text = (
         "Lines of the recordings on the skin, by split, with their number; what no line passes is not tested."
     )
-    return on_skin(sensor, text, draw, entries=len(groups) + 1)
+    return on_skin(sensor, text, draw)
 
 
 def by_angle(end: pd.DataFrame) -> list[Panel]:
     """Errors at the end of the stroke by the direction of motion, a polar panel a quantity."""
-    return [_angles(rows, quantity) for quantity, rows in _known(end, "true_direction_deg")]
+    return [_angles(*known) for known in _known(end, "true_direction_deg")]
 
 
-def _angles(rows: pd.DataFrame, quantity: str) -> Panel:
-    word, unit, *_ = SHOWN[quantity]
+def _angles(quantity: str, word: str, unit: str, rows: pd.DataFrame) -> Panel:
     error, direction = rows[f"{quantity}_error"], rows["true_direction_deg"]
     means = error.groupby(sectors(direction)).mean()
 
@@ -122,8 +130,7 @@ def by_place(scored: pd.DataFrame, sensor: Sensor) -> list[Panel]:
 def along_the_stroke(scored: pd.DataFrame, by: str = "split", of: str = "") -> list[Panel]:
     """Mean error of each split against the share of the stroke seen, a panel a quantity. of: which, in words."""
     panels = []
-    for quantity, rows in _known(scored):
-        word, unit, *_ = SHOWN[quantity]
+    for quantity, word, unit, rows in _known(scored, "split"):
         means = rows.groupby([by, "stroke_fraction"], as_index=False)[[f"{quantity}_error"]].mean()
         text = f"Mean {word} ({unit}) of valid estimates by the share of the stroke seen, a line a {by}{of}."
         labels = (f"mean {word}, {unit}", SEEN, "")
@@ -136,30 +143,20 @@ def interval_coverage(scored: pd.DataFrame) -> list[Panel]:
     panels = []
     for column, word in zip(INTERVALS, WORDS.values(), strict=True):
         rows = scored[scored[f"{column}_covered"].notna()]
-        if len(rows):
-            panels.append(_held(rows, f"{column}_covered", word))
-    return panels
-
-
-def _held(rows: pd.DataFrame, column: str, word: str) -> Panel:
-    groups = rows.groupby("split").agg(share=(column, "mean"), count=("recording", "nunique"))[::-1]
-
-    def draw(ax: Axes) -> None:
-        ax.axvline(100 * INTERVAL, color=INK, linestyle="--", linewidth=1)
-        for n, (share, count) in enumerate(zip(groups["share"], groups["count"], strict=True)):
-            ax.plot(100 * np.array(wilson(share, count)), [n, n], color=COLOURS[0], linewidth=1.5)
-            ax.plot(100 * share, n, "o", color=COLOURS[0], markersize=5)
-        ax.set_yticks(range(len(groups)), [f"{split} ({n})" for split, n in groups["count"].items()])
-        ax.set(
-            xlim=(-3, 103), ylim=(-0.6, len(groups) - 0.4), xlabel="labels within the interval, %", title=word
+        if rows.empty:
+            continue
+        groups = rows.groupby("split").agg(share=(f"{column}_covered", "mean"), n=("recording", "nunique"))
+        middle, low, high = 100 * np.array([(s, *wilson(s, n)) for s, n in groups.to_numpy()]).T
+        names = [f"{split} ({n})" for split, n in groups["n"].items()]
+        table = pd.DataFrame({"split": names, "of": "", "middle": middle, "low": low, "high": high})
+        text = (
+            f"Share of labels within the 90 % interval of the {word}, by split with the number of recordings; bars: "
+            "what chance leaves open with so many recordings."
         )
-        ax.grid(axis="y", visible=False)
-
-    text = (
-        f"Share of labels within the 90 % interval of the {word}, by split with the number of recordings; bars: "
-        "what chance leaves open with so many recordings."
-    )
-    return drawn(text, draw, 0.9 + 0.42 * len(groups), left=1.6)
+        labels = (word, "labels within the interval, %")
+        look: dict[str, Any] = {"line": 100 * INTERVAL, "xlim": (-3, 103)}
+        panels.append(intervals(table, "split", "of", labels, text, **look))
+    return panels
 
 
 def wilson(share: float, count: int) -> tuple[float, float]:
@@ -174,14 +171,12 @@ def recording_by_recording(end: pd.DataFrame, verdicts: Sequence[Verdict]) -> li
     """Error of each recording at the end of its stroke against its label, with the article's bound."""
     limits = {v.bound.quantity: v.bound.limit for v in reversed(verdicts)}
     panels = []
-    for quantity, (word, unit, label, title) in SHOWN.items():
-        limit = limits.get(quantity)
-        for _, rows in _known(end, label, (quantity,)):
-            text = f"{word.capitalize()} ({unit}) of each of {len(rows)} recordings at the end of the stroke"
-            text += f"; dashed: the article's bound, {limit:g} {unit}." if limit else "."
-            rows, axes = rows.sort_values("split"), _label_axis(quantity)
-            labels, error = (f"{word}, {unit}", title, ""), f"{quantity}_error"
-            panels.append(chart(rows, label, error, "split", labels, text, limit=limit, log=True, **axes))
+    for quantity, word, unit, rows in _known(end):
+        (label, title, axis), limit = LABELS[quantity], limits.get(quantity)
+        text = f"{word.capitalize()} ({unit}) of each of {len(rows)} recordings at the end of the stroke"
+        text += f"; dashed: the article's bound, {limit:g} {unit}." if limit else "."
+        labels, error, rows = (f"{word}, {unit}", title, ""), f"{quantity}_error", rows.sort_values("split")
+        panels.append(chart(rows, label, error, "split", labels, text, limit=limit, log=True, **axis))
     return panels
 
 
@@ -213,20 +208,17 @@ def over_bound(found: Mapping[str, Mapping[str, Mapping[str, float]]]) -> list[P
     return panels
 
 
-def path(rows: pd.DataFrame, sensor: Sensor) -> Panel:
-    """One recording's true line, and the places estimated at each tenth of the stroke."""
-    valid = rows[rows["valid"].astype(bool)]
+def paths(scored: pd.DataFrame, by: str, sensor: Sensor, caption: str, title: str = "") -> Panel:
+    """True lines of recordings, and the places estimated at each tenth of the stroke. by: a column that names them."""
 
     def draw(ax: Axes) -> None:
-        for line in slide_lines(rows.iloc[-1:], "true_"):
-            ax.plot(*line.T, color=EDGE, linewidth=5, alpha=0.5, label="true")
-        ax.plot(
-            valid["x_mm"], valid["y_mm"], "o-", markersize=3, linewidth=1, color=COLOURS[0], label="estimated"
-        )
+        for n, (name, rows) in enumerate(scored.groupby(by, sort=False)):
+            for line in slide_lines(rows.iloc[-1:], "true_"):
+                ax.plot(*line.T, color=EDGE, linewidth=5, alpha=0.5, label="" if n else "true")
+            x, y = rows.loc[rows["valid"].astype(bool), ["x_mm", "y_mm"]].to_numpy(float).T
+            ax.plot(x, y, "o-", markersize=3, linewidth=1, color=COLOURS[n % len(COLOURS)], label=str(name))
 
-    name = rows["recording"].iloc[-1]
-    text = f"{name}: true line and the {len(valid)} valid estimates at tenths of the stroke."
-    return on_skin(sensor, text, draw, entries=3, columns=3)
+    return on_skin(sensor, caption, draw, title)
 
 
 def outputs(
@@ -250,25 +242,15 @@ def outputs(
     return chart(long, "time_s", "output", "channel", labels, text, mark="-", draw=draw)
 
 
-def _known(
-    scored: pd.DataFrame, label: str = "split", quantities: Sequence[str] = tuple(SHOWN)
-) -> list[tuple[str, pd.DataFrame]]:
-    """For each quantity the rows with an error and a label, if any."""
-    rows = {q: scored[scored[f"{q}_error"].notna() & scored[label].notna()] for q in quantities}
-    return [(quantity, part) for quantity, part in rows.items() if len(part)]
+def _known(scored: pd.DataFrame, label: str = "") -> Iterator[tuple[str, str, str, pd.DataFrame]]:
+    """Each quantity, its error in a word and its unit, and the rows with an error and a label, if any.
 
-
-def _label_axis(quantity: str) -> dict[str, Any]:
-    if quantity == "direction_deg":
-        return {"xlim": (-12, 372), "xticks": [0, 90, 180, 270, 360]}
-    if quantity == "speed_percent":
-        return {"draw": _log_speeds}
-    return {}
-
-
-def _log_speeds(ax: Axes) -> None:
-    ax.set_xscale("log")
-    axis_marks(ax.xaxis, [0.5, 1, 2, 4, 8, 13])
+    label: by default the quantity's own.
+    """
+    for quantity, (own, *_) in LABELS.items():
+        rows = scored.dropna(subset=[f"{quantity}_error", label or own])
+        if len(rows):
+            yield quantity, f"{WORDS[quantity]} error", QUANTITIES[quantity], rows
 
 
 def slide_lines(rows: pd.DataFrame, prefix: str = "") -> np.ndarray:

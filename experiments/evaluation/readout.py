@@ -4,7 +4,7 @@ The localizer sees volts alone. Moments of motion choose, afterwards, which of i
 """
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,6 @@ from softslide.experiments.evaluation.archive import Archive
 from softslide.experiments.evaluation.scoring import INTERVALS, interval_ends
 from softslide.features.card import Card
 from softslide.features.errors import InputError
-from softslide.features.estimate import Estimate
 from softslide.pipeline.recordings.folder import Folder, Recording
 from softslide.serve.localizer import Localizer
 
@@ -38,38 +37,25 @@ def moments(row: Mapping[Any, Any], time_s: np.ndarray) -> list[tuple[float, flo
     return [(fraction, start + fraction * (end - start)) for fraction in STROKE]
 
 
-def read_at(
-    localizer: Localizer, volts: np.ndarray, time_s: np.ndarray, moments_s: Sequence[float]
-) -> list[Estimate]:
-    """The estimate as it stood at each moment, from the samples up to it and no others.
-
-    volts: (n, C) V, time_s: (n,) s, one recording from a fresh start; moments_s: ascending.
-    """
-    localizer.reset()
-    estimates = []
-    fed = 0
-    # A moment that a sample falls on, give or take the last bit of either, has seen that sample.
-    for count in np.searchsorted(time_s, np.asarray(moments_s) + 1e-9, side="right"):
-        localizer.feed(volts[fed:count])
-        fed = max(fed, int(count))
-        estimates.append(localizer.read())
-    return estimates
-
-
 def rows_of(
     localizer: Localizer, recording: Recording, samples: np.ndarray, label: Mapping[Any, Any]
 ) -> list[dict[str, Any]]:
-    """The rows of `predictions.csv`, NaN where not estimated, of a recording that a localizer reads as `samples`.
+    """The rows of `predictions.csv`, NaN where not estimated, of a recording that a localizer reads as `samples`: the
+    estimate as it stood at each moment, from a fresh start and the samples up to it.
 
     label: its row of the manifest.
     """
-    fractions, moments_s = zip(*moments(label, recording.time_s), strict=True)
-    estimates = read_at(localizer, samples, recording.time_s, moments_s)
-    return [
-        {"recording": recording.name, "stroke_fraction": fraction}
-        | {column: getattr(estimate, column) for column in COLUMNS[2:]}
-        for fraction, estimate in zip(fractions, estimates, strict=True)
-    ]
+    localizer.reset()
+    rows, fed = [], 0
+    for fraction, moment in moments(label, recording.time_s):
+        # A moment that a sample falls on, give or take the last bit of either, has seen that sample.
+        count = int(np.searchsorted(recording.time_s, moment + 1e-9, side="right"))
+        localizer.feed(samples[fed:count])
+        fed = max(fed, count)
+        estimate = localizer.read()
+        row = {"recording": recording.name, "stroke_fraction": fraction}
+        rows.append(row | {column: getattr(estimate, column) for column in COLUMNS[2:]})
+    return rows
 
 
 def predictions(bundle: Path, folder: Folder, archive: Archive) -> Iterator[pd.DataFrame]:
@@ -79,12 +65,12 @@ def predictions(bundle: Path, folder: Folder, archive: Archive) -> Iterator[pd.D
         InputError: the bundle is broken or made for another sensor, or a recording is.
     """
     check_fits(open_localizer(bundle).card, folder)
-    yield from archive.tables("predictions", _read_out, bundle, folder, list(folder.manifest.index))
+    yield from archive.tables("predictions", _read_out, bundle, folder)
 
 
-def _read_out(bundle: Path, folder: Folder, names: list[str]) -> pd.DataFrame:
+def _read_out(bundle: Path, folder: Folder) -> pd.DataFrame:
     localizer, rows = open_localizer(bundle, folder.sensor.sample_rate_hz), []
-    for name in names:
+    for name in folder.manifest.index:
         recording = folder.read(name)
         samples, label = samples_for(localizer, recording), folder.manifest.loc[name].to_dict()
         rows += rows_of(localizer, recording, samples, label)

@@ -8,8 +8,9 @@ import numpy as np
 import pandas as pd
 
 from softslide.experiments.evaluation import figures, track_figures, tracks
-from softslide.experiments.evaluation.bounds import Verdict
+from softslide.experiments.evaluation.bounds import WORDS, Verdict
 from softslide.experiments.evaluation.scoring import QUANTITIES
+from softslide.experiments.evaluation.tables import SHOWN, error_table, track_table
 from softslide.experiments.evaluation.traces import trace
 from softslide.experiments.evaluation.tracks import Track
 from softslide.experiments.flattened import flattened
@@ -20,12 +21,6 @@ from softslide.pipeline.recordings.folder import Folder
 from softslide.pipeline.recordings.learned import CALIBRATION
 
 TEMPLATE = Path(__file__).parent / "report.html.j2"
-QUANTITY_NAMES = {
-    "direction_deg": "direction, deg",
-    "speed_percent": "speed, %",
-    "offset_mm": "distance, mm",
-    "position_mm": "position, mm",
-}
 # Labels whose range is shown, with their names and units.
 RANGES = {
     "true_speed_mm_s": ("Speeds", "mm/s"),
@@ -51,22 +46,24 @@ def write_report(
     end = scored[scored["stroke_fraction"] == 1.0]
     ends = {split: strokes["1.0"] for split, strokes in metrics["splits"].items() if "1.0" in strokes}
     calibration = folder.manifest[folder.manifest["split"].str.startswith(CALIBRATION)]
+    learned = metrics["calibration_lines"]
+    along = {"calibration lines": learned["end_of_stroke"]} if learned["names"] else {}
+    tables = {
+        "By split": ends,
+        "By direction": metrics["by_direction"],
+        "By distance from the accelerometer": metrics["by_distance"],
+        "By speed": metrics["by_speed"],
+        "By share of the stroke seen": metrics["overall"],
+        "Along calibration lines, apart": along,
+    }
     text = render(
         TEMPLATE,
         metrics=metrics,
-        verdicts=metrics["bounds"],
+        words=WORDS,
         answer=answer(verdicts),
         untested=not_tested(end, verdicts, sensor.chamber_mm),
-        end=metrics["end_of_stroke"],
-        learned=metrics["calibration_lines"],
-        tables=[
-            ("By split", ends),
-            ("By direction", metrics["by_direction"]),
-            ("By distance from the accelerometer", metrics["by_distance"]),
-            ("By speed", metrics["by_speed"]),
-            ("By share of the stroke seen", metrics["overall"]),
-        ],
-        quantities=QUANTITY_NAMES,
+        tables=[(title, error_table(groups)) for title, groups in tables.items()],
+        shown=SHOWN,
         units=QUANTITIES,
         origin=sensor.origin,
         covered_map=figures.coverage(scored, calibration, sensor),
@@ -77,14 +74,11 @@ def write_report(
             ("Do the intervals hold?", figures.interval_coverage(scored)),
             ("Recording by recording", figures.recording_by_recording(end, verdicts)),
         ],
-        over_bound=metrics["over_bound"],
         bound_panels=figures.over_bound(metrics["over_bound"] or {}),
         worst=worst(scored, folder),
         silent=[str(name) for name in end.loc[~end["valid"].astype(bool), "recording"]],
-        tracks=metrics.get("tracks", {}),
-        whole_contacts=metrics.get("whole_contacts", {}),
-        tracked=tracks.QUANTITIES,
-        covered=tracks.COVERED,
+        tracks=track_table(metrics.get("tracks", {})),
+        whole_contacts=track_table(metrics.get("whole_contacts", {})),
         track_panels=track_figures.along_the_contact(followed),
         track_pictures=[
             (split, track_figures.pictures(part, sensor)) for split, part in tracks.by_split(followed).items()
@@ -150,12 +144,13 @@ def _shown(row: pd.Series, rows: pd.DataFrame, folder: Folder) -> tuple[str, str
     name, sensor = str(row["recording"]), folder.sensor
     label = folder.manifest.loc[name]
     motion = label[["motion_start_s", "motion_end_s"]].to_numpy(float)
-    panels = [figures.path(rows, sensor)]
+    text = f"{name}: true line and the {int(rows['valid'].sum())} valid estimates at tenths of the stroke."
+    panels = [figures.paths(rows, "recording", sensor, text)]
     if np.isfinite(motion).all():
         channels = [c for c in sensor.channels if c[-1] in sensor.touch_axes][:6]
         over_time = trace(folder, name, Conditioning(), len(sensor.accelerometers))
         panels.append(figures.outputs(over_time, name, channels, motion, sensor.accelerometers[0].unit))
-    off = [(*text.split(", "), row[f"{quantity}_error"]) for quantity, text in QUANTITY_NAMES.items()]
+    off = [(word, QUANTITIES[quantity], row[f"{quantity}_error"]) for quantity, word in SHOWN.items()]
     what = (
         f"{row['split']}, {label['direction_deg']:.4g} deg, {label['speed_mm_s']:.3g} mm/s, offset "
         f"{label['offset_mm']:.3g} mm; off by: "

@@ -3,7 +3,6 @@
 An estimate that its model marks as not valid does not count: it enters no error, and is counted as missing.
 """
 
-from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any
 
@@ -13,6 +12,7 @@ import pandas as pd
 from softslide.features.angles import wrapped_deg
 from softslide.features.departure import beyond_rim_mm
 from softslide.pipeline.sensor import Sensor
+from softslide.pipeline.synthesis.slide_plan import chord
 
 # What is scored, and the unit each error is shown in.
 QUANTITIES = {
@@ -87,7 +87,8 @@ def score(predictions: pd.DataFrame, manifest: pd.DataFrame, sensor: Sensor) -> 
 
     path = table["stroke_fraction"] * table["true_travel_mm"]
     beyond = beyond_rim_mm(sensor.indenter_diameter_mm, table["true_depth_mm"].fillna(0.0).to_numpy())
-    touched = np.minimum(path, _over(table, sensor, beyond)[1].fillna(np.inf))
+    left = _over(table, sensor, beyond)[1]
+    touched = np.minimum(path, np.where(np.isnan(left), np.inf, left))
     dx = estimated["x_mm"] - (table["true_start_x_mm"] + touched * along_x)
     dy = estimated["y_mm"] - (table["true_start_y_mm"] + touched * along_y)
     table["travelled_mm"] = path - _over(table, sensor)[0]
@@ -108,10 +109,9 @@ def score(predictions: pd.DataFrame, manifest: pd.DataFrame, sensor: Sensor) -> 
     return table
 
 
-def near_deg(direction: pd.Series, axis_deg: float) -> pd.Series:
-    """Whether a direction lies within AXIS_TOLERANCE_DEG of another."""
-    off = np.abs(wrapped_deg((direction - axis_deg).to_numpy(dtype=float)))
-    return pd.Series(off < AXIS_TOLERANCE_DEG, direction.index)
+def near_deg(direction: Any, other_deg: float, turn_deg: float = 360.0) -> Any:
+    """Whether a direction, or each of several, lies within AXIS_TOLERANCE_DEG of another, after any number of turns."""
+    return abs((direction - other_deg + turn_deg / 2) % turn_deg - turn_deg / 2) < AXIS_TOLERANCE_DEG
 
 
 def summary(scored: pd.DataFrame) -> dict[str, Any]:
@@ -149,7 +149,7 @@ def coverage(scored: pd.DataFrame) -> dict[str, dict[str, Any]]:
 
 def along_the_stroke(scored: pd.DataFrame) -> dict[str, dict[str, Any]]:
     """A summary for each stroke fraction, keyed 0.1, 0.2, ... 1.0."""
-    return {f"{fraction:.1f}": summary(rows) for fraction, rows in scored.groupby("stroke_fraction")}
+    return _groups(scored, scored["stroke_fraction"].map("{:.1f}".format))
 
 
 def by_direction(scored: pd.DataFrame) -> dict[str, dict[str, Any]]:
@@ -159,7 +159,7 @@ def by_direction(scored: pd.DataFrame) -> dict[str, dict[str, Any]]:
     for quarter, sector in enumerate(BETWEEN):
         names[(direction // 90 == quarter) & (names == "")] = sector
         names[near_deg(direction, 90 * quarter)] = AXES[quarter]
-    return _grouped(scored, names, (*AXES, *BETWEEN))
+    return _groups(scored, pd.Categorical(names.where(names != ""), (*AXES, *BETWEEN)))
 
 
 def by_distance(scored: pd.DataFrame) -> dict[str, dict[str, Any]]:
@@ -174,12 +174,12 @@ def by_speed(scored: pd.DataFrame) -> dict[str, dict[str, Any]]:
 
 def _binned(scored: pd.DataFrame, values: pd.Series, edges: tuple[float, ...], unit: str) -> dict[str, Any]:
     names = [f"{low:g} to {high:g} {unit}" for low, high in pairwise(edges)] + [f"over {edges[-1]:g} {unit}"]
-    return _grouped(scored, pd.cut(values, [*edges, np.inf], labels=names, include_lowest=True), names)
+    return _groups(scored, pd.cut(values, [*edges, np.inf], labels=names, include_lowest=True))
 
 
-def _grouped(scored: pd.DataFrame, group: pd.Series, names: Sequence[str]) -> dict[str, dict[str, Any]]:
-    """A summary for each of the groups `names`, in this order, that some row is in."""
-    return {name: summary(scored[group == name]) for name in names if (group == name).any()}
+def _groups(scored: pd.DataFrame, by: Any) -> dict[str, dict[str, Any]]:
+    """A summary for each group that some row is in. by: as `DataFrame.groupby` takes it."""
+    return {str(name): summary(rows) for name, rows in scored.groupby(by, observed=True)}
 
 
 def _percent(error: pd.Series, size: pd.Series) -> pd.Series:
@@ -189,24 +189,18 @@ def _percent(error: pd.Series, size: pd.Series) -> pd.Series:
 
 def _over(
     table: pd.DataFrame, sensor: Sensor, beyond_mm: np.ndarray | float = 0.0
-) -> tuple[pd.Series, pd.Series]:
+) -> tuple[np.ndarray, np.ndarray]:
     """Distances in mm from each slide's start to where its line enters and leaves the chamber and so much around it;
     NaN if it never does."""
-    direction = np.deg2rad(table["true_direction_deg"].to_numpy())
-    enter = np.full(len(table), -np.inf)
-    leave = np.full(len(table), np.inf)
-    for size, start, heading in (
-        (sensor.chamber_mm[0], table["true_start_x_mm"].to_numpy(), np.cos(direction)),
-        (sensor.chamber_mm[1], table["true_start_y_mm"].to_numpy(), np.sin(direction)),
-    ):
-        half = size / 2 + beyond_mm
-        # A heading of nothing but rounding would be divided by: the line then runs along this side.
-        across = np.abs(heading) > 1e-9
-        step = np.where(across, heading, 1.0)
-        ends = np.sort([(-half - start) / step, (half - start) / step], axis=0)
-        outside = np.where(np.abs(start) <= half, -np.inf, np.inf)
-        enter = np.maximum(enter, np.where(across, ends[0], outside))
-        leave = np.minimum(leave, np.where(across, ends[1], np.inf))
-    known = (enter <= leave) & np.isfinite(enter)
-    enter, leave = (np.where(known, end, np.nan) for end in (enter, leave))
-    return pd.Series(enter, index=table.index), pd.Series(leave, index=table.index)
+    direction = np.deg2rad(table["true_direction_deg"].to_numpy(float))
+    along = np.column_stack([np.cos(direction), np.sin(direction)])
+    # A heading of nothing but rounding would be divided by: the line then runs along this side.
+    along[np.abs(along) < 1e-9] = 0.0
+    start = table[["true_start_x_mm", "true_start_y_mm"]].to_numpy(float)
+    half = np.array(sensor.chamber_mm) / 2 + np.broadcast_to(beyond_mm, len(table))[:, None]
+    known = np.isfinite(start + along).all(axis=1)
+    ways = [
+        chord(*line) if is_known else None for *line, is_known in zip(start, along, half, known, strict=True)
+    ]
+    enter, leave = np.array([way or (np.nan, np.nan) for way in ways]).reshape(-1, 2).T
+    return enter, leave

@@ -4,8 +4,8 @@ An estimate counts where it is *live*: valid, in state `slide`. Direction, speed
 where the contact moves at `MOVING_MM_S` or more; the rest wherever something touches. The offset is the tangent's.
 """
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,10 +19,10 @@ from softslide.features.angles import wrapped_deg
 from softslide.features.estimate import Estimate
 from softslide.pipeline.recordings.folder import Folder
 from softslide.pipeline.recordings.signed_offset import signed_offset
-from softslide.pipeline.recordings.truth import read_truth, truth_path
+from softslide.pipeline.recordings.truth import truth_path
 from softslide.serve.localizer import Localizer
 from softslide.serve.records import record
-from softslide.serve.whole_contacts import whole_contacts
+from softslide.serve.whole_contacts import has_whole_contacts, whole_contacts
 
 # Below this speed a contact counts as standing, without a direction.
 MOVING_MM_S = 0.2
@@ -39,60 +39,55 @@ _COLUMNS = [name for column in BOUNDED for name in (column, *interval_ends(colum
 
 @dataclass(frozen=True)
 class Track:
-    """One recording: its truth and its estimates, a row a moment."""
+    """One recording and what `judge` says of its estimates, a row a moment: of those of the stream, and of those from
+    whole contacts (`serve.whole_contacts`), of which there are none where the bundle does not know these."""
 
     name: str
     split: str
-    truth: pd.DataFrame
-    judged: pd.DataFrame
+    estimates: pd.DataFrame
+    from_whole: pd.DataFrame
 
 
-def with_truth(folder: Folder) -> list[str]:
+def with_truth(folder: Folder) -> Folder:
     """The recordings whose truth lies next to them."""
-    return [str(n) for n, file in folder.manifest["file"].items() if truth_path(folder.root / file).is_file()]
+    there = [truth_path(folder.root / file).is_file() for file in folder.manifest["file"]]
+    return replace(folder, manifest=folder.manifest[np.array(there, bool)])
 
 
-def tracks(bundle: Path, folder: Folder, archive: Archive, whole: bool = False) -> Iterator[Track]:
+def tracks(bundle: Path, folder: Folder, archive: Archive) -> Iterator[Track]:
     """Every recording that has its truth, in the manifest's order.
-
-    whole: the estimates are those of `serve.whole_contacts`, not the live ones.
 
     Raises:
         InputError: a recording or its truth is not what the contract says.
     """
-    names = with_truth(folder)
-    what, make = ("whole contacts", _judged_whole) if whole else ("tracks", _judged_live)
-    for table in archive.tables(what, make, bundle, folder, names):
-        for name, judged in table.groupby("recording", sort=False):
-            row = folder.manifest.loc[str(name)]
-            truth = read_truth(truth_path(folder.root / row["file"]))
-            yield Track(
-                str(name), str(row["split"]), truth, judged.drop(columns="recording").reset_index(drop=True)
+    for table in archive.tables("tracks", _judged, bundle, with_truth(folder)):
+        for name, both in table.groupby("recording", sort=False):
+            of_stream, from_whole = (
+                both[both["whole"] == each].drop(columns=["recording", "whole"]).reset_index(drop=True)
+                for each in (False, True)
             )
+            yield Track(str(name), str(folder.manifest.loc[str(name), "split"]), of_stream, from_whole)
 
 
-def _judged_live(bundle: Path, folder: Folder, names: list[str]) -> pd.DataFrame:
-    def live(localizer: Localizer, volts: np.ndarray) -> list[Estimate]:
-        localizer.reset()
-        return localizer.push(volts)
-
-    return pd.concat([_judged(bundle, folder, name, live) for name in names])
-
-
-def _judged_whole(bundle: Path, folder: Folder, names: list[str]) -> pd.DataFrame:
-    return pd.concat([_judged(bundle, folder, name, whole_contacts) for name in names])
-
-
-def _judged(
-    bundle: Path, folder: Folder, name: str, estimates: Callable[[Localizer, np.ndarray], list[Estimate]]
-) -> pd.DataFrame:
+def _judged(bundle: Path, folder: Folder) -> pd.DataFrame:
     localizer = open_localizer(bundle, folder.sensor.sample_rate_hz)
-    recording = folder.load(name)
-    assert recording.truth is not None
-    samples = samples_for(localizer, recording)
-    stream = estimate_table([record(estimate) for estimate in estimates(localizer, samples)])
-    stream["time_s"] += recording.time_s[0]
-    return judge(stream, recording.truth, folder.sensor.reference_mm).assign(recording=name)
+    ways = [_live, whole_contacts] if has_whole_contacts(localizer.card) else [_live]
+    tables = []
+    for name in folder.manifest.index:
+        recording = folder.load(name)
+        assert recording.truth is not None
+        for way in ways:
+            estimates = way(localizer, samples_for(localizer, recording))
+            stream = estimate_table([record(estimate) for estimate in estimates])
+            stream["time_s"] += recording.time_s[0]
+            judged = judge(stream, recording.truth, folder.sensor.reference_mm)
+            tables.append(judged.assign(recording=name, whole=way is whole_contacts))
+    return pd.concat(tables)
+
+
+def _live(localizer: Localizer, volts: np.ndarray) -> list[Estimate]:
+    localizer.reset()
+    return localizer.push(volts)
 
 
 def estimate_table(records: Sequence[dict[str, Any]]) -> pd.DataFrame:
@@ -123,11 +118,12 @@ def judge(stream: pd.DataFrame, truth: pd.DataFrame, reference_mm: tuple[float, 
     table["live"] = stream["valid"] & (stream["state"] == "slide")
     table["ended"] = stream["valid"] & (stream["state"] == "ended")
 
-    table["position_error"] = np.hypot(stream["x_mm"] - true["x_mm"], stream["y_mm"] - true["y_mm"])
-    table["direction_error"] = wrapped_deg((stream["direction_deg"] - true["direction_deg"]).to_numpy())
+    errors = stream[list(BOUNDED)] - true[list(BOUNDED)]
+    errors["direction_deg"] = wrapped_deg(errors["direction_deg"].to_numpy())
+    table["position_error"] = np.hypot(errors["x_mm"], errors["y_mm"])
     table["speed_error"] = 100 * (stream["speed_mm_s"] / true["speed_mm_s"].clip(lower=1e-9) - 1)
-    table["offset_error"] = stream["offset_mm"] - true["offset_mm"]
-    table["depth_error"] = stream["depth_mm"] - true["depth_mm"]
+    for column in ("direction_deg", "offset_mm", "depth_mm"):
+        table[f"{column.split('_')[0]}_error"] = errors[column]
 
     off, half = _from_middles(stream, true)
     held = (off.abs() <= half).astype(float).where(half.notna() & true[half.columns].notna())
@@ -136,8 +132,6 @@ def judge(stream: pd.DataFrame, truth: pd.DataFrame, reference_mm: tuple[float, 
     table["position_held"] = (held["x_mm"] + held["y_mm"]) / 2
     table["velocity_held"] = (held["vx_mm_s"] + held["vy_mm_s"]) / 2
 
-    errors = stream[half.columns] - true[half.columns]
-    errors["direction_deg"] = table["direction_error"]
     wide = errors.abs() > WRONG_HALF_WIDTHS * half
     beyond = wide[["x_mm", "y_mm", "speed_mm_s"]].any(axis=1)
     beyond |= wide[["direction_deg", "offset_mm"]].any(axis=1) & table["moving"]
@@ -187,9 +181,14 @@ def by_split(followed: Sequence[Track]) -> dict[str, list[Track]]:
     return {split: [track for track in followed if track.split == split] for split in splits}
 
 
-def summaries(followed: Sequence[Track]) -> dict[str, dict[str, Any]]:
-    """`summarize` for each split."""
-    return {split: summarize([each.judged for each in part]) for split, part in by_split(followed).items()}
+def summaries(followed: Sequence[Track]) -> dict[str, dict[str, dict[str, Any]]]:
+    """`summarize` for each split, as `metrics.json` has it: of the `tracks`, of the `whole_contacts` if any."""
+    found: dict[str, dict[str, dict[str, Any]]] = {}
+    for split, part in by_split(followed).items():
+        found.setdefault("tracks", {})[split] = summarize([each.estimates for each in part])
+        if whole := [each.from_whole for each in part if len(each.from_whole)]:
+            found.setdefault("whole_contacts", {})[split] = summarize(whole)
+    return found
 
 
 def line(split: str, row: dict[str, Any]) -> str:

@@ -51,7 +51,9 @@ IN_PAGE |= {INK: "var(--ink)", LABEL: "var(--label)", EDGE: "var(--edge)", GRID:
 # Inches: at 72 points an inch 302 points, which a phone of 400 px shows a fifth larger.
 PANEL_INCHES = (4.2, 3.1)
 MARGINS = (0.68, 0.14, 0.5, 0.32)  # left, right, bottom, top, inches
-LEGEND_ROW_INCHES = 0.18
+LEGEND_ROW_INCHES, LEGEND_COLUMNS = 0.18, 2
+MOST_MARKS = 9  # of a logarithmic axis
+ROW_INCHES, LETTER_INCHES = 0.16, 0.05  # of `intervals`
 
 
 def draw_sensor(ax: Axes, sensor: Sensor, width: float, label: str) -> None:
@@ -73,30 +75,28 @@ class Panel:
 def drawn(
     caption: str,
     draw: Callable[[Axes], None],
-    height: float,
+    height: float = PANEL_INCHES[1],
     *,
-    entries: int = 0,
-    columns: int = 2,
     left: float = MARGINS[0],
     **options: Any,
 ) -> Panel:
-    """A panel of one pair of axes in the page's style, that `draw` draws into.
+    """A panel of one pair of axes in the page's style, that `draw` draws into; what has a label is named below.
 
-    height, left: inches, of the figure and of the margin at the left. entries: of a legend below the axes, in so many
-    columns; 0: none. options: of `add_subplot`. The margins are fixed: to fit them to each figure takes as long as to
-    draw it.
+    height, left: inches, of the figure without its legend and of the margin at the left. options: of `add_subplot`. The
+    margins are fixed: to fit them to each figure takes as long as to draw it.
     """
-    below, width = LEGEND_ROW_INCHES * -(-entries // columns), PANEL_INCHES[0]
+    width, (_, right, bottom, top) = PANEL_INCHES[0], MARGINS
     with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(width, height + below))
-        _, right, bottom, top = MARGINS
-        low, high = (bottom + below) / (height + below), 1 - top / (height + below)
-        figure.subplots_adjust(left / width, low, 1 - right / width, high)
+        figure = Figure()
         ax = figure.add_subplot(**options)
         draw(ax)
         handles, names = ax.get_legend_handles_labels()
-        if entries and handles:
-            figure.legend(handles, names, loc="lower center", ncols=columns, fontsize=8)
+        below = LEGEND_ROW_INCHES * -(-len(names) // LEGEND_COLUMNS)
+        figure.set_size_inches(width, height + below)
+        low, high = (bottom + below) / (height + below), 1 - top / (height + below)
+        figure.subplots_adjust(left / width, low, 1 - right / width, high)
+        if handles:
+            figure.legend(handles, names, loc="lower center", ncols=LEGEND_COLUMNS, fontsize=8)
         return Panel(inline(figure, caption), caption)
 
 
@@ -113,13 +113,12 @@ def chart(
     limit: float | None = None,
     log: bool = False,
     draw: Callable[[Axes], None] = lambda ax: None,
-    below: int = 0,
     **axes: Any,
 ) -> Panel:
     """A panel of column `y` against column `x`, a series for each value of column `by` in the order of the rows.
 
     labels: title, and what x and y are. mark: Matplotlib's format. limit: drawn dashed. log: y logarithmic, with zero.
-    draw: draws the rest. below: entries of a legend below the axes; 0: it stands in them. axes: of `Axes.set`.
+    draw: draws the rest. axes: of `Axes.set`.
     """
 
     def series(ax: Axes) -> None:
@@ -133,22 +132,49 @@ def chart(
         if limit is not None:
             ax.axhline(limit, color=INK, linestyle="--", linewidth=1)
         if log:
-            log_with_zero(ax, np.array([*table[y].astype(float), *([] if limit is None else [limit])]))
+            log_about_zero(ax.yaxis, np.array([*table[y].astype(float), *([] if limit is None else [limit])]))
         ax.set(title=labels[0], xlabel=labels[1], ylabel=labels[2], **axes)
-        if not below and ax.get_legend_handles_labels()[0]:
-            ax.legend(fontsize=8)
 
-    return drawn(caption, series, PANEL_INCHES[1], entries=below)
+    return drawn(caption, series)
 
 
-def on_skin(
-    sensor: Sensor,
+def intervals(
+    table: pd.DataFrame,
+    row: str,
+    by: str,
+    labels: tuple[str, str],
     caption: str,
-    draw: Callable[[Axes], None],
-    title: str = "",
-    entries: int = 2,
-    columns: int = 2,
+    *,
+    line: float,
+    log: bool = False,
+    **axes: Any,
 ) -> Panel:
+    """A panel of columns `middle`, `low` and `high`, dots with bars: a row for each value of column `row`, in it a
+    colour for each value of column `by`, in the order of the rows.
+
+    labels: title, and what the values are. line: drawn dashed. log: values logarithmic, with zero. axes: of `Axes.set`.
+    """
+    names, series = list(dict.fromkeys(table[row])), list(dict.fromkeys(table[by]))
+    every = len(series) + 1
+
+    def dots(ax: Axes) -> None:
+        ax.axvline(line, color=INK, linestyle="--", linewidth=1)
+        for n, name in enumerate(series):
+            part, colour = table[table[by] == name], COLOURS[n % len(COLOURS)]
+            place = [names.index(each) * every + n for each in part[row]]
+            ax.hlines(place, part["low"], part["high"], color=colour, linewidth=2)
+            ax.plot(part["middle"], place, "o", color=colour, markersize=4, label=name)
+        if log:
+            log_about_zero(ax.xaxis, table[["middle", "low", "high"]].to_numpy(float))
+        ax.set_yticks([n * every + (len(series) - 1) / 2 for n in range(len(names))], names)
+        ax.grid(axis="y", visible=False)
+        ax.set(ylim=(len(names) * every - 0.5, -1.5), title=labels[0], xlabel=labels[1], **axes)
+
+    left = MARGINS[0] + LETTER_INCHES * max(len(str(name)) for name in names)
+    return drawn(caption, dots, 1.0 + ROW_INCHES * len(names) * every, left=left)
+
+
+def on_skin(sensor: Sensor, caption: str, draw: Callable[[Axes], None], title: str = "") -> Panel:
     """A panel of the skin from above, x and y in mm, with the chamber and the accelerometers; else as `drawn`."""
     x, y = np.array(sensor.chamber_mm) / 2
 
@@ -158,7 +184,7 @@ def on_skin(
         ax.set(xlim=(-x - 6, x + 6), ylim=(-y - 6, y + 6), aspect="equal", title=title)
         ax.set(xlabel="x, mm", ylabel="y, mm")
 
-    return drawn(caption, skin, 4.1, entries=entries, columns=columns)
+    return drawn(caption, skin, 4.1)
 
 
 def on_cells(
@@ -188,7 +214,7 @@ def on_cells(
         ax.grid(visible=False)
         draw(ax)
 
-    return on_skin(sensor, caption, fill, title, entries=0)
+    return on_skin(sensor, caption, fill, title)
 
 
 def rectangle(ax: Axes, low: np.ndarray, high: np.ndarray, **look: Any) -> None:
@@ -223,17 +249,25 @@ def axis_marks(axis: Axis, marks: Sequence[float]) -> None:
     axis.set(major_locator=locator, major_formatter="{x:g}", minor_locator=nowhere)
 
 
-def log_with_zero(ax: Axes, values: np.ndarray) -> None:
-    """A logarithmic y axis for values that are not negative; zeros lie on a line of their own at its lower end.
+def log_about_zero(axis: Axis, values: np.ndarray) -> None:
+    """Makes an axis logarithmic either way from zero, on which zero lies too: it shows hundredths next to tens.
 
-    Below a third of the least positive value the axis is linear, down to zero.
+    It is linear about zero, to the decade of the sizes' lower quartile, or three below the largest if that is more.
     """
-    positive = values[np.isfinite(values) & (values > 0)]
-    if not len(positive):
+    known = values[np.isfinite(values)]
+    sizes = np.abs(known[known != 0])
+    if not len(sizes):
         return
-    least = float(positive.min()) / 3
-    ax.set_yscale("symlog", linthresh=least, linscale=0.3)
-    ax.set_ylim(-0.2 * least, 1.6 * float(positive.max()))
-    decades = np.arange(np.floor(np.log10(least)), np.ceil(np.log10(positive.max())) + 1)
-    marks = np.array([m * 10**d for d in decades for m in ((1, 2, 5) if len(decades) < 4 else (1,))])
-    axis_marks(ax.yaxis, [0.0, *marks[(marks > 1.2 * least) & (marks < 1.5 * positive.max())]])
+    most = np.ceil(np.log10(sizes.max()))
+    least = 10.0 ** max(np.floor(np.log10(np.quantile(sizes, 0.25))), most - 3)
+    low, high = min(1.3 * known.min(), -0.3 * least), max(1.3 * known.max(), 0.3 * least)
+    scale = mpl.scale.SymmetricalLogScale(axis, linthresh=least, linscale=0.7)
+    name = "x" if axis is axis.axes.xaxis else "y"
+    axis.axes.set(**{f"{name}scale": scale, f"{name}lim": (low, high)})
+    decades = 10.0 ** np.arange(np.log10(least), most + 1)
+    for multiples in ((1, 2, 5), (1,)):
+        steps = np.outer(decades, multiples).ravel()
+        marks = [mark for mark in (*-steps[::-1], 0.0, *steps) if low <= mark <= high]
+        if len(marks) <= MOST_MARKS:
+            break
+    axis_marks(axis, marks)

@@ -13,6 +13,12 @@ from softslide.experiments.pages.figures import Panel
 
 LEAST_LISTED = 4  # sections of a page that begins with a list of them
 HERE = Path(__file__).parent
+# Verdicts that pages colour, with the class of the colour.
+VERDICTS = {
+    **dict.fromkeys(("met", "holds", "smaller"), "met"),
+    **dict.fromkeys(("missed", "does not hold", "larger"), "missed"),
+    **dict.fromkeys(("not tested", "in part", "too few"), "untested"),
+}
 # What `origin` of a sensor.toml means.
 ORIGINS = {
     "measured": ("Measured recordings", "of a real skin."),
@@ -52,7 +58,8 @@ def _environment(folder: Path) -> Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters |= {"number": number, "words": _words, "percent": _percent}
+    environment.filters |= {"number": number, "words": _words, "percent": percent}
+    environment.filters["verdict"] = lambda word: VERDICTS.get(word, "")
     return environment
 
 
@@ -83,5 +90,6 @@ def _words(count: int, noun: str) -> str:
     return f"{count} {noun}" + ("" if count == 1 else "s")
 
 
-def _percent(share: float | None) -> str:
+def percent(share: float | None) -> str:
+    """A share in percent; a dash without one."""
     return "–" if share is None or share != share else f"{100 * share:.0f} %"
