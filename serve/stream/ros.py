@@ -11,11 +11,12 @@ import numpy as np
 from softslide.features.card import HALF_WIDTH_SD, Card
 from softslide.features.errors import InputError
 from softslide.features.estimate import Estimate
+from softslide.features.stream.drift import measures_gravity
 from softslide.features.units import STANDARD_GRAVITY
 from softslide.serve.records import record
 from softslide.serve.stream.framing import Chunk
+from softslide.serve.stream.sources import WAIT_S
 
-_WAIT_S = 0.2
 # Variance of what no estimate has: the velocity across the skin, and any turning.
 UNKNOWN = 1e6
 
@@ -61,7 +62,7 @@ def imu_reader(topic: str, card: Card) -> Read:
         InputError: the card's sensor is more than one accelerometer, or another sensing element.
     """
     element, *others = card.sensor["accelerometers"]
-    if others or card.base is not None or element.get("kind", "accelerometer") != "accelerometer":
+    if others or card.base is not None or not measures_gravity(element):
         raise InputError(
             f"ros2+imu://{topic}: an Imu is one accelerometer, {card.sensor['name']} is not; send rows of outputs to "
             "ros2://TOPIC",
@@ -87,7 +88,7 @@ def _spun(rclpy: Any, node: Any, kind: Any, topic: str, read: Read) -> Iterator[
     node.create_subscription(kind, topic, waiting.append, 100)
     try:
         while rclpy.ok():
-            rclpy.spin_once(node, timeout_sec=_WAIT_S)
+            rclpy.spin_once(node, timeout_sec=WAIT_S)
             if not waiting:
                 yield ()
             while waiting:
