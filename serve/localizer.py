@@ -156,7 +156,7 @@ class Localizer:
         self._tracker.reset()
         self._sensor.reset()
         self._contact.reset()
-        self._read_at(self._sensor.height_mm)
+        self._take_height(self._sensor.height_mm)
         self._bridged = 0
         self._slide_blocks = 0
         self._whole = True
@@ -318,9 +318,9 @@ class Localizer:
 
     def _read_sensor(self, in_use: np.ndarray) -> None:
         if self._sensor.read(self._tracker, in_use, self._healthy):
-            self._read_at(self._sensor.height_mm)
+            self._take_height(self._sensor.height_mm)
 
-    def _read_at(self, height_mm: float) -> None:
+    def _take_height(self, height_mm: float) -> None:
         """Reads the map at this height of the skin; NaN: at the height that most of its recordings had."""
         heights = self.card.heights
         if heights is None:

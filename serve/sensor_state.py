@@ -23,14 +23,12 @@ class SensorState:
 
     def __init__(self, card: Card, given_mm: float) -> None:
         accelerometers, conditioning = card.sensor["accelerometers"], card.conditioning
-        static_v = () if card.contact is None else card.contact.static_v
-        self._drift = DriftWatch(accelerometers, conditioning.touch_axes, conditioning.scale)
-        self._attitude = (
-            Attitude(accelerometers, static_v, conditioning.scale, card.heights is not None)
-            if card.base is None
-            else None
-        )
-        self._rest_height = rest_height(card.contact, card.heights, accelerometers, conditioning.scale)
+        static_v, scale = () if card.contact is None else card.contact.static_v, conditioning.scale
+        self._drift = DriftWatch(accelerometers, conditioning.touch_axes, scale)
+        self._rest_height = rest_height(card.contact, card.heights, accelerometers, scale)
+        self._attitude = None
+        if card.base is None:
+            self._attitude = Attitude(accelerometers, static_v, scale, card.heights is not None)
         self._given_mm = given_mm
         self.reset()
 

@@ -29,6 +29,7 @@ from softslide.features.card import Card
 from softslide.features.errors import InputError
 from softslide.features.estimate import Estimate
 from softslide.features.safe_path import safe_path
+from softslide.serve.address import host_and_port
 from softslide.serve.newest import put_newest
 from softslide.serve.page.answers import answer
 from softslide.serve.page.server import FAREWELL_S, Server, about, frame
@@ -175,11 +176,11 @@ def run_page(
 
 
 def _listener(place: str) -> socket.socket:
-    host, _, port = place.rpartition(":")
-    if not (port.isascii() and port.isdigit()) or int(port) > 65535:
+    host, port = host_and_port(place)
+    if port is None:
         raise InputError(f"{place}: no port; {PLACE}", "page")
     try:
-        where = socket.getaddrinfo(host.strip("[]") or "127.0.0.1", int(port), type=socket.SOCK_STREAM)[0]
+        where = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
     except (OSError, UnicodeError):
         raise InputError(f"{place}: no such host; {PLACE}", "page") from None
     listener = socket.socket(where[0], socket.SOCK_STREAM)

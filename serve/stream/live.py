@@ -60,13 +60,11 @@ def serve(
     with _stoppable() as stopped, ExitStack() as held:
         waits = age is None or (len(sink) == 1 and page is None)
         opened = [held.enter_context(closing(open_sink(name, waits))) for name in sink]
-        shown = (
-            None
-            if page is None
-            else held.enter_context(
-                closing(Page(page, localizer.card, _name(source), Path(model), height_mm, unsigned))
-            )
-        )
+        shown = None
+        if page is not None:
+            name = source if live else Path(source).name
+            served = Page(page, localizer.card, name, Path(model), height_mm, unsigned)
+            shown = held.enter_context(closing(served))
         chunks = open_source(source, localizer.card, format) if live else played(volts, localizer.card, fast)
         if log is not None:
             from softslide.serve.stream.log import Log
@@ -99,11 +97,6 @@ def serve(
                 _without_signal(localizer, age, opened, shown)
             raise InputError(f"{source}: {error}", "source") from None
     return written
-
-
-def _name(source: str) -> str:
-    """What the page calls the source: a file without its folders."""
-    return source if source == "-" or "://" in source else Path(source).name
 
 
 Made = list[tuple[Estimate, np.ndarray]]

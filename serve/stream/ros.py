@@ -1,6 +1,5 @@
 """ROS 2, where rclpy is present: volts or accelerations in from a topic; positions, velocities and estimates out."""
 
-import json
 import math
 from collections import deque
 from collections.abc import Callable, Iterator
@@ -13,7 +12,7 @@ from softslide.features.errors import InputError
 from softslide.features.estimate import Estimate
 from softslide.features.stream.drift import measures_gravity
 from softslide.features.units import STANDARD_GRAVITY
-from softslide.serve.records import record
+from softslide.serve.records import as_json
 from softslide.serve.stream.framing import Chunk
 from softslide.serve.stream.sources import WAIT_S
 
@@ -117,7 +116,7 @@ class RosSink:
 
     def write(self, estimate: Estimate) -> None:
         """Publishes one estimate."""
-        self._estimate.publish(self._string(data=json.dumps(record(estimate), allow_nan=False)))
+        self._estimate.publish(self._string(data=as_json(estimate)))
         if not estimate.valid:
             return
         if math.isfinite(estimate.x_mm):
