@@ -39,10 +39,8 @@ def read_for(path: Path, card: Card) -> tuple[np.ndarray, float]:
     volts = np.ascontiguousarray(values[:, 1:])
     # Most of a recording is rest, or a slide of a few hundredths of a g.
     median = np.median(volts, axis=0)
-    faults = [
-        f"{part['name']}: {impossible_output(median[3 * n : 3 * n + 3], part)}"
-        for n, part in enumerate(card.sensor["accelerometers"])
-    ]
-    if all(not fault.endswith(": ") for fault in faults):
-        raise InputError(f"{path}: {faults[0]}")
+    parts = card.sensor["accelerometers"]
+    faults = [impossible_output(median[3 * n : 3 * n + 3], part) for n, part in enumerate(parts)]
+    if all(faults):
+        raise InputError(f"{path}: {parts[0]['name']}: {faults[0]}")
     return volts, rate_hz

@@ -80,10 +80,9 @@ class Localizer:
         Raises:
             InputError: the bundle is for one height, or not for this one, or follows no contacts and so has no lag.
         """
-        self._lag_s, self._lag_blocks = lag_s, _lag_blocks(card, lag_s)
+        self._options, self._lag_blocks = (height_mm, lag_s), _lag_blocks(card, lag_s)
         self._moments: deque[_Moment] = deque()
         self.card = card
-        self._named_mm = height_mm
         self._sensor = SensorState(card, given_height(card.heights, height_mm))
         self._session = session
         channels, accelerometers = len(card.channels), card.sensor["accelerometers"]
@@ -140,7 +139,7 @@ class Localizer:
             f"samples at {rate_hz:.6g} Hz are read (calibrated at {self.card.sample_rate_hz:.6g} Hz)",
             file=sys.stderr,
         )
-        return Localizer(card, self._session, self._named_mm, self._lag_s)
+        return Localizer(card, self._session, *self._options)
 
     def reset(self) -> None:
         """Forgets the stream; the static output has to be learned anew."""
@@ -180,13 +179,15 @@ class Localizer:
         Raises:
             InputError: not real numbers, another shape, or a time that is not finite; no sample was taken.
         """
-        estimates = []
+        return list(self.each(volts, time_s))
+
+    def each(self, volts: np.ndarray, time_s: np.ndarray | None = None) -> Iterator[Estimate]:
+        """As `push`, one by one and to be run to its end: what else is read in between is of the same moment."""
         for block in self._whole_blocks(volts, time_s):
             self._advance(*block)
             self._moments.append(now := self._now())
             if len(self._moments) > self._lag_blocks:
-                estimates.append(self._in_hindsight(self._moments.popleft(), now))
-        return estimates
+                yield self._in_hindsight(self._moments.popleft(), now)
 
     def rest(self) -> list[Estimate]:
         """At the end of a stream that is read with a lag, the estimates that `push` has not given yet."""
@@ -305,10 +306,8 @@ class Localizer:
             chamber, ball = self.card.sensor["chamber_mm"], self.card.sensor.get("indenter_diameter_mm", 0.0)
             estimate = held_at_rim(estimate, chamber, ball)
         if self._forces is not None:
-            gain = 1.0
-            if track is not None and estimate.contact is Contact.PRESS:
-                gain = min(max(track.gain, 0.0), 1.0)
-            estimate = self._forces.with_force(estimate, gain)
+            gain = track.gain if track is not None and estimate.contact is Contact.PRESS else 1.0
+            estimate = self._forces.with_force(estimate, min(max(gain, 0.0), 1.0))
         return self._sensor.mark(estimate)
 
     def _no_contact(self) -> Reason:
