@@ -13,6 +13,7 @@ import secrets
 import signal
 import socket
 import sys
+import tempfile
 import threading
 from collections.abc import Callable
 from contextlib import suppress
@@ -31,7 +32,6 @@ from softslide.features.estimate import Estimate
 from softslide.features.safe_path import safe_path
 from softslide.serve.address import host_and_port
 from softslide.serve.newest import put_newest
-from softslide.serve.page.answers import answer
 from softslide.serve.page.server import FAREWELL_S, Server, about, frame
 
 PLACE = "write PORT or HOST:PORT, port 0 for any that is free"
@@ -173,6 +173,25 @@ def run_page(
     except (EOFError, OSError):
         os._exit(1)
     server.close()
+
+
+def answer(bundle: Path, height_mm: float | None, unsigned: bool, recording: bytes) -> dict[str, Any]:
+    """What `softslide predict` says of a recording in CSV, but for its name.
+
+    Raises:
+        InputError: it is not a recording, or not of this bundle's sensor; or the bundle is refused by now.
+    """
+    # A page that nobody asks this needs no ONNX Runtime.
+    from softslide.serve.predict import predict
+
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "recording.csv"
+        path.write_bytes(recording)
+        try:
+            (estimate,) = predict(bundle, [path], height_mm=height_mm, unsigned=unsigned)
+        except InputError as error:
+            raise InputError(str(error).replace(f"{path}", "recording")) from None
+    return {name: value for name, value in estimate.items() if name not in ("recording", "file")}
 
 
 def _listener(place: str) -> socket.socket:
