@@ -30,6 +30,11 @@ def check_fields(card: "Card") -> None:
     _number(card.sample_rate_hz, "sample_rate_hz", 0.0, HIGHEST_RATE_HZ, above=True)
     _numbers(card.reference_mm, "reference_mm", 2, -MOST_MM, MOST_MM)
     _sensor(card.sensor)
+    names = tuple(f"a{n}_v{axis}" for n in range(len(card.sensor["accelerometers"])) for axis in "xyz")
+    if card.channels != names:
+        raise ValueError(
+            f"channels are {', '.join(map(str, card.channels))}, the sensor's are {', '.join(names)}"
+        )
     if card.samples_per_block < 1:
         raise ValueError(
             f"sample_rate_hz {card.sample_rate_hz:g} gives no sample in a block of {card.conditioning.block_s:g} s"

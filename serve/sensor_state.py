@@ -16,9 +16,9 @@ _WITHOUT_REST = (Reason.DEAD_CHANNEL, Reason.UNKNOWN_ZERO)
 
 
 class SensorState:
-    """Of one stream. given_mm: the skin's height; NaN: as the static output shows it.
+    """Of one stream: it stays what it was while nothing is at rest.
 
-    height_mm: the skin's; NaN: not known. Each stays what it was while nothing is at rest.
+    given_mm: the skin's height; NaN: as the static output shows it. height_mm: the skin's height; NaN: not known.
     """
 
     def __init__(self, card: Card, given_mm: float) -> None:
