@@ -48,8 +48,6 @@ UNITS = {
     "straight": "1",
     **dict.fromkeys(BENT, "1"),
 }
-# Of each at least one is an output.
-NEEDED = (("direction_cos",), ("direction_sin",), ("offset_mm",), ("log_speed", "log_speed_width"))
 
 COVERAGE = 0.9  # of every interval
 # Half a 90 % interval of a normal error, in standard deviations: the normal distribution's 95 % quantile.
@@ -105,8 +103,8 @@ class Card:
     model for one. base: how the outputs follow the base's, None: no base is read.
 
     Raises:
-        ValueError: an unknown input or output, one that is missing or named twice, channels that are not the
-            sensor's, or a field of another type or outside its range (features/card_fields.py).
+        ValueError: an unknown input or output, channels that are not the sensor's, or a field of another type or
+            outside its range (features/card_fields.py).
     """
 
     model: str
@@ -132,11 +130,6 @@ class Card:
             raise ValueError(f"input is '{self.input}'; known are {', '.join(INPUTS)}")
         if unknown := [name for name in self.outputs if name not in UNITS]:
             raise ValueError(f"output '{unknown[0]}' is unknown; known are {', '.join(UNITS)}")
-        if len(set(self.outputs)) < len(self.outputs):
-            raise ValueError("an output is named twice")
-        for one_of in NEEDED:
-            if not set(one_of) & set(self.outputs):
-                raise ValueError(f"output {one_of[0]} is missing")
         check_fields(self)
 
     @property
