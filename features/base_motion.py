@@ -35,22 +35,13 @@ class BaseMotion:
 
     gains: (C, 3), V of the skin for each V of the base's V_x, V_y, V_z. base_v: (3,) V, static_v: (C,) V, what base and
     skin read untouched, in the attitude of the calibration. gravity_v: (C,) V, what gravity makes of static_v; 0 of
-    another sensing element, whose answer to a contact does not depend on gravity.
-
-    Raises:
-        ValueError: the sizes do not belong together.
+    another sensing element, whose answer to a contact does not depend on gravity. `Card` checks the sizes.
     """
 
     gains: tuple[tuple[float, float, float], ...]
     base_v: tuple[float, float, float]
     static_v: tuple[float, ...]
     gravity_v: tuple[float, ...]
-
-    def __post_init__(self) -> None:
-        channels = len(self.gains)
-        sizes = [len(row) for row in self.gains] + [len(self.base_v)]
-        if set(sizes) != {3} or len(self.static_v) != channels or len(self.gravity_v) != channels:
-            raise ValueError("base: gains, base_v, static_v and gravity_v are not of the same accelerometers")
 
     def without(self, volts: np.ndarray, base_v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """What the skin would read in the attitude of the calibration: volts (..., C) V, base_v (..., 3) V -> the same.

@@ -2,9 +2,10 @@
 
 import json
 import math
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, fields, is_dataclass, replace
 from pathlib import Path
-from typing import Any
+from types import UnionType
+from typing import Any, get_args, get_origin, get_type_hints
 
 import numpy as np
 
@@ -102,8 +103,8 @@ class Card:
     model for one. base: how the outputs follow the base's, None: no base is read.
 
     Raises:
-        ValueError: an unknown input or output, channels that are no whole number of accelerometers, or a field of
-            another type or outside its range (features/card_fields.py).
+        ValueError: an unknown input or output, channels that are not the sensor's, or a field of another type or
+            outside its range (features/card_fields.py).
     """
 
     model: str
@@ -129,8 +130,6 @@ class Card:
             raise ValueError(f"input is '{self.input}'; known are {', '.join(INPUTS)}")
         if unknown := [name for name in self.outputs if name not in UNITS]:
             raise ValueError(f"output '{unknown[0]}' is unknown; known are {', '.join(UNITS)}")
-        if not self.channels or len(self.channels) % 3:
-            raise ValueError(f"{len(self.channels)} channels; each accelerometer has three")
         check_fields(self)
 
     @property
@@ -245,46 +244,26 @@ def _table(path: Path, unsigned: bool) -> dict[str, Any]:
 
 
 def _card(table: dict[str, Any]) -> Card:
-    limits: dict[str, Any] = {k: math.inf if v is None else v for k, v in table["validity"].items()}
-    lists = ("outputs", "channels", "reference_mm")
-    for values in (*(table[name] for name in lists), limits["speed_mm_s"]):
-        if not isinstance(values, list):
-            raise TypeError(f"{', '.join(lists)} and speed_mm_s are lists")
-    limits["speed_mm_s"] = tuple(limits["speed_mm_s"])
+    limits = {name: math.inf if limit is None else limit for name, limit in table["validity"].items()}
     limits.pop("strain", None)  # a limit that bundles had until intervals grew with the strain
-    return Card(
-        **{
-            **table,
-            **{name: tuple(table[name]) for name in lists},
-            "conditioning": Conditioning(**table["conditioning"]),
-            "intervals": {k: Interval(**v) for k, v in table["intervals"].items()},
-            "validity": Validity(**limits),
-            "force": None if table["force"] is None else _force(table["force"]),
-            "heights": None if table["heights"] is None else HeightCalibration(**table["heights"]),
-            "contact": None if table["contact"] is None else _contact(table["contact"]),
-            "base": None if table["base"] is None else _base(table["base"]),
-        }
-    )
+    return _typed(Card, {**table, "validity": limits})
 
 
-def _force(table: dict[str, Any]) -> ForceMap:
-    if "steps_mn" not in table:
-        raise ValueError("force has no steps_mn, as in bundles of an older development version")
-    return ForceMap(**{**table, "steps_mn": tuple(table["steps_mn"])})
-
-
-def _contact(table: dict[str, Any]) -> ContactCalibration:
-    # Bundles made before presses or heights were detected know no inflation and no static output.
-    lists = {"chamber_mm", "noise_v"} | {"inflation_v_per_mm", "static_v"} & table.keys()
-    rows = tuple(tuple(row) for row in table.get("static_covariance_v2", ()))
-    lists_of = {name: tuple(table[name]) for name in lists}
-    return ContactCalibration(**{**table, **lists_of, "static_covariance_v2": rows})
-
-
-def _base(table: dict[str, Any]) -> BaseMotion:
-    gains = tuple(tuple(row) for row in table["gains"])
-    lists = ("base_v", "static_v", "gravity_v")
-    return BaseMotion(**{**table, "gains": gains, **{name: tuple(table[name]) for name in lists}})
+def _typed(hint: Any, value: Any) -> Any:
+    """What JSON holds for a field of this type: of a table a dataclass, of a list a tuple."""
+    origin, kinds = get_origin(hint), get_args(hint)
+    if origin is UnionType:
+        return None if value is None else _typed(kinds[0], value)
+    if is_dataclass(hint):
+        hints = get_type_hints(hint)
+        return hint(**{name: _typed(hints.get(name), item) for name, item in value.items()})  # type: ignore[operator]
+    if origin is dict and isinstance(value, dict):
+        return {name: _typed(kinds[1], item) for name, item in value.items()}
+    if origin is tuple:
+        if not isinstance(value, list):
+            raise TypeError(f"{value!r:.40} is no list")
+        return tuple(_typed(kinds[0], item) for item in value)
+    return value
 
 
 def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

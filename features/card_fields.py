@@ -1,8 +1,7 @@
 """The types and ranges of a model card's fields: what lies outside them would fail, or answer wrongly, later."""
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from softslide.features.names import check_plain
@@ -14,10 +13,6 @@ if TYPE_CHECKING:
 # Orders of magnitude beyond any sensor that is built; they bound the memory and the work of a stream.
 MOST_ACCELEROMETERS = 64
 HIGHEST_RATE_HZ = 1e6
-LONGEST_BLOCK_S = 1.0
-MOST_BLOCKS = 1_000_000
-# An estimate is made of the mean of so many blocks, held in memory.
-MOST_TRIGGER_BLOCKS = 1000
 MOST_MM = 1e4
 MOST_VOLTS = 1e3
 # Of anything else: times in s, speeds in mm/s, factors.
@@ -30,22 +25,31 @@ def check_fields(card: "Card") -> None:
     Raises:
         ValueError: a field has another type, or its value lies outside its range.
     """
-    check_plain(text(card.model, "model"), "model")
-    text(card.graph_sha256, "graph_sha256")
-    number(card.sample_rate_hz, "sample_rate_hz", 0.0, HIGHEST_RATE_HZ, above=True)
-    numbers(card.reference_mm, "reference_mm", 2, -MOST_MM, MOST_MM)
+    check_plain(_text(card.model, "model"), "model")
+    _text(card.graph_sha256, "graph_sha256")
+    _number(card.sample_rate_hz, "sample_rate_hz", 0.0, HIGHEST_RATE_HZ, above=True)
+    _numbers(card.reference_mm, "reference_mm", 2, -MOST_MM, MOST_MM)
     _sensor(card.sensor)
-    _conditioning(card)
+    names = tuple(f"a{n}_v{axis}" for n in range(len(card.sensor["accelerometers"])) for axis in "xyz")
+    if card.channels != names:
+        raise ValueError(
+            f"channels are {', '.join(map(str, card.channels))}, the sensor's are {', '.join(names)}"
+        )
+    if card.samples_per_block < 1:
+        raise ValueError(
+            f"sample_rate_hz {card.sample_rate_hz:g} gives no sample in a block of {card.conditioning.block_s:g} s"
+        )
     for name, interval in card.intervals.items():
-        number(interval.scale, f"intervals: {name}: scale", 0.0, LARGEST)
-        number(interval.floor, f"intervals: {name}: floor", 0.0, LARGEST)
-    speeds = numbers(card.validity.speed_mm_s, "validity: speed_mm_s", 2, 0.0, LARGEST)
+        _number(interval.scale, f"intervals: {name}: scale", 0.0, LARGEST)
+        _number(interval.floor, f"intervals: {name}: floor", 0.0, LARGEST)
+    speeds = card.validity.speed_mm_s
+    _numbers(speeds, "validity: speed_mm_s", 2, 0.0, LARGEST)
     if not 0 < speeds[0] <= speeds[1]:
         raise ValueError(f"validity: speed_mm_s is {list(speeds)}; it must be positive and rise")
-    number(card.validity.peak_v, "validity: peak_v", 0.0, MOST_VOLTS)
+    _number(card.validity.peak_v, "validity: peak_v", 0.0, MOST_VOLTS)
     for name in ("offset_mm", "misfit", "direction_sd_deg", "log_speed_sd"):
         if (limit := getattr(card.validity, name)) != math.inf:
-            number(limit, f"validity: {name}", 0.0, LARGEST)
+            _number(limit, f"validity: {name}", 0.0, LARGEST)
     axes = len(card.conditioning.touch_axes)
     if card.contact is not None and 3 * len(card.contact.noise_v) != axes * len(card.channels):
         raise ValueError(
@@ -56,8 +60,8 @@ def check_fields(card: "Card") -> None:
             raise ValueError("heights: its map is not like the one of contact")
         card.heights.splines(len(card.contact.noise_v))
     _base(card)
-    table(card.provenance, "provenance")
-    _golden(table(card.golden, "golden"))
+    _table(card.provenance, "provenance")
+    _golden(_table(card.golden, "golden"))
 
 
 def _golden(golden: Mapping[str, Any]) -> None:
@@ -66,29 +70,29 @@ def _golden(golden: Mapping[str, Any]) -> None:
         return
     if set(golden) != {"inputs", "estimate"}:
         raise ValueError("golden holds other keys than inputs and estimate")
-    table(golden["inputs"], "golden: inputs")
+    _table(golden["inputs"], "golden: inputs")
     estimate = golden["estimate"]
     count = len(estimate) if isinstance(estimate, list | tuple) else 1
-    numbers(estimate, "golden: estimate", count, -math.inf, math.inf)
+    _numbers(estimate, "golden: estimate", count, -math.inf, math.inf)
 
 
 def _sensor(sensor: Any) -> None:
-    accelerometers = table(sensor, "sensor").get("accelerometers")
+    accelerometers = _table(sensor, "sensor").get("accelerometers")
     if not isinstance(accelerometers, list | tuple) or not 1 <= len(accelerometers) <= MOST_ACCELEROMETERS:
         raise ValueError(f"sensor: accelerometers is no list of 1 to {MOST_ACCELEROMETERS}")
-    check_plain(text(sensor.get("name"), "sensor: name"), "sensor: name")
-    numbers(sensor.get("chamber_mm"), "sensor: chamber_mm", 2, 0.0, MOST_MM)
-    number(sensor.get("indenter_diameter_mm", 0.0), "sensor: indenter_diameter_mm", 0.0, MOST_MM)
-    number(sensor.get("adc_step_v", 0.0), "sensor: adc_step_v", 0.0, LARGEST)
+    check_plain(_text(sensor.get("name"), "sensor: name"), "sensor: name")
+    _numbers(sensor.get("chamber_mm"), "sensor: chamber_mm", 2, 0.0, MOST_MM)
+    _number(sensor.get("indenter_diameter_mm", 0.0), "sensor: indenter_diameter_mm", 0.0, MOST_MM)
+    _number(sensor.get("adc_step_v", 0.0), "sensor: adc_step_v", 0.0, LARGEST)
     for n, accelerometer in enumerate(accelerometers):
         place = f"sensor: accelerometer {n}"
-        table(accelerometer, place)
+        _table(accelerometer, place)
         for key in ("x_mm", "y_mm"):
-            number(accelerometer.get(key), f"{place}: {key}", -MOST_MM, MOST_MM)
-        check_plain(text(accelerometer.get("name", "a"), f"{place}: name"), f"{place}: name")
-        text(accelerometer.get("kind", "accelerometer"), f"{place}: kind")
+            _number(accelerometer.get(key), f"{place}: {key}", -MOST_MM, MOST_MM)
+        check_plain(_text(accelerometer.get("name", "a"), f"{place}: name"), f"{place}: name")
+        _text(accelerometer.get("kind", "accelerometer"), f"{place}: kind")
         for key in ("zero_g_v", "sensitivity_v_per_g") if measures_gravity(accelerometer) else ():
-            number(accelerometer.get(key), f"{place}: {key}", 0.0, MOST_VOLTS, above=True)
+            _number(accelerometer.get(key), f"{place}: {key}", 0.0, MOST_VOLTS, above=True)
 
 
 def _base(card: "Card") -> None:
@@ -98,73 +102,37 @@ def _base(card: "Card") -> None:
     if len(card.base.gains) != channels:
         raise ValueError(f"base: {len(card.base.gains)} rows of gains for {channels} channels")
     for row in card.base.gains:
-        numbers(row, "base: gains", 3, -LARGEST, LARGEST)
-    numbers(card.base.base_v, "base: base_v", 3, -MOST_VOLTS, MOST_VOLTS)
-    numbers(card.base.static_v, "base: static_v", channels, -LARGEST, LARGEST)
-    numbers(card.base.gravity_v, "base: gravity_v", channels, -MOST_VOLTS, MOST_VOLTS)
-    base = table(card.sensor.get("base"), "sensor: base")
-    number(base.get("zero_g_v"), "sensor: base: zero_g_v", 0.0, MOST_VOLTS, above=True)
+        _numbers(row, "base: gains", 3, -LARGEST, LARGEST)
+    _numbers(card.base.base_v, "base: base_v", 3, -MOST_VOLTS, MOST_VOLTS)
+    _numbers(card.base.static_v, "base: static_v", channels, -LARGEST, LARGEST)
+    _numbers(card.base.gravity_v, "base: gravity_v", channels, -MOST_VOLTS, MOST_VOLTS)
+    base = _table(card.sensor.get("base"), "sensor: base")
+    _number(base.get("zero_g_v"), "sensor: base: zero_g_v", 0.0, MOST_VOLTS, above=True)
 
 
-def _conditioning(card: "Card") -> None:
-    for name, value in asdict(card.conditioning).items():
-        if name.endswith("_blocks"):
-            most = MOST_TRIGGER_BLOCKS if name == "trigger_blocks" else MOST_BLOCKS
-            number(value, f"conditioning: {name}", 1, most)
-        elif name.endswith("_v"):
-            number(value, f"conditioning: {name}", 0.0, MOST_VOLTS)
-        elif name.endswith("_s"):
-            number(value, f"conditioning: {name}", 0.0, LARGEST)
-    number(card.conditioning.block_s, "conditioning: block_s", 0.0, LONGEST_BLOCK_S)
-    if card.samples_per_block < 1:
-        raise ValueError(
-            f"sample_rate_hz {card.sample_rate_hz:g} gives no sample in a block of {card.conditioning.block_s:g} s"
-        )
-
-
-def number(value: Any, name: str, low: float, high: float, above: bool = False) -> float:
-    """A real number in low..high. above: it must be more than `low`.
-
-    Raises:
-        ValueError: it is not valid.
-    """
+def _number(value: Any, name: str, low: float, high: float, above: bool = False) -> None:
+    """Checks a real number: in low..high. above: it must be more than `low`."""
     if isinstance(value, bool) or not isinstance(value, int | float) or math.isnan(value):
         raise ValueError(f"{name} is no number")
     if not low <= value <= high or (above and value == low):
         raise ValueError(f"{name} is {value:g}; it must lie in {low:g}..{high:g}")
-    return value
 
 
-def numbers(value: Any, name: str, count: int, low: float, high: float) -> Sequence[float]:
-    """So many real numbers, each in low..high.
-
-    Raises:
-        ValueError: they are not valid.
-    """
+def _numbers(value: Any, name: str, count: int, low: float, high: float) -> None:
+    """Checks so many real numbers, each in low..high."""
     if not isinstance(value, list | tuple) or len(value) != count:
         raise ValueError(f"{name} is no list of {count} numbers")
     for item in value:
-        number(item, name, low, high)
-    return value
+        _number(item, name, low, high)
 
 
-def text(value: Any, name: str) -> str:
-    """A text.
-
-    Raises:
-        ValueError: it is not valid.
-    """
+def _text(value: Any, name: str) -> str:
     if not isinstance(value, str):
         raise ValueError(f"{name} is no text")
     return value
 
 
-def table(value: Any, name: str) -> Mapping[str, Any]:
-    """A table of keys and values.
-
-    Raises:
-        ValueError: it is not valid.
-    """
+def _table(value: Any, name: str) -> Mapping[str, Any]:
     if not isinstance(value, Mapping):
         raise ValueError(f"{name} is no table")
     return value

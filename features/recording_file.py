@@ -27,23 +27,15 @@ def read_samples(path: Path, columns: Sequence[str], missing: str = "name a reco
     if kind not in (".csv", ".parquet"):
         raise InputError(f"{path}: neither .csv nor .parquet; turn it into one with 'softslide import'")
     read = _read_csv if kind == ".csv" else _read_parquet
-    return finite(path, columns, read(path, columns, missing))
-
-
-def finite(place: Path | str, columns: Sequence[str], values: np.ndarray) -> np.ndarray:
-    """The values (n, C) of columns of these names. place: opens an error's message.
-
-    Raises:
-        InputError: fewer than two rows, or a cell that is no finite number.
-    """
+    values = read(path, columns, missing)
     if len(values) < 2:
         raise InputError(
-            f"{place}: {len(values)} samples, at least two are needed; record it again or drop it"
+            f"{path}: {len(values)} samples, at least two are needed; record it again or drop it"
         )
     if (bad := ~np.isfinite(values)).any():
         row, column = (int(n) for n in np.argwhere(bad)[0])
         raise InputError(
-            f"{place}: row {row + 1}, column {columns[column]} is {values[row, column]}, not a finite number; "
+            f"{path}: row {row + 1}, column {columns[column]} is {values[row, column]}, not a finite number; "
             "record it again or drop the recording"
         )
     return values

@@ -13,6 +13,20 @@ def read_regular(path: Path, most_bytes: int, remedy: str) -> bytes:
     Raises:
         InputError: no such file, not a regular file, more than `most_bytes`, or it cannot be read.
     """
+    return _content(path, most_bytes, remedy, most_bytes + 1)
+
+
+def check_regular(path: Path, most_bytes: int, remedy: str) -> None:
+    """Refuses what `read_regular` would, for a library that reads the file itself.
+
+    Raises:
+        InputError: as `read_regular`.
+    """
+    _content(path, most_bytes, remedy, 0)
+
+
+def _content(path: Path, most_bytes: int, remedy: str, count: int) -> bytes:
+    """So many bytes of the file, fewer where it ends."""
     # Without waiting: to open a pipe that nobody writes to would block.
     flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
     try:
@@ -21,7 +35,7 @@ def read_regular(path: Path, most_bytes: int, remedy: str) -> bytes:
             status = os.fstat(descriptor)
             if not stat.S_ISREG(status.st_mode):
                 raise InputError(f"{path}: not a regular file; {remedy}")
-            content = b"" if status.st_size > most_bytes else _read(descriptor, most_bytes + 1)
+            content = b"" if status.st_size > most_bytes else _read(descriptor, count)
         finally:
             os.close(descriptor)
     except FileNotFoundError:
@@ -33,28 +47,8 @@ def read_regular(path: Path, most_bytes: int, remedy: str) -> bytes:
     return content
 
 
-def check_regular(path: Path, most_bytes: int, remedy: str) -> None:
-    """Refuses what `read_regular` would, for a library that reads the file itself.
-
-    Raises:
-        InputError: as `read_regular`.
-    """
-    try:
-        status = path.stat()
-        if not stat.S_ISREG(status.st_mode):
-            raise InputError(f"{path}: not a regular file; {remedy}")
-        # Who may read it.
-        path.open("rb").close()
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file; {remedy}") from None
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); {remedy}") from None
-    if status.st_size > most_bytes:
-        raise InputError(f"{path}: larger than {most_bytes / 1e6:.3g} MB; {remedy}")
-
-
-def _read(descriptor: int, most_bytes: int) -> bytes:
-    parts, left = [], most_bytes
+def _read(descriptor: int, count: int) -> bytes:
+    parts, left = [], count
     while left and (part := os.read(descriptor, min(left, 1 << 20))):
         parts.append(part)
         left -= len(part)

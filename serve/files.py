@@ -8,7 +8,7 @@ import numpy as np
 from softslide.features.card import Card
 from softslide.features.clock import check_clock, own_rate_hz
 from softslide.features.errors import InputError
-from softslide.features.recording_file import finite, read_samples
+from softslide.features.recording_file import read_samples
 from softslide.features.units import impossible_output
 
 
@@ -20,8 +20,9 @@ def read_recording(path: Path, channels: Sequence[str], rate_hz: float) -> np.nd
     Raises:
         InputError: as `read_samples`, a gap in time, or another rate than `rate_hz`.
     """
-    columns = ("time_s", *channels)
-    return checked_volts(path, columns, read_samples(path, columns), rate_hz)
+    values = read_samples(path, ("time_s", *channels))
+    check_clock(path, values[:, 0], rate_hz)
+    return np.ascontiguousarray(values[:, 1:])
 
 
 def read_for(path: Path, card: Card) -> tuple[np.ndarray, float]:
@@ -31,31 +32,15 @@ def read_for(path: Path, card: Card) -> tuple[np.ndarray, float]:
         InputError: as `read_recording`, a rate that is not read, or numbers that are volts of none of the
             accelerometers.
     """
-    columns = ("time_s", *card.columns)
-    values = read_samples(path, columns)
+    values = read_samples(path, ("time_s", *card.columns))
     rate_hz = own_rate_hz(values[:, 0], card.sample_rate_hz)
-    volts = checked_volts(path, columns, values, rate_hz)
+    check_clock(path, values[:, 0], rate_hz)
     card.at_rate(rate_hz, f"{path}: column time_s:")
+    volts = np.ascontiguousarray(values[:, 1:])
     # Most of a recording is rest, or a slide of a few hundredths of a g.
     median = np.median(volts, axis=0)
-    faults = [
-        f"{part['name']}: {impossible_output(median[3 * n : 3 * n + 3], part)}"
-        for n, part in enumerate(card.sensor["accelerometers"])
-    ]
-    if all(not fault.endswith(": ") for fault in faults):
-        raise InputError(f"{path}: {faults[0]}")
+    parts = card.sensor["accelerometers"]
+    faults = [impossible_output(median[3 * n : 3 * n + 3], part) for n, part in enumerate(parts)]
+    if all(faults):
+        raise InputError(f"{path}: {parts[0]['name']}: {faults[0]}")
     return volts, rate_hz
-
-
-def checked_volts(
-    place: Path | str, columns: Sequence[str], values: np.ndarray, rate_hz: float
-) -> np.ndarray:
-    """The volts (n, C) of a recording's table (n, 1 + C) with these columns, the first its time in s.
-
-    place: opens an error's message.
-
-    Raises:
-        InputError: a cell that is not a finite number, too few samples, a gap in time, or another rate than `rate_hz`.
-    """
-    check_clock(place, finite(place, columns, values)[:, 0], rate_hz)
-    return np.ascontiguousarray(values[:, 1:])

@@ -6,6 +6,7 @@ which need not end, and single operators and constants that would exhaust memory
 operator to operator, by joining and by products; the bundle's example is also run against a clock.
 """
 
+import math
 import re
 import struct
 from collections.abc import Iterator
@@ -118,10 +119,8 @@ def check_sizes(asked: list[tuple[str, bytes]], constants: Constants) -> None:
 
 def check_elements(asking: str, sizes: list[int], most: int = MOST_ELEMENTS) -> None:
     """Checks that sizes are few and their product is at most `most`. asking: begins the error."""
-    count = 1
-    for size in sizes:
-        count = min(count * max(1, abs(size)), most + 1)
-    if count > most or len(sizes) > MOST_SIZES:
+    # Few first: the product of many has any number of digits.
+    if len(sizes) > MOST_SIZES or math.prod(max(1, abs(size)) for size in sizes) > most:
         raise ValueError(f"{asking} asks for more than {most} elements or {MOST_SIZES} dimensions")
 
 

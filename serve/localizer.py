@@ -18,10 +18,7 @@ from softslide.features.errors import InputError
 from softslide.features.estimate import Contact, Estimate, Reason, decode
 from softslide.features.force import ForceReader
 from softslide.features.height import HEIGHT_INPUT, given_height
-from softslide.features.rest_height import rest_height
-from softslide.features.stream.attitude import Attitude
 from softslide.features.stream.conditioning import Blocks
-from softslide.features.stream.drift import UNKNOWN, DriftWatch
 from softslide.features.stream.faults import (
     BRIDGED_BLOCKS,
     FROZEN_BLOCKS,
@@ -38,16 +35,15 @@ from softslide.features.window import WINDOW_BINS, Window
 from softslide.serve.bundle import open_bundle
 from softslide.serve.contact_estimate import FIT_BLOCKS, ContactEstimator
 from softslide.serve.sample_slots import SampleClock, checked_samples
+from softslide.serve.sensor_state import SensorState
 
 # Largest share of a slide's blocks whose means may be old ones (features/stream/faults.py); above it none is valid.
 BRIDGED_SHARE = 0.05
-# Blocks, 1 s, between two readings of the drift at rest; the static output's memory is 30 s.
+# Blocks, 1 s, between two readings of the sensor's state at rest; the static output's memory is 30 s.
 DRIFT_BLOCKS = 50
 # The tracker's map is of the skin's height rounded to this, 0.3 % of the response, and mixed anew for another one.
 MAP_STEP_MM = 0.03
 _OUTPUT = ["estimate"]
-# What forbids it whatever the skin's height and attitude.
-_WITHOUT_REST = (Reason.DEAD_CHANNEL, Reason.UNKNOWN_ZERO)
 # With a lag: what forbids the estimate of its own moment and of those before it that are not given yet.
 _OF_ANY_LAG = (
     *(Reason.DEAD_CHANNEL, Reason.DRIFT, Reason.STRENGTH, Reason.UNKNOWN_ZERO),
@@ -84,11 +80,10 @@ class Localizer:
         Raises:
             InputError: the bundle is for one height, or not for this one, or follows no contacts and so has no lag.
         """
-        self._lag_s, self._lag_blocks = lag_s, _lag_blocks(card, lag_s)
+        self._options, self._lag_blocks = (height_mm, lag_s), _lag_blocks(card, lag_s)
         self._moments: deque[_Moment] = deque()
         self.card = card
-        self._named_mm = height_mm
-        self._given_mm = given_height(card.heights, height_mm)
+        self._sensor = SensorState(card, given_height(card.heights, height_mm))
         self._session = session
         channels, accelerometers = len(card.channels), card.sensor["accelerometers"]
         self._blocks = Blocks(len(card.columns), card.block_samples)
@@ -100,16 +95,8 @@ class Localizer:
         base = [] if card.base is None else [card.sensor["base"]]
         self._watch = SignalWatch(*output_range([*accelerometers, *base]), read, _frozen_blocks(card))
         self._tracker = SlideTracker(card.conditioning, channels)
-        self._drift = DriftWatch(accelerometers, card.conditioning.touch_axes, card.conditioning.scale)
         self._gravity = GravityWatch(accelerometers, card.conditioning)
         self._contact = ContactEstimator(card, self._tracker, self._lag_blocks)
-        self._rest_height = rest_height(card.contact, card.heights, accelerometers, card.conditioning.scale)
-        static_v = () if card.contact is None else card.contact.static_v
-        self._attitude = (
-            Attitude(accelerometers, static_v, card.conditioning.scale, card.heights is not None)
-            if card.base is None
-            else None
-        )
         self._forces = None if card.force is None else ForceReader(card.force)
         self._inputs = {
             "volts": np.zeros((1, channels, WINDOW_BINS), np.float32),
@@ -152,7 +139,7 @@ class Localizer:
             f"samples at {rate_hz:.6g} Hz are read (calibrated at {self.card.sample_rate_hz:.6g} Hz)",
             file=sys.stderr,
         )
-        return Localizer(card, self._session, self._named_mm, self._lag_s)
+        return Localizer(card, self._session, *self._options)
 
     def reset(self) -> None:
         """Forgets the stream; the static output has to be learned anew."""
@@ -166,19 +153,15 @@ class Localizer:
         """Learns the static output anew, while the stream goes on."""
         self._watch.reset()
         self._tracker.reset()
-        self._drift.reset()
+        self._sensor.reset()
         self._contact.reset()
-        self._height_mm = math.nan
-        self._take_height(self._given_mm)
-        # What the output at rest forbids.
-        self._at_rest = Reason.NONE
+        self._take_height(self._sensor.height_mm)
         self._bridged = 0
         self._slide_blocks = 0
         self._whole = True
         self._healthy = np.ones(len(self.card.channels) // 3, dtype=bool)
         self._bridging = ~self._healthy
         self._held: tuple[Window, Estimate] | None = None
-        self._last_drift = UNKNOWN
 
     def feed(self, volts: np.ndarray, time_s: np.ndarray | None = None) -> None:
         """Takes samples as `push` does, without computing estimates."""
@@ -196,17 +179,15 @@ class Localizer:
         Raises:
             InputError: not real numbers, another shape, or a time that is not finite; no sample was taken.
         """
-        estimates = []
+        return list(self.each(volts, time_s))
+
+    def each(self, volts: np.ndarray, time_s: np.ndarray | None = None) -> Iterator[Estimate]:
+        """As `push`, one by one and to be run to its end: what else is read in between is of the same moment."""
         for block in self._whole_blocks(volts, time_s):
             self._advance(*block)
-            now = self._now()
-            if not self._lag_blocks:
-                estimates.append(now.live)
-                continue
-            self._moments.append(now)
+            self._moments.append(now := self._now())
             if len(self._moments) > self._lag_blocks:
-                estimates.append(self._in_hindsight(self._moments.popleft(), now))
-        return estimates
+                yield self._in_hindsight(self._moments.popleft(), now)
 
     def rest(self) -> list[Estimate]:
         """At the end of a stream that is read with a lag, the estimates that `push` has not given yet."""
@@ -223,12 +204,11 @@ class Localizer:
     def _now(self) -> _Moment:
         tracker = self._tracker
         time_s = self._clock.start_s + self._count * self.card.conditioning.block_s
-        window = tracker.window()
         if tracker.state is SlideState.ENDED:
             assert self._held is not None
             return _Moment(self._held[1]._replace(time_s=time_s), None)
         straight = self._contact.latest_fit(self._slide_blocks)
-        if straight is None and window is not None:
+        if straight is None and (window := tracker.window()) is not None:
             straight = self._fitted(window)
         if straight is not None:
             straight = self._permitted(straight._replace(time_s=time_s))
@@ -294,11 +274,9 @@ class Localizer:
     def _fitted(self, window: Window) -> Estimate:
         """The graph's estimate: a straight slide at constant speed."""
         row = self.infer(self.inputs(window))
-        width = (
-            float(energy_width_s(window.volts, np.asarray(window.elapsed_s)))
-            if "log_speed_width" in self.card.outputs
-            else math.nan
-        )
+        width = math.nan
+        if "log_speed_width" in self.card.outputs:
+            width = float(energy_width_s(window.volts, np.asarray(window.elapsed_s)))
         return decode(row, self.card, window, self._tracker.state, 0.0, width)
 
     def _permitted(self, straight: Estimate) -> Estimate:
@@ -310,21 +288,16 @@ class Localizer:
             reason = Reason.DRIFT
         elif not tracker.moved:
             reason = Reason.TOO_EARLY
-        return straight._replace(
-            valid=reason is Reason.NONE, reason=reason, accelerometers=tracker.usable.tolist().count(True)
-        )
+        return straight._replace(valid=reason is Reason.NONE, reason=reason)
 
     def _chosen(self, straight: Estimate | None, time_s: float) -> Estimate:
         """The straight slide or the track; what is common to both is added."""
         tracker = self._tracker
         found = self._contact.estimate(straight, time_s, any(self._healthy.tolist()))
-        if found is None:
-            estimate = straight or Estimate(time_s, tracker.state, reason=self._no_contact())
-        else:
-            estimate = found._replace(
-                misfit=math.nan if straight is None else straight.misfit,
-                accelerometers=tracker.usable.tolist().count(True) if straight is not None else 0,
-            )
+        estimate = found or straight or Estimate(time_s, tracker.state, reason=self._no_contact())
+        if straight is not None:
+            used = tracker.usable.tolist().count(True)
+            estimate = estimate._replace(misfit=straight.misfit, accelerometers=used)
         return self._complete(estimate, self._contact.track)
 
     def _complete(self, estimate: Estimate, track: Track | None) -> Estimate:
@@ -333,51 +306,28 @@ class Localizer:
             chamber, ball = self.card.sensor["chamber_mm"], self.card.sensor.get("indenter_diameter_mm", 0.0)
             estimate = held_at_rim(estimate, chamber, ball)
         if self._forces is not None:
-            gain = 1.0
-            if track is not None and estimate.contact is Contact.PRESS:
-                gain = min(max(track.gain, 0.0), 1.0)
-            estimate = self._forces.with_force(estimate, gain)
-        if self._at_rest is not Reason.NONE and estimate.reason not in _WITHOUT_REST:
-            estimate = estimate._replace(valid=False, reason=self._at_rest)
-        return estimate._replace(**self._last_drift._asdict(), skin_height_mm=self._height_mm)
+            gain = track.gain if track is not None and estimate.contact is Contact.PRESS else 1.0
+            estimate = self._forces.with_force(estimate, min(max(gain, 0.0), 1.0))
+        return self._sensor.mark(estimate)
 
     def _no_contact(self) -> Reason:
         if not any(self._healthy.tolist()):
             return Reason.DEAD_CHANNEL
         return Reason.NO_CONTACT if any(self._tracker.known.tolist()) else Reason.UNKNOWN_ZERO
 
-    def _read_rest(self) -> None:
-        """Attitude and height of the skin, from what is at rest: they stay what they were while nothing is."""
-        tracker = self._tracker
-        usable = tracker.known & self._healthy
-        if not usable.any():
-            return
-        if self._attitude is not None:
-            if self._attitude.is_other(tracker.static, usable):
-                self._at_rest = Reason.ATTITUDE
-                return
-            if self._attitude.may_be_touched(tracker.static, usable, tracker.static_output.rested_blocks):
-                self._at_rest = Reason.UNKNOWN_ZERO
-                return
-        if self._at_rest in (Reason.ATTITUDE, Reason.UNKNOWN_ZERO):
-            self._at_rest = Reason.NONE
-        if not math.isnan(self._given_mm) or not tracker.known.all():
-            return
-        if self._rest_height is not None:
-            self._at_rest = Reason.SKIN_HEIGHT if self._rest_height.is_other(tracker.static) else Reason.NONE
-            self._take_height(self._rest_height.height_mm(tracker.static))
+    def _read_sensor(self, in_use: np.ndarray) -> None:
+        if self._sensor.read(self._tracker, in_use, self._healthy):
+            self._take_height(self._sensor.height_mm)
 
     def _take_height(self, height_mm: float) -> None:
         """Reads the map at this height of the skin; NaN: at the height that most of its recordings had."""
         heights = self.card.heights
         if heights is None:
             return
-        self._height_mm = height_mm
-        used_mm = heights.height_mm if math.isnan(height_mm) else height_mm
-        if HEIGHT_INPUT in self._inputs:
-            self._inputs[HEIGHT_INPUT][0] = used_mm - heights.height_mm
+        off_mm = 0.0 if math.isnan(height_mm) else height_mm - heights.height_mm
+        self._inputs[HEIGHT_INPUT][0] = off_mm
         # Which height the track is of must not depend on what was read before the stream began anew.
-        self._contact.read_at(round((used_mm - heights.height_mm) / MAP_STEP_MM), MAP_STEP_MM)
+        self._contact.read_at(round(off_mm / MAP_STEP_MM), MAP_STEP_MM)
 
     def _whole_blocks(
         self, volts: np.ndarray, time_s: np.ndarray | None
@@ -395,8 +345,7 @@ class Localizer:
         self._count += 1
         self._healthy, self._bridging = block.healthy, block.bridged
         self._contact.follow(block.healthy, self._count)
-        if not self._drift.complete:
-            self._drift.note(tracker.static, tracker.known)
+        self._sensor.note(tracker)
         if tracker.state is SlideState.SLIDE:
             if not sliding:
                 self._contact.begin()
@@ -405,8 +354,7 @@ class Localizer:
             self._gravity.push(tracker.static, tracker.subtracted, tracker.usable & self._healthy)
             if not sliding or tracker.usable is not usable:
                 # The static output stays as it is while something slides.
-                self._last_drift = self._drift.read(tracker.static, tracker.usable)
-                self._read_rest()
+                self._read_sensor(tracker.usable)
             self._slide_blocks += 1
             bridged = bool((block.bridged & tracker.usable).any())
             self._bridged += bridged
@@ -422,8 +370,7 @@ class Localizer:
             straight = self._permitted(self._fitted(tracker.final))
             self._held = tracker.final, self._chosen(straight, 0.0)
         if tracker.state is not SlideState.SLIDE and self._count % DRIFT_BLOCKS == 0:
-            self._last_drift = self._drift.read(tracker.static, block.healthy)
-            self._read_rest()
+            self._read_sensor(block.healthy)
 
     def _without_base(self, block: Judged) -> Judged:
         """The block in the attitude of the calibration; the skin's outputs are worth no more than the base's."""

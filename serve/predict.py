@@ -43,11 +43,12 @@ def predict(
         if rate_hz != localizer.card.sample_rate_hz:
             localizer = opened.at_rate(rate_hz)
         localizer.reset()
-        name = {"recording": path.stem, "file": str(path)}
         if whole_contact:
-            yield from ({**name, **record(estimate)} for estimate in whole_contacts(localizer, volts))
+            estimates = whole_contacts(localizer, volts)
         elif track:
-            yield from ({**name, **record(estimate)} for estimate in localizer.push(volts))
+            estimates = localizer.push(volts)
         else:
             localizer.feed(volts)
-            yield {**name, **record(localizer.read())}
+            estimates = [localizer.read()]
+        for estimate in estimates:
+            yield {"recording": path.stem, "file": str(path), **record(estimate)}

@@ -1,5 +1,6 @@
 """An estimate as a JSON record."""
 
+import json
 import math
 from typing import Any
 
@@ -10,6 +11,11 @@ def record(estimate: Estimate) -> dict[str, Any]:
     """The estimate's fields by name; None: not estimated, since JSON has no NaN."""
     fields = {name: _plain(getattr(estimate, name)) for name in RECORDED if name != "places"}
     return {**fields, "places": [place._asdict() for place in estimate.places]}
+
+
+def as_json(estimate: Estimate) -> str:
+    """The record as a line of JSON."""
+    return json.dumps(record(estimate), allow_nan=False)
 
 
 def _plain(value: Any) -> Any:

@@ -54,15 +54,13 @@ def whole_contacts(localizer: Localizer, volts: np.ndarray) -> list[Estimate]:
     estimates: list[Estimate] = []
     blocks = []
     localizer.reset()
-    for start in range(0, len(volts), card.samples_per_block):
-        # Each completes a block at most.
-        for estimate in localizer.push(volts[start : start + card.samples_per_block]):
-            estimates.append(estimate)
-            subtracted = card.conditioning.scale * localizer.subtracted[touch]
-            if localizer.measured and np.isfinite(subtracted).all():
-                blocks.append(lag.push(subtracted))
-            else:
-                blocks.append(np.full(len(touch), np.nan))
+    for estimate in localizer.each(volts):
+        estimates.append(estimate)
+        subtracted = card.conditioning.scale * localizer.subtracted[touch]
+        if localizer.measured and np.isfinite(subtracted).all():
+            blocks.append(lag.push(subtracted))
+        else:
+            blocks.append(np.full(len(touch), np.nan))
     volts_of = np.array(blocks)
     for contact in _contacts(estimates, volts_of, card.conditioning.release_v):
         for seen, reported in _pieces(contact):

@@ -1,7 +1,5 @@
 """The base's motion taken out: exact for small contacts in any attitude, refused where the skin leans over too far."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -67,13 +65,3 @@ def test_what_does_not_measure_gravity_answers_alike_in_every_attitude() -> None
     found, _ = other.without(np.array(MOTION.static_v[:3]) + touched, base_v)
     assert upright.all()
     assert found - plain == pytest.approx(touched)
-
-
-GAINS = [{"gains": MOTION.gains[:5]}, {"gains": ((1.0, 2.0),) * 6}, {"base_v": (0.0, 0.0)}]
-OUTPUTS = [{"static_v": MOTION.static_v[:3]}, {"gravity_v": (0.0, 0.0, 0.8)}, {"gravity_v": ()}]
-
-
-@pytest.mark.parametrize("wrong", [*GAINS, *OUTPUTS])
-def test_sizes_that_do_not_belong_together_are_refused(wrong: dict) -> None:
-    with pytest.raises(ValueError, match="not of the same accelerometers"):
-        replace(MOTION, **wrong)

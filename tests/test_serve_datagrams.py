@@ -8,6 +8,7 @@ from itertools import islice
 
 import numpy as np
 import pytest
+from sender import free_port
 
 from softslide.serve.stream import datagrams
 from softslide.serve.stream.datagrams import Datagrams
@@ -20,9 +21,7 @@ def mouth() -> Iterator[socket.socket]:
 
 
 def listening() -> tuple[Datagrams, tuple[str, int]]:
-    with socket.socket(type=socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        place = probe.getsockname()
+    place = ("127.0.0.1", free_port())
     return Datagrams("udp://here", *place, wait_s=0.2), place
 
 

@@ -5,18 +5,15 @@ import os
 import pty
 import signal
 import socket
-import subprocess
 import sys
-import threading
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from pathlib import Path
-from subprocess import PIPE
 
 import numpy as np
 import pytest
 from frames import frame
 from sender import free_port
+from served import repeated, started
 from streams import RATE_HZ, pass_over, still, stream
 
 import softslide
@@ -45,30 +42,6 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> str:
 
 def serve(bundle: Path, *options: str) -> int:
     return softslide.main(["serve", "--model", str(bundle), *options])
-
-
-def started(bundle: Path, source: str, *more: str) -> subprocess.Popen:
-    """In a process of its own."""
-    command = [sys.executable, "-m", "softslide", "serve", "--model", str(bundle), "--source", source, *more]
-    return subprocess.Popen(command, stdin=PIPE, stdout=PIPE, stderr=PIPE)
-
-
-@contextmanager
-def repeated(say: Callable[[], object]) -> Iterator[None]:
-    """Says it over and over, from a thread."""
-    heard = threading.Event()
-
-    def speak() -> None:
-        while not heard.wait(0.05):
-            say()
-
-    speaker = threading.Thread(target=speak)
-    speaker.start()
-    try:
-        yield
-    finally:
-        heard.set()
-        speaker.join()
 
 
 def lines(text: str) -> list[dict]:

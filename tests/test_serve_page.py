@@ -5,113 +5,30 @@ import re
 import signal
 import socket
 import struct
-import subprocess
-import sys
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import closing, contextmanager, suppress
+from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import replace
-from http.client import HTTPConnection, HTTPMessage
-from itertools import islice
 from pathlib import Path
 from typing import Literal
-from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
-from playwright.sync_api import Browser, ConsoleMessage, Locator, Page, expect
+from playwright.sync_api import Browser, Page, expect
+from served import BOARDS, REST, SLIDE, VOLTS, cell, opened, serving, viewer
 from small_bundle import write_small_bundle
-from streams import a_sensor, pass_over, still, stream, write_csv
-from test_serve_live import repeated
+from streams import a_sensor, pass_over, stream, write_csv
 from tracked_map import INFLATION, TWO_BOARDS, noisy_map, pressed
 from websockets.exceptions import ConnectionClosedOK
-from websockets.sync.client import ClientConnection, connect
+from websockets.sync.client import ClientConnection
 
 import softslide
 from softslide.models.response_map.card import contact_calibration
 from softslide.pipeline.sensor import Accelerometer
 from softslide.serve.localizer import Localizer
 
-BOARDS = 2
-VOLTS = stream(still(0.6), pass_over(1.0), still(0.4), accelerometers=BOARDS)
-REST, SLIDE = VOLTS[:600], VOLTS[600:1400]
 # A slide that takes longer than the page is looked at.
 SLOW = stream(pass_over(30.0), accelerometers=BOARDS)
-
-
-class Serving:
-    """`softslide serve` in a process of its own, fed through standard input.
-
-    Its estimates wait in a pipe, unless `unread`: a full pipe stops the stream.
-    """
-
-    def __init__(self, bundle: Path, place: str, source: str, unread: bool, more: Sequence[str]) -> None:
-        command = ["serve", "--model", str(bundle), "--source", source, "--format", "f32", "--page", place]
-        pipe, out = subprocess.PIPE, subprocess.DEVNULL if unread else subprocess.PIPE
-        words = [sys.executable, "-m", "softslide", *command, *more]
-        self.process = subprocess.Popen(words, stdin=pipe, stdout=out, stderr=pipe)
-        assert self.process.stderr is not None
-        said = b""
-        while not (found := re.search(rb"http://\S+", said)):
-            line = self.process.stderr.readline()
-            assert line, said
-            said += line
-        self.address = found[0].decode()
-
-    def feed(self, volts: np.ndarray) -> list[dict]:
-        """Sends samples, and waits for the estimates of their whole blocks on standard output, heartbeats aside."""
-        assert self.process.stdin is not None
-        assert self.process.stdout is not None
-        self.process.stdin.write(volts.astype("<f4").tobytes())
-        self.process.stdin.flush()
-        lines = (json.loads(line) for line in self.process.stdout)
-        return list(islice((line for line in lines if line["reason"] != "no_signal"), len(volts) // 20))
-
-    @contextmanager
-    def fed(self, volts: np.ndarray) -> Iterator[list[dict]]:
-        """Samples keep coming, so that the page goes on showing them. Their estimates so far."""
-        pieces, sent = (volts[n : n + 20] for n in range(0, len(volts), 20)), list[dict]()
-        with repeated(lambda: sent.extend(self.feed(next(pieces, volts[:0])))):
-            yield sent
-
-    def ask(
-        self, path: str, method: str = "GET", body: bytes | None = None, **headers: str
-    ) -> tuple[int, HTTPMessage, bytes]:
-        """Status, headers and content of an answer."""
-        port = urlsplit(self.address).port or 0
-        with closing(HTTPConnection("127.0.0.1", port, timeout=30)) as connection:
-            connection.request(method, path, body, headers)
-            with connection.getresponse() as got:
-                return got.status, got.headers, got.read()
-
-    def end(self) -> tuple[int, str]:
-        """Ends the stream. The exit status and what was said on standard error."""
-        _, error = self.process.communicate(timeout=30)
-        return self.process.returncode, error.decode()
-
-
-@contextmanager
-def serving(
-    bundle: Path, place: str = "0", source: str = "-", unread: bool = False, more: Sequence[str] = ()
-) -> Iterator[Serving]:
-    running = Serving(bundle, place, source, unread, more)
-    try:
-        yield running
-    finally:
-        if running.process.poll() is None:
-            running.process.kill()
-        running.process.communicate()
-
-
-def viewer(address: str) -> ClientConnection:
-    return connect(f"{address.replace('http', 'ws')}stream", proxy=None)
-
-
-def upgrade(**headers: str) -> bytes:
-    """The request for a stream, as it travels."""
-    lines = {"Upgrade": "websocket", "Connection": "Upgrade", "Sec-WebSocket-Version": "13", **headers}
-    text = "".join(f"{name}: {value}\r\n" for name, value in lines.items())
-    return f"GET /stream HTTP/1.1\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n{text}\r\n".encode()
 
 
 def frames(view: ClientConnection) -> Iterator[bytes]:
@@ -218,25 +135,6 @@ def test_a_bad_address_or_a_taken_port_is_an_error_of_one_line(
             assert said.startswith(f"softslide serve: --page {place}: ")
 
 
-@contextmanager
-def opened(browser: Browser, address: str, lost: bool = False) -> Iterator[Page]:
-    """The page; it complains of nothing on the console, unless its server may be `lost`."""
-    page = browser.new_page()
-    complaints: list[str] = []
-
-    def note(message: ConsoleMessage) -> None:
-        if message.type in ("error", "warning"):
-            complaints.append(message.text)
-
-    page.on("console", note)
-    page.on("pageerror", lambda error: complaints.append(str(error)))
-    page.on("requestfailed", lambda request: complaints.append(f"{request.url} failed"))
-    page.goto(address)
-    yield page
-    assert lost or complaints == []
-    page.close()
-
-
 @pytest.fixture(scope="module")
 def sliding(two_boards: Path, browser: Browser) -> Iterator[Page]:
     """A page that shows a slide."""
@@ -258,11 +156,6 @@ def expect_drawing(page: Page, canvas: str) -> None:
         }""",
         arg=canvas,
     )
-
-
-def cell(page: Page, title: str) -> Locator:
-    """The cell of a number. The page draws after the estimate came: expect its text, do not read it once."""
-    return page.get_by_role("row", name=title).get_by_role("cell").first
 
 
 def test_the_page_shows_a_slide_and_why_it_abstains_before(two_boards: Path, browser: Browser) -> None:

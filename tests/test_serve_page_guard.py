@@ -9,7 +9,7 @@ from pathlib import Path
 from urllib.parse import urlsplit
 
 import pytest
-from test_serve_page import Serving, serving, upgrade
+from served import Serving, serving, upgrade
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 

@@ -18,9 +18,8 @@ import numpy as np
 import pytest
 from PIL import Image
 from playwright.sync_api import Browser, Page, expect
+from served import REST, SLIDE, Serving, cell, opened, repeated, serving, upgrade
 from streams import a_sensor, write_csv
-from test_serve_live import repeated
-from test_serve_page import REST, SLIDE, Serving, cell, opened, serving, upgrade
 
 from softslide.features.contact.places import Place
 from softslide.features.estimate import Contact, Estimate, Reason

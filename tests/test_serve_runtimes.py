@@ -10,7 +10,6 @@ from pathlib import Path
 import pytest
 from bump_map import bump_map
 from network_bundle import write_network_bundle
-from small_bundle import write_small_bundle
 from streams import a_sensor
 
 from softslide.models.export.bundle import BEFORE_LAST_STEP, MISFIT_PARITY, PARITY
@@ -43,21 +42,11 @@ def javascript(request: pytest.FixtureRequest) -> Run:
     return run
 
 
-def small_bundle(folder: Path) -> Path:
-    return write_small_bundle(folder, a_sensor(2), offset_mm_per_v=50.0)
-
-
-def network_bundle(folder: Path) -> Path:
-    """The default model's graph, not trained."""
-    return write_network_bundle(folder, bump_map(), a_sensor())
-
-
-@pytest.mark.parametrize("write", [small_bundle, network_bundle])
-def test_javascript_gets_the_same_numbers(
-    javascript: Run, tmp_path: Path, write: Callable[[Path], Path]
-) -> None:
-    shown = javascript("onnxruntime-node@1.30.0", write(tmp_path / "bundle"))
-    assert shown["estimate"] == pytest.approx(shown["golden"], rel=1e-5, abs=1e-5)
+def test_javascript_gets_the_same_numbers(javascript: Run, two_boards: Path, tmp_path: Path) -> None:
+    """Of one matrix product, and of the default model's graph, not trained."""
+    for bundle in (two_boards, write_network_bundle(tmp_path / "bundle", bump_map(), a_sensor())):
+        shown = javascript("onnxruntime-node@1.30.0", bundle)
+        assert shown["estimate"] == pytest.approx(shown["golden"], rel=1e-5, abs=1e-5)
 
 
 def assert_golden(row: list[float]) -> None:

@@ -12,8 +12,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from sender import free_port
+from served import started
 from streams import RATE_HZ
-from test_serve_live import CSV, started
+from test_serve_live import CSV
 
 from softslide.serve.stream.age import MEMORY_S, SampleAge
 

@@ -17,9 +17,10 @@ ROUNDING = 1e-4
 WHOLE = (1.0, 1.0)
 TOUCH_AXES = ("xy", "xyz")
 ONSETS = ("rim", "touch")
-
-
-# Far above any number of blocks, seconds or volts; above it, arithmetic overflows.
+# The largest value of a field, by its name or its unit: orders of magnitude beyond any sensor that is built. They bound
+# the memory and the work of a stream; an estimate is made of the mean of `trigger_blocks`, held in memory.
+MOST = {"block_s": 1.0, "trigger_blocks": 1000, "blocks": 1_000_000, "v": 1e3, "s": 1e6}
+# Of a factor or a share; above it, arithmetic overflows.
 LARGEST = 1e12
 
 
@@ -60,8 +61,8 @@ class Conditioning:
         (features/stream/gravity.py). The default refuses what no robot's arm does (experiments/LOG.md).
 
     Raises:
-        ValueError: a value of another type, not positive or not finite; `delayed` of 1 or more; `release_v` above
-            `trigger_v`; other axes.
+        ValueError: a value of another type, not positive or above its largest (MOST); `delayed` of 1 or more;
+            `release_v` above `trigger_v`; other axes.
     """
 
     scale: float = 1.0
@@ -94,8 +95,9 @@ class Conditioning:
                 continue
             if isinstance(value, bool) or not isinstance(value, int if field.type is int else int | float):
                 raise ValueError(f"{field.name} is {value!r}, not a number of its kind")
-            if not 0 < value <= LARGEST and not (field.name == "delayed" and value == 0):
-                raise ValueError(f"{field.name} is {value}; it must be positive and at most {LARGEST:g}")
+            most = MOST.get(field.name) or MOST.get(field.name.rpartition("_")[2], LARGEST)
+            if not 0 < value <= most and not (field.name == "delayed" and value == 0):
+                raise ValueError(f"{field.name} is {value}; it must be positive and at most {most:g}")
         if self.delayed >= 1:
             raise ValueError(f"delayed is {self.delayed}; it is a share, below 1")
         if self.release_v > self.trigger_v:

@@ -11,14 +11,19 @@
 | none | a sign or a zone |
 """
 
+from itertools import combinations
+
 import numpy as np
 
 from softslide.features.vector.arc import ARC_POINTS, arc_curve
 from softslide.features.vector.energy import energy_clock, tilt_outputs
 from softslide.features.vector.extrema import maximum, minimum, value_at
-from softslide.features.vector.timing import EXTREMES, INTERVAL_NAMES, intervals
 from softslide.features.vector.zones import first_and_last, signs, zone, zones_in_order
 
+EXTREMES = ("vx_min", "vx_max", "vy_min", "vy_max")
+# Pairs of extremes: times between them, times the speed, are distances along the slide.
+_INTERVALS = tuple(combinations(range(len(EXTREMES)), 2))
+_INTERVAL_NAMES = tuple(f"{EXTREMES[a]}_to_{EXTREMES[b]}" for a, b in _INTERVALS)
 _ZONES = 3
 # Windows computed at a time, so that intermediate arrays stay within the processor's cache.
 _BATCH = 256
@@ -80,8 +85,8 @@ def _names_of_one() -> tuple[str, ...]:
         *(f"{extreme}_s" for extreme in EXTREMES),
         *(f"{extreme}_widths" for extreme in EXTREMES),
         *(f"{other}_at_{extreme}_v" for extreme in EXTREMES for other in others[extreme[:2]]),
-        *(f"{name}_s" for name in INTERVAL_NAMES),
-        *(f"{name}_widths" for name in INTERVAL_NAMES),
+        *(f"{name}_s" for name in _INTERVAL_NAMES),
+        *(f"{name}_widths" for name in _INTERVAL_NAMES),
         *(f"{output}_sign_{when}" for output in ("vx", "vy") for when in ("first", "last")),
         *(f"zone_{k}" for k in range(1, _ZONES + 1)),
         *(f"zone_{k}_fraction" for k in range(1, _ZONES + 1)),
@@ -113,7 +118,7 @@ def _features_of_one(
         ],
         axis=1,
     )
-    between = intervals(moments)
+    between = np.stack([moments[:, b] - moments[:, a] for a, b in _INTERVALS], axis=-1)
     sign = signs(tilt)
     zones, entered = zones_in_order(zone(sign), _ZONES)
     curve, length = arc_curve(tilt)

@@ -33,6 +33,7 @@ class Guard:
 
     async def __call__(self, scope: Any, receive: Any, send: Any) -> None:
         from starlette.requests import HTTPConnection
+        from starlette.responses import PlainTextResponse
 
         request = HTTPConnection(scope)
         host, origin = request.headers.get("host", ""), request.headers.get("origin")
@@ -44,7 +45,8 @@ class Guard:
         named = asked or _same(request.cookies.get(cookie, ""), self._token)
         here = self._alone and _name(host) in LOOPBACK
         if foreign or not (named or (here and scope["path"] not in COMMANDS)):
-            await _refuse(scope["type"], send)
+            refusal = PlainTextResponse("403: open the address that softslide serve prints\n", 403)
+            await refusal(scope, receive, send)
             return
 
         async def answer(message: Any) -> None:
@@ -55,14 +57,6 @@ class Guard:
             await send(message)
 
         await self._application(scope, receive, answer)
-
-
-async def _refuse(kind: str, send: Any) -> None:
-    if kind == "websocket":
-        await send({"type": "websocket.close", "code": 1008})
-        return
-    await send({"type": "http.response.start", "status": 403, "headers": [(b"content-type", b"text/plain")]})
-    await send({"type": "http.response.body", "body": b"403: open the address that softslide serve prints\n"})
 
 
 def _name(host: str) -> str:

@@ -13,6 +13,7 @@ import secrets
 import signal
 import socket
 import sys
+import tempfile
 import threading
 from collections.abc import Callable
 from contextlib import suppress
@@ -29,8 +30,8 @@ from softslide.features.card import Card
 from softslide.features.errors import InputError
 from softslide.features.estimate import Estimate
 from softslide.features.safe_path import safe_path
+from softslide.serve.address import host_and_port
 from softslide.serve.newest import put_newest
-from softslide.serve.page.answers import answer
 from softslide.serve.page.server import FAREWELL_S, Server, about, frame
 
 PLACE = "write PORT or HOST:PORT, port 0 for any that is free"
@@ -174,12 +175,31 @@ def run_page(
     server.close()
 
 
+def answer(bundle: Path, height_mm: float | None, unsigned: bool, recording: bytes) -> dict[str, Any]:
+    """What `softslide predict` says of a recording in CSV, but for its name.
+
+    Raises:
+        InputError: it is not a recording, or not of this bundle's sensor; or the bundle is refused by now.
+    """
+    # A page that nobody asks this needs no ONNX Runtime.
+    from softslide.serve.predict import predict
+
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "recording.csv"
+        path.write_bytes(recording)
+        try:
+            (estimate,) = predict(bundle, [path], height_mm=height_mm, unsigned=unsigned)
+        except InputError as error:
+            raise InputError(str(error).replace(f"{path}", "recording")) from None
+    return {name: value for name, value in estimate.items() if name not in ("recording", "file")}
+
+
 def _listener(place: str) -> socket.socket:
-    host, _, port = place.rpartition(":")
-    if not (port.isascii() and port.isdigit()) or int(port) > 65535:
+    host, port = host_and_port(place)
+    if port is None:
         raise InputError(f"{place}: no port; {PLACE}", "page")
     try:
-        where = socket.getaddrinfo(host.strip("[]") or "127.0.0.1", int(port), type=socket.SOCK_STREAM)[0]
+        where = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
     except (OSError, UnicodeError):
         raise InputError(f"{place}: no such host; {PLACE}", "page") from None
     listener = socket.socket(where[0], socket.SOCK_STREAM)

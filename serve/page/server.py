@@ -24,7 +24,6 @@ from softslide.features.contact.places import MOST_PLACES, Place
 from softslide.features.errors import InputError
 from softslide.features.estimate import RECORDED, Contact, Estimate, Reason
 from softslide.features.stream.tracker import SlideState
-from softslide.serve.page.answers import MOST_BYTES
 from softslide.serve.page.guard import HEADERS, Guard
 
 # Blocks come 50 times a second; a screen needs no more than this.
@@ -40,6 +39,8 @@ MOST_HEADER_BYTES = 1 << 14
 MOST_CONNECTIONS = 512
 REQUEST_S = 5.0
 BODY_S = 20.0
+# A recording as CSV: half an hour at 1 kHz of one accelerometer.
+MOST_BYTES = 1 << 26
 # Recordings that are estimated at once, each of MOST_BYTES at most; and bytes of all that are here, those on their way
 # included: beyond it they are refused.
 MOST_BODIES = 4

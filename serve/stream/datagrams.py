@@ -66,8 +66,7 @@ class Datagrams:
                 try:
                     data, missed = self._received()
                 except TimeoutError:
-                    yield ()
-                    continue
+                    data = None
                 if data is None:
                     yield ()
                     continue
@@ -82,15 +81,12 @@ class Datagrams:
                 usual = sum(len(volts) for volts, _ in pieces) or usual
         finally:
             self._socket.close()
-            if self.others:
-                print(
-                    f"{self._name}: {self.others} datagrams of other senders were left out", file=sys.stderr
-                )
-            if self.lost:
-                print(
-                    f"{self._name}: {self.lost} datagrams were lost; send fewer, larger ones, or stamp the samples",
-                    file=sys.stderr,
-                )
+            for count, what in (
+                (self.others, "of other senders were left out"),
+                (self.lost, "were lost; send fewer, larger ones, or stamp the samples"),
+            ):
+                if count:
+                    print(f"{self._name}: {count} datagrams {what}", file=sys.stderr)
 
     def _received(self) -> tuple[bytes | None, int]:
         """The next datagram without its number, None if it is another sender's, and how many did not come before it."""

@@ -3,7 +3,6 @@
 import binascii
 import math
 from collections.abc import Iterator
-from typing import Protocol
 
 import numpy as np
 
@@ -17,6 +16,7 @@ _LINE_BYTES = 1 << 16
 def framing_of(form: str, channels: int, strict: bool = True, midway: bool = False) -> "Framing":
     """A reader of bytes in pieces of any size; it keeps an unfinished sample for the next piece.
 
+    Its `read` gives the samples that bytes complete, its `end` the last one where the end of the stream completes it.
     form: csv, lines of the channels' volts with or without a time in s before them, where a first line of names and
     empty lines are skipped; f32, little-endian float32, one for each channel, whose stream must be read from its
     beginning; or cobs, as in `MarkedFrames`. strict, midway: as in `Lines`.
@@ -24,16 +24,6 @@ def framing_of(form: str, channels: int, strict: bool = True, midway: bool = Fal
     if form == "csv":
         return Lines(channels, strict, midway)
     return MarkedFrames(channels) if form == "cobs" else Frames(channels)
-
-
-class Framing(Protocol):
-    """Bytes in, chunks out."""
-
-    def read(self, data: bytes) -> Iterator[Chunk]:
-        """The samples that these bytes complete."""
-
-    def end(self) -> Iterator[Chunk]:
-        """The last sample, where the end of the stream completes it."""
 
 
 class Frames:
@@ -155,3 +145,6 @@ class Lines:
         if len(row) > self._channels and not math.isfinite(row[0]):
             return f"time_s is {row[0]}; send a finite time in s"
         return ""
+
+
+Framing = Lines | Frames | MarkedFrames

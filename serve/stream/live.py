@@ -60,13 +60,11 @@ def serve(
     with _stoppable() as stopped, ExitStack() as held:
         waits = age is None or (len(sink) == 1 and page is None)
         opened = [held.enter_context(closing(open_sink(name, waits))) for name in sink]
-        shown = (
-            None
-            if page is None
-            else held.enter_context(
-                closing(Page(page, localizer.card, _name(source), Path(model), height_mm, unsigned))
-            )
-        )
+        shown = None
+        if page is not None:
+            name = source if live else Path(source).name
+            served = Page(page, localizer.card, name, Path(model), height_mm, unsigned)
+            shown = held.enter_context(closing(served))
         chunks = open_source(source, localizer.card, format) if live else played(volts, localizer.card, fast)
         if log is not None:
             from softslide.serve.stream.log import Log
@@ -101,20 +99,13 @@ def serve(
     return written
 
 
-def _name(source: str) -> str:
-    """What the page calls the source: a file without its folders."""
-    return source if source == "-" or "://" in source else Path(source).name
-
-
 Made = list[tuple[Estimate, np.ndarray]]
 
 
 def _estimates(localizer: Localizer, chunk: Chunk, age: SampleAge | None) -> Made:
-    """One chunk's estimates, each with the subtracted output (C,) V at its end."""
+    """One chunk's estimates, each with the subtracted output (C,) V of its moment."""
     now_s = time.monotonic()
-    made: Made = []
-    for piece in _pieces(chunk, localizer.card.samples_per_block):
-        made += [(estimate, localizer.subtracted) for estimate in localizer.push(*piece)]
+    made = [(estimate, localizer.subtracted) for estimate in localizer.each(*chunk)]
     if age is not None and made:
         age.came(made[-1][0].time_s, now_s)
     return made
@@ -138,13 +129,6 @@ def _without_signal(localizer: Localizer, age: SampleAge, sinks: Sequence[Sink],
     last = localizer.read()
     silent = last._replace(valid=False, reason=Reason.NO_SIGNAL)
     _hand_on([(silent, localizer.subtracted)], age, sinks, page)
-
-
-def _pieces(chunk: Chunk, size: int) -> Iterator[Chunk]:
-    """A chunk in pieces of a block, so that the subtracted output shown is of the same moment as the estimate."""
-    volts, time_s = chunk
-    for begin in range(0, len(volts), size):
-        yield volts[begin : begin + size], None if time_s is None else time_s[begin : begin + size]
 
 
 @contextmanager

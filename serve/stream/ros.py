@@ -1,6 +1,5 @@
 """ROS 2, where rclpy is present: volts or accelerations in from a topic; positions, velocities and estimates out."""
 
-import json
 import math
 from collections import deque
 from collections.abc import Callable, Iterator
@@ -11,11 +10,12 @@ import numpy as np
 from softslide.features.card import HALF_WIDTH_SD, Card
 from softslide.features.errors import InputError
 from softslide.features.estimate import Estimate
+from softslide.features.stream.drift import measures_gravity
 from softslide.features.units import STANDARD_GRAVITY
-from softslide.serve.records import record
+from softslide.serve.records import as_json
 from softslide.serve.stream.framing import Chunk
+from softslide.serve.stream.sources import WAIT_S
 
-_WAIT_S = 0.2
 # Variance of what no estimate has: the velocity across the skin, and any turning.
 UNKNOWN = 1e6
 
@@ -61,7 +61,7 @@ def imu_reader(topic: str, card: Card) -> Read:
         InputError: the card's sensor is more than one accelerometer, or another sensing element.
     """
     element, *others = card.sensor["accelerometers"]
-    if others or card.base is not None or element.get("kind", "accelerometer") != "accelerometer":
+    if others or card.base is not None or not measures_gravity(element):
         raise InputError(
             f"ros2+imu://{topic}: an Imu is one accelerometer, {card.sensor['name']} is not; send rows of outputs to "
             "ros2://TOPIC",
@@ -87,7 +87,7 @@ def _spun(rclpy: Any, node: Any, kind: Any, topic: str, read: Read) -> Iterator[
     node.create_subscription(kind, topic, waiting.append, 100)
     try:
         while rclpy.ok():
-            rclpy.spin_once(node, timeout_sec=_WAIT_S)
+            rclpy.spin_once(node, timeout_sec=WAIT_S)
             if not waiting:
                 yield ()
             while waiting:
@@ -116,7 +116,7 @@ class RosSink:
 
     def write(self, estimate: Estimate) -> None:
         """Publishes one estimate."""
-        self._estimate.publish(self._string(data=json.dumps(record(estimate), allow_nan=False)))
+        self._estimate.publish(self._string(data=as_json(estimate)))
         if not estimate.valid:
             return
         if math.isfinite(estimate.x_mm):

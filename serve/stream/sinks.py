@@ -1,6 +1,5 @@
 """Sinks of estimates: JSON lines on standard output, UDP, ROS 2."""
 
-import json
 import socket
 import sys
 import threading
@@ -11,7 +10,7 @@ from typing import Protocol
 from softslide.features.errors import InputError
 from softslide.features.estimate import Estimate
 from softslide.serve.newest import put_newest
-from softslide.serve.records import record
+from softslide.serve.records import as_json
 from softslide.serve.stream.sources import address
 
 KINDS = "'-' writes JSON lines on standard output; udp://HOST:PORT one JSON object a datagram; ros2://TOPIC"
@@ -54,7 +53,7 @@ class Lines:
     """Standard output, flushed after each line, since a reader may be waiting for it."""
 
     def write(self, estimate: Estimate) -> None:
-        sys.stdout.write(_text(estimate) + "\n")
+        sys.stdout.write(as_json(estimate) + "\n")
         sys.stdout.flush()
 
     def close(self) -> None:
@@ -108,7 +107,7 @@ class Datagrams:
 
     def write(self, estimate: Estimate) -> None:
         try:
-            self._socket.sendto(_text(estimate).encode(), self._address)
+            self._socket.sendto(as_json(estimate).encode(), self._address)
         except ConnectionRefusedError:
             return
         except OSError as error:
@@ -118,7 +117,3 @@ class Datagrams:
 
     def close(self) -> None:
         self._socket.close()
-
-
-def _text(estimate: Estimate) -> str:
-    return json.dumps(record(estimate), allow_nan=False)

@@ -17,6 +17,7 @@ import numpy as np
 
 from softslide.features.card import Card
 from softslide.features.errors import InputError
+from softslide.serve.address import host_and_port
 from softslide.serve.stream.datagrams import Datagrams
 from softslide.serve.stream.framing import Chunk, Framing, framing_of
 
@@ -137,7 +138,7 @@ def address(name: str) -> tuple[str, int]:
     Raises:
         InputError: no port.
     """
-    host, _, port = name.removeprefix("udp://").rpartition(":")
-    if not (port.isascii() and port.isdigit()) or not 0 < int(port) < 65536:
+    host, port = host_and_port(name.removeprefix("udp://"))
+    if not port:
         raise InputError(f"{name}: no port; write udp://127.0.0.1:9000")
-    return host or "127.0.0.1", int(port)
+    return host, port
