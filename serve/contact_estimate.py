@@ -298,4 +298,4 @@ class ContactEstimator:
         return (self._count - blocks) * self._card.conditioning.block_s
 
     def _made(self, height_mm: float) -> AnyTracker | None:
-        return contact_tracker(self._card, self._lag.noise_gain, height_mm, lag_blocks=self._lag_blocks)
+        return contact_tracker(self._card, height_mm, lag_blocks=self._lag_blocks)

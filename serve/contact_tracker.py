@@ -1,9 +1,6 @@
 """The tracker of contacts that a model card describes."""
 
 import math
-from dataclasses import replace
-
-import numpy as np
 
 from softslide.features.card import Card
 from softslide.features.contact.replay import ReplayingTracker
@@ -17,7 +14,6 @@ AnyTracker = ContactTracker | ReplayingTracker
 
 def contact_tracker(
     card: Card,
-    noise_gain: float,
     height_mm: float,
     config: TrackingConfig | None = None,
     replays: bool = True,
@@ -25,33 +21,16 @@ def contact_tracker(
 ) -> AnyTracker | None:
     """The tracker that a card describes; None for a bundle that knows straight slides alone.
 
-    height_mm: of the skin, for a card over heights; NaN: the card's. config: but for the card's depth; None: by how
-    contacts come on the card's skin. replays: whether one of several accelerometers goes back where one has failed.
-    lag_blocks: how far back `past` reads.
+    height_mm: of the skin, for a card over heights; NaN: the card's. config: None: by how contacts come on the card's
+    skin. replays: whether one of several accelerometers goes back where one has failed. lag_blocks: how far back `past`
+    reads.
     """
-    contact, conditioning = card.contact, card.conditioning
-    if contact is None:
+    if card.contact is None:
         return None
     if config is None:
-        config = TOUCH_DOWN if conditioning.onset == ONSETS[1] else TrackingConfig()
-    tracker = ContactTracker(
-        surface=response_surface(card, height_mm),
-        half_mm=(contact.chamber_mm[0] / 2, contact.chamber_mm[1] / 2),
-        block_s=conditioning.block_s,
-        noise_v=noise_gain * np.array(contact.noise_v),
-        floor_v=contact.floor_v,
-        gain_sd=contact.gain_sd,
-        trigger_v=conditioning.trigger_v,
-        release_v=conditioning.release_v,
-        config=replace(
-            config,
-            depth_sd_mm=contact.depth_sd_mm,
-            remembered=math.ceil(lag_blocks / config.step_blocks) + 1 if lag_blocks else 0,
-        ),
-        # A press of a contact that comes down anywhere is not distinguished from the whole device's motion.
-        inflation_v_per_mm=() if config.comes_down else contact.inflation_v_per_mm,
-        floor_share=contact.floor_share,
-    )
+        config = TOUCH_DOWN if card.conditioning.onset == ONSETS[1] else TrackingConfig()
+    surface = response_surface(card, height_mm)
+    tracker = ContactTracker(surface, card.contact, card.conditioning, config, lag_blocks)
     # Where the only accelerometer fails, nothing is left to track with.
     return ReplayingTracker(tracker) if replays and len(card.channels) > 3 else tracker
 

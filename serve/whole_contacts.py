@@ -101,7 +101,7 @@ def _path(card: Card, volts: np.ndarray) -> WholePath | None:
         variance=np.full(volts.shape[1], contact.floor_v**2),
         block_s=card.conditioning.block_s,
         gain_sd=contact.gain_sd,
-        half_mm=(contact.chamber_mm[0] / 2, contact.chamber_mm[1] / 2),
+        half_mm=contact.chamber_half_mm,
     )
     return whole_path(measured, response_surface(card), PathConfig())
 

@@ -48,8 +48,7 @@ def blocks_of(volts: np.ndarray, card: Card) -> Blocks:
 
 def gained(blocks: Blocks, card: Card, config: TrackingConfig) -> float:
     """The logarithm of the odds that one path's hypotheses gain."""
-    noise_gain = LagUndone(card.conditioning, len(blocks[0][0])).noise_gain
-    tracker = contact_tracker(card, noise_gain, np.nan, config, replays=False)
+    tracker = contact_tracker(card, np.nan, config, replays=False)
     assert isinstance(tracker, ContactTracker)
     total, every = 0.0, np.ones(len(blocks[0][0]), dtype=bool)
     for volts, touched in blocks:

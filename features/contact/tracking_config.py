@@ -18,12 +18,12 @@ class TrackingConfig:
     touch_most: at a touch. parents: hypotheses that get children, within parent_odds of the best. log_odds: of a
     hypothesis to the best, beyond which it is dropped.
     young_s: after the touch, in which an output that comes to rest may have been pressed on there, with log odds `rest`
-    to the other hypotheses. depth_sd_mm: contact depth about the calibration's. lost: misfit of a track that is lost.
+    to the other hypotheses. lost: misfit of a track that is lost.
     edge_mm: a place further off the chamber is unlikely, by edge_cost for the first mm, which grows with the power
     edge_power; most_gain: and so is a gain beyond it. held_cost: in 1 s, of a contact that is pressed on or
     lifted whose gain changes by less than held_rise, 1/s (paths solved step by step, experiments/LOG.md).
     least_log_odds: of a contact, that a step adds. prior_steps: as many steps count as what the calibration says of
-    the residual's size; None: nothing else counts. remembered: steps of the past that the track can be read at."""
+    the residual's size; None: nothing else counts."""
 
     step_blocks: int = 2
     local: LocalErrors | None = None
@@ -39,7 +39,6 @@ class TrackingConfig:
     log_odds: float = 15.0
     young_s: float = 4.0
     rest: float = -2.0
-    depth_sd_mm: float = 0.02
     lost: float = 5.0
     edge_mm: float = 4.0
     edge_cost: float = 0.3
@@ -49,7 +48,6 @@ class TrackingConfig:
     held_rise: float = 0.05
     least_log_odds: float = -math.inf
     prior_steps: float | None = None
-    remembered: int = 0
 
     @property
     def comes_down(self) -> bool:
