@@ -5,7 +5,6 @@ with the track, it is the estimate: it knows more, and is sharper.
 """
 
 import math
-from typing import Any
 
 import numpy as np
 
@@ -13,7 +12,7 @@ from softslide.features.angles import wrapped_deg
 from softslide.features.card import HALF_WIDTH_SD
 from softslide.features.contact.track import Track
 from softslide.features.contact.tracker import StraightFit
-from softslide.features.estimate import Contact, Estimate, Reason
+from softslide.features.estimate import Contact, Estimate, Reason, bounded, interval_ends
 from softslide.features.stream.tracker import SlideState
 from softslide.features.track_estimate import TrackLimits
 
@@ -138,13 +137,9 @@ def stopped_on(line: Estimate, track: Estimate, limits: TrackLimits, ended: bool
     at_rest = ended or rests(track, line, limits)
     if at_rest:
         now |= {"vx_mm_s": 0.0, "vy_mm_s": 0.0, "speed_mm_s": 0.0}
-    changed: dict[str, Any] = {}
-    for name, value in now.items():
-        low, high = _ends(name)
-        half = (getattr(track, high) - getattr(track, low)) / 2
-        changed |= {name: value, low: value - half, high: value + half}
+    changed = bounded(**{name: (value, _half(track, name)) for name, value in now.items()})
     for name in ("direction_deg", "offset_mm", "depth_mm", *(["speed_mm_s"] if ended or not at_rest else [])):
-        changed |= {each: getattr(line, each) for each in (name, *_ends(name))}
+        changed |= {each: getattr(line, each) for each in (name, *interval_ends(name))}
     return track._replace(
         state=SlideState.ENDED if ended else track.state,
         valid=True,
@@ -161,10 +156,11 @@ def earlier(straight: Estimate, since_s: float) -> Estimate:
     return straight._replace(x_mm=x_mm, y_mm=y_mm)
 
 
-def _ends(name: str) -> tuple[str, str]:
-    """Names of the interval of a quantity, x_lo_mm and x_hi_mm of x_mm."""
-    quantity, unit = name.split("_", 1)
-    return f"{quantity}_lo_{unit}", f"{quantity}_hi_{unit}"
+def _half(estimate: Estimate, name: str) -> float:
+    """Half-width of the interval of a quantity."""
+    low, high = interval_ends(name)
+    width: float = getattr(estimate, high) - getattr(estimate, low)
+    return width / 2
 
 
 def _on_line(line: Estimate, track: Estimate) -> tuple[float, float]:
@@ -188,34 +184,25 @@ def with_track(straight: Estimate, tracked: Estimate, shared: float | None) -> E
     """
     angle = math.radians(straight.direction_deg)
     cos, sin = abs(math.cos(angle)), abs(math.sin(angle))
-    across = (straight.offset_hi_mm - straight.offset_lo_mm) / 2
-    along_x, along_y = (tracked.x_hi_mm - tracked.x_lo_mm) / 2, (tracked.y_hi_mm - tracked.y_lo_mm) / 2
-    x_half, y_half = math.hypot(across * sin, along_x * cos), math.hypot(across * cos, along_y * sin)
+    across = _half(straight, "offset_mm")
+    along_x, along_y = _half(tracked, "x_mm"), _half(tracked, "y_mm")
     if math.isnan(straight.depth_lo_mm):
         straight = straight._replace(depth_lo_mm=tracked.depth_lo_mm, depth_hi_mm=tracked.depth_hi_mm)
-    speed_half = (straight.speed_hi_mm_s - straight.speed_lo_mm_s) / 2
+    speed_half = _half(straight, "speed_mm_s")
     turn_half = straight.speed_mm_s * math.radians(straight.direction_hi_deg - straight.direction_lo_deg) / 2
-    vx_half, vy_half = (
-        math.hypot(speed_half * cos, turn_half * sin),
-        math.hypot(speed_half * sin, turn_half * cos),
+    known = bounded(
+        x_mm=(straight.x_mm, math.hypot(across * sin, along_x * cos)),
+        y_mm=(straight.y_mm, math.hypot(across * cos, along_y * sin)),
+        vx_mm_s=(straight.vx_mm_s, math.hypot(speed_half * cos, turn_half * sin)),
+        vy_mm_s=(straight.vy_mm_s, math.hypot(speed_half * sin, turn_half * cos)),
     )
-    straight = straight._replace(
-        contact=Contact.SLIDE,
-        x_lo_mm=straight.x_mm - x_half,
-        x_hi_mm=straight.x_mm + x_half,
-        y_lo_mm=straight.y_mm - y_half,
-        y_hi_mm=straight.y_mm + y_half,
-        vx_lo_mm_s=straight.vx_mm_s - vx_half,
-        vx_hi_mm_s=straight.vx_mm_s + vx_half,
-        vy_lo_mm_s=straight.vy_mm_s - vy_half,
-        vy_hi_mm_s=straight.vy_mm_s + vy_half,
-    )
+    straight = straight._replace(contact=Contact.SLIDE, **known)
     if shared is None:
         return straight
     wider = {}
     bent = dict(zip(_BENT, straight.bent or (), strict=False))
     for name in ("direction_deg", "speed_mm_s", "offset_mm", "x_mm", "y_mm", "vx_mm_s", "vy_mm_s"):
-        low, high = _ends(name)
+        low, high = interval_ends(name)
         value, apart = getattr(straight, name), getattr(tracked, name) - getattr(straight, name)
         if name == "direction_deg":
             apart = wrapped_deg(apart)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from softslide.features.contact.track import Track
-from softslide.features.estimate import Contact, Estimate, Reason
+from softslide.features.estimate import Contact, Estimate, Reason, bounded, bounded_direction
 from softslide.features.stream.tracker import SlideState
 
 
@@ -117,8 +117,6 @@ def judged(
     lever_mm = float(along @ from_reference)
     offset_sd = math.sqrt(max(across @ place @ across, 0.0) + (lever_mm * min(heading_sd, 1.0)) ** 2)
     x_half, y_half, vx_half, vy_half = (limits.half_width * sd).tolist()
-    vx_half, vy_half = vx_half + limits.speed_mm_s, vy_half + limits.speed_mm_s
-    x_half, y_half = x_half + limits.place_mm, y_half + limits.place_mm
     speed_half = limits.half_width * speed_sd + limits.speed_mm_s
     heading_half = min(limits.heading_width * math.degrees(heading_sd) + limits.heading_deg, 180.0)
     offset, offset_half = float(across @ from_reference), limits.half_width * offset_sd + limits.place_mm
@@ -128,7 +126,6 @@ def judged(
         contact = Contact.PRESS
     elif speed < limits.stopped_mm_s:
         contact = Contact.STOPPED
-    degrees = math.degrees(heading) % 360.0
     depth, depth_half = map_depth_mm + track.depth_mm, limits.half_width * track.depth_sd_mm
     reason = _reason(track, math.hypot(sd[0], sd[1]), math.degrees(heading_sd), contact, lifted, limits)
     if reason is Reason.NONE and depth + depth_half < 0.0:
@@ -137,38 +134,25 @@ def judged(
     if pressed:
         contact, reason = Contact.PRESS, Reason.NONE
         # It goes nowhere. How far it is pressed in shows as how far it is pressed on does; the force is how hard.
-        degrees = offset = depth = math.nan
+        heading = offset = depth = math.nan
+    known = bounded_direction(heading, heading_half) | bounded(
+        speed_mm_s=(speed, speed_half),
+        offset_mm=(offset, offset_half),
+        depth_mm=(depth, depth_half),
+        x_mm=(x, x_half + limits.place_mm),
+        y_mm=(y, y_half + limits.place_mm),
+        vx_mm_s=(vx, vx_half + limits.speed_mm_s),
+        vy_mm_s=(vy, vy_half + limits.speed_mm_s),
+    )
+    known["speed_lo_mm_s"] = max(known["speed_lo_mm_s"], 0.0)
     return Estimate(
         time_s=time_s,
         state=state,
-        direction_deg=0.0 if degrees == 360.0 else degrees,
-        direction_lo_deg=degrees - heading_half,
-        direction_hi_deg=degrees + heading_half,
-        speed_mm_s=speed,
-        speed_lo_mm_s=max(speed - speed_half, 0.0),
-        speed_hi_mm_s=speed + speed_half,
-        offset_mm=offset,
-        offset_lo_mm=offset - offset_half,
-        offset_hi_mm=offset + offset_half,
-        depth_mm=depth,
-        x_mm=x,
-        y_mm=y,
         valid=reason is Reason.NONE,
         contact=contact,
         reason=reason,
-        vx_mm_s=vx,
-        vy_mm_s=vy,
-        x_lo_mm=x - x_half,
-        x_hi_mm=x + x_half,
-        y_lo_mm=y - y_half,
-        y_hi_mm=y + y_half,
-        vx_lo_mm_s=vx - vx_half,
-        vx_hi_mm_s=vx + vx_half,
-        vy_lo_mm_s=vy - vy_half,
-        vy_hi_mm_s=vy + vy_half,
-        depth_lo_mm=depth - depth_half,
-        depth_hi_mm=depth + depth_half,
         places=track.places,
+        **known,
     )
 
 
