@@ -14,7 +14,20 @@ from softslide.features.contact.track import Track
 from softslide.features.contact.tracker import StraightFit
 from softslide.features.estimate import Contact, Estimate, Reason, bounded, interval_ends
 from softslide.features.stream.tracker import SlideState
-from softslide.features.track_estimate import TrackLimits
+from softslide.features.track_estimate import (
+    HALF_WIDTH,
+    LEAST_MM,
+    LEAST_MM_S,
+    STOPPED_MM_S,
+    TRIGGERS,
+    TrackLimits,
+)
+
+WAY_LOG_ODDS = 1.0  # what each mm of way adds to the log odds of a straight slide
+# A line is held for STOPPING_S while a contact seems to be slower than SLOW_SHARE of the slide, or is lost; it rests
+# once it is slower than REST_SHARE, where it may stand still, and has stopped for good after PAUSE_S.
+STOPPING_S, PAUSE_S = 0.3, 0.6
+SLOW_SHARE, REST_SHARE = 0.5, 0.25
 
 
 def apart(straight: Estimate, track: Track, since_s: float, limits: TrackLimits) -> float:
@@ -26,7 +39,7 @@ def apart(straight: Estimate, track: Track, since_s: float, limits: TrackLimits)
     place = np.array([straight.x_mm, straight.y_mm]) - since_s * velocity
     off = np.concatenate([place, velocity]) - track.mean
     # The floors of the intervals, as standard deviations: both read the same blocks.
-    floor = np.array([limits.place_mm, limits.place_mm, limits.speed_mm_s, limits.speed_mm_s])
+    floor = np.array([LEAST_MM, LEAST_MM, LEAST_MM_S, LEAST_MM_S])
     spread = track.covariance + np.diag(floor**2)
     return float(off @ np.linalg.solve(spread, off))
 
@@ -38,10 +51,10 @@ def likely(track: Track, distance: float, limits: TrackLimits) -> bool:
     is often weak.
     """
     further_mm = track.way_mm - limits.straight_way_mm
-    log_odds = track.evidence.log_odds - 0.5 * distance + limits.way_log_odds * further_mm
+    log_odds = track.evidence.log_odds - 0.5 * distance + WAY_LOG_ODDS * further_mm
     return (
         log_odds >= limits.straight_log_odds
-        and track.evidence.triggers >= limits.triggers
+        and track.evidence.triggers >= TRIGGERS
         and track.manoeuvres <= limits.straight_manoeuvres
     )
 
@@ -105,27 +118,27 @@ def stops_on(
     half_mm = math.hypot(
         line.offset_hi_mm - line.offset_mm, track.x_hi_mm - track.x_mm, track.y_hi_mm - track.y_mm
     )
-    near_mm = math.sqrt(limits.agreement) * half_mm / limits.half_width
+    near_mm = math.sqrt(limits.agreement) * half_mm / HALF_WIDTH
     if abs(across_mm) > near_mm or not -near_mm <= along_mm <= longest_mm + near_mm:
         return False
-    if track.reason in (Reason.NONE, Reason.AMBIGUOUS) and may_rest(track, limits):
+    if track.reason in (Reason.NONE, Reason.AMBIGUOUS) and may_rest(track):
         return True
-    slow = track.speed_mm_s < limits.slow_share * line.speed_mm_s
-    return elapsed_s <= limits.stopping_s and (slow or track.reason is Reason.NOT_THIS_SENSOR)
+    slow = track.speed_mm_s < SLOW_SHARE * line.speed_mm_s
+    return elapsed_s <= STOPPING_S and (slow or track.reason is Reason.NOT_THIS_SENSOR)
 
 
-def may_rest(track: Estimate, limits: TrackLimits) -> bool:
+def may_rest(track: Estimate) -> bool:
     """Whether a contact may have come to rest."""
-    return track.speed_mm_s < limits.stopped_mm_s or track.speed_lo_mm_s <= 0.0
+    return track.speed_mm_s < STOPPED_MM_S or track.speed_lo_mm_s <= 0.0
 
 
-def rests(track: Estimate, line: Estimate, limits: TrackLimits) -> bool:
+def rests(track: Estimate, line: Estimate) -> bool:
     """Whether it has: a track that is still a quarter as fast as the slide has only lost the speed."""
-    slow_mm_s = max(limits.stopped_mm_s, limits.rest_share * line.speed_mm_s)
-    return may_rest(track, limits) and track.speed_mm_s < slow_mm_s
+    slow_mm_s = max(STOPPED_MM_S, REST_SHARE * line.speed_mm_s)
+    return may_rest(track) and track.speed_mm_s < slow_mm_s
 
 
-def stopped_on(line: Estimate, track: Estimate, limits: TrackLimits, ended: bool) -> Estimate:
+def stopped_on(line: Estimate, track: Estimate, ended: bool) -> Estimate:
     """The track of a contact that stops on a line: the line with its direction and distance, and how far it went.
 
     ended: the stop is no pause, so that the slide has ended. Then, and until the contact rests, the speed is the
@@ -134,7 +147,7 @@ def stopped_on(line: Estimate, track: Estimate, limits: TrackLimits, ended: bool
     along_mm, _ = _on_line(line, track)
     angle = math.radians(line.direction_deg)
     now = {"x_mm": line.x_mm + along_mm * math.cos(angle), "y_mm": line.y_mm + along_mm * math.sin(angle)}
-    at_rest = ended or rests(track, line, limits)
+    at_rest = ended or rests(track, line)
     if at_rest:
         now |= {"vx_mm_s": 0.0, "vy_mm_s": 0.0, "speed_mm_s": 0.0}
     changed = bounded(**{name: (value, _half(track, name)) for name, value in now.items()})

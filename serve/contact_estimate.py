@@ -23,6 +23,8 @@ from softslide.features.card import Card
 from softslide.features.contact.track import Track
 from softslide.features.estimate import Contact, Estimate, Reason
 from softslide.features.straight_slide import (
+    PAUSE_S,
+    STOPPING_S,
     apart,
     crosses,
     earlier,
@@ -243,7 +245,7 @@ class ContactEstimator:
         """Why the straight slide is not valid where the track has not been of its line a moment ago; else None."""
         if straight is None or not straight.valid:
             return None
-        latest = self._stream.rested_s + self._limits.stopping_s
+        latest = self._stream.rested_s + STOPPING_S
         if self._lines and self._seconds_since(self._lines[-1].blocks) <= latest:
             return None
         return straight._replace(valid=False, reason=tracked.reason or Reason.AMBIGUOUS)
@@ -270,16 +272,16 @@ class ContactEstimator:
 
         Where the slide has ended with a stop, a fit of all before the stop says the most, if it is of the same line.
         """
-        line, limits = self._lines[0], self._limits
+        line = self._lines[0]
         since_s, rested_s = self._seconds_since(self._lines[-1].blocks), self._stream.rested_s
-        ended = rested_s > 0.0 and since_s <= rested_s + limits.stopping_s
+        ended = rested_s > 0.0 and since_s <= rested_s + STOPPING_S
         if ended and straight.valid and same_line(straight, line.estimate):
             # What was fitted ends where the contact rests.
             at_end = tracked._replace(x_mm=straight.x_mm, y_mm=straight.y_mm)
-            return stopped_on(straight, at_end, limits, ended)
+            return stopped_on(straight, at_end, ended)
         longest_mm = self._seconds_since(line.blocks) * line.estimate.speed_mm_s
-        if ended or stops_on(line.estimate, tracked, since_s, longest_mm, limits):
-            return stopped_on(line.estimate, tracked, limits, ended or since_s > limits.pause_s)
+        if ended or stops_on(line.estimate, tracked, since_s, longest_mm, self._limits):
+            return stopped_on(line.estimate, tracked, ended or since_s > PAUSE_S)
         return tracked
 
     def _judged(self, track: Track, time_s: float, limits: TrackLimits | None = None) -> Estimate:

@@ -14,7 +14,7 @@ from softslide.features.contact.track import ContactEvidence
 from softslide.features.estimate import Contact, Estimate, Reason, bounded, interval_ends, mixed_width
 from softslide.features.straight_slide import apart, likely, stopped_on, with_track
 from softslide.features.stream.tracker import SlideState
-from softslide.features.track_estimate import TOUCH_LIMITS, TrackLimits, judged
+from softslide.features.track_estimate import LEAST_MM, TOUCH_LIMITS, TrackLimits, judged
 
 QUANTITIES = ("speed_mm_s", "offset_mm", "x_mm", "y_mm", "vx_mm_s", "vy_mm_s")
 
@@ -98,7 +98,7 @@ def test_a_straight_slide_is_compared_where_it_was_when_the_track_was_clear(
     mean = np.concatenate([then + off_mm * across, velocity])
     track = CLEAR._replace(mean=mean, covariance=np.diag([0.09, 0.09, 0.01, 0.01]))
     limits = TrackLimits()
-    farthest_mm = np.sqrt(limits.agreement * (0.09 + limits.place_mm**2))
+    farthest_mm = np.sqrt(limits.agreement * (0.09 + LEAST_MM**2))
     if abs(off_mm - farthest_mm) > 1e-6:
         assert (apart(straight, track, since_s, limits) <= limits.agreement) == (off_mm < farthest_mm)
 
@@ -189,7 +189,7 @@ def test_a_slide_rests_once_its_track_is_a_quarter_as_fast(
 ) -> None:
     """A track that has lost the speed, 2.9 +- 3.5 mm/s of a slide of 8, does not show that it has stopped."""
     line, track = estimate(30.0, slide, 1.0, 0.05), estimate(30.0, speed, 1.0, half)
-    stopped = stopped_on(line, track, TrackLimits(), ended=False)
+    stopped = stopped_on(line, track, ended=False)
     assert (stopped.valid, stopped.contact is Contact.STOPPED) == (True, at_rest)
     assert (stopped.speed_mm_s, stopped.vx_mm_s) == ((0.0, 0.0) if at_rest else (slide, track.vx_mm_s))
-    assert stopped_on(line, track, TrackLimits(), ended=True).speed_mm_s == slide
+    assert stopped_on(line, track, ended=True).speed_mm_s == slide

@@ -40,6 +40,11 @@ from softslide.features.contact.track import Track, moved_on, read, read_past
 from softslide.features.contact.tracking_config import TINY, TrackingConfig
 from softslide.features.stream.conditioning import Conditioning, LagUndone
 
+TOUCH_MOST = 100  # hypotheses at a touch
+# Logarithms: a hypothesis is dropped beyond these odds to the best; those of rest, where the output first settles, to
+# the other hypotheses.
+LEAST_ODDS, RESTING_ODDS = 15.0, -2.0
+HELD_RISE = 0.05  # 1/s: the gain of a contact that stands still, half pressed on, changes by less
 ONSET_BLOCKS = 12
 TRIGGER_BLOCKS = 5
 # A contact comes down and is lifted within a block, which then shows a part of it; so many whole ones show the place.
@@ -204,7 +209,7 @@ class ContactTracker:
         else:
             seen = onset(recent, self._block_s, np.where(usable, self._noise_v, np.inf))
             level, slope = seen.level, seen.slope
-            bank = at_touch(seen, self._surface, self._calibration, config.touch_most, anywhere=anew)
+            bank = at_touch(seen, self._surface, self._calibration, TOUCH_MOST, anywhere=anew)
         self._bank = None if bank is None else remembering(bank, self._remembered)
         self._evidence.begin(usable, level, slope, anew)
         self._blocks = self._steps = self._quiet = self._lost = 0
@@ -243,7 +248,7 @@ class ContactTracker:
         self._doubt()
         self._steps += 1
         if self._steps <= config.first_steps:
-            self._bank = self._bank.likeliest(config.touch_most)
+            self._bank = self._bank.likeliest(TOUCH_MOST)
         if usable.all() and not self._rested and self._steps * elapsed_s < config.young_s:
             self._rest()
         if config.step_blocks == 1:
@@ -336,7 +341,7 @@ class ContactTracker:
         config = self._config
         if self._steps == 0 or self._steps % config.branch_steps:
             return
-        self._bank = merged(self._bank, config.most, config.most_partial, config.log_odds)
+        self._bank = merged(self._bank, config.most, config.most_partial, LEAST_ODDS)
         if self._steps > config.first_steps:
             self._bank = branched(
                 self._bank, config.parents, config.parent_odds, self._calibration.gain_sd, config.manoeuvres
@@ -350,11 +355,10 @@ class ContactTracker:
         if self._filled < ONSET_BLOCKS or (np.abs(seen.slope) > still).any():
             return
         self._rested = True
-        config = self._config
         resting = at_rest(seen, self._surface, self._calibration, self._residual_v(seen.level)[0])
         if resting is not None:
-            resting.log_weight += config.rest - np.logaddexp.reduce(resting.log_weight)
-            likeliest = remembering(resting.likeliest(config.touch_most), self._remembered)
+            resting.log_weight += RESTING_ODDS - np.logaddexp.reduce(resting.log_weight)
+            likeliest = remembering(resting.likeliest(TOUCH_MOST), self._remembered)
             self._bank = joined([self._bank, likeliest])
 
     def _doubt(self) -> None:
@@ -365,7 +369,7 @@ class ContactTracker:
         unlikely = config.edge_cost * beyond_mm**config.edge_power
         unlikely += 10.0 * np.maximum(gain - config.most_gain, 0.0) ** 2 + 0.5 * (gain < 0.0)
         # What is pressed on or lifted is on its way to a whole contact, or off the skin.
-        held = np.exp(-0.5 * (self._bank.state[:, RISE] / config.held_rise) ** 2)
+        held = np.exp(-0.5 * (self._bank.state[:, RISE] / HELD_RISE) ** 2)
         unlikely += self._bank.partial * config.held_cost * self._step_s * held
         self._bank.log_weight -= unlikely
         self._bank.log_weight -= self._bank.log_weight.max()
