@@ -202,7 +202,7 @@ def with_track(straight: Estimate, tracked: Estimate, shared: float | None) -> E
     if math.isnan(straight.depth_lo_mm):
         straight = straight._replace(depth_lo_mm=tracked.depth_lo_mm, depth_hi_mm=tracked.depth_hi_mm)
     speed_half = _half(straight, "speed_mm_s")
-    turn_half = straight.speed_mm_s * math.radians(straight.direction_hi_deg - straight.direction_lo_deg) / 2
+    turn_half = straight.speed_mm_s * math.radians(_half(straight, "direction_deg"))
     known = bounded(
         x_mm=(straight.x_mm, math.hypot(across * sin, along_x * cos)),
         y_mm=(straight.y_mm, math.hypot(across * cos, along_y * sin)),
@@ -219,7 +219,7 @@ def with_track(straight: Estimate, tracked: Estimate, shared: float | None) -> E
         value, apart = getattr(straight, name), getattr(tracked, name) - getattr(straight, name)
         if name == "direction_deg":
             apart = wrapped_deg(apart)
-        half = shared * (getattr(tracked, high) - getattr(tracked, low)) / 2
+        half = shared * _half(tracked, name)
         room = bent.get(name, math.inf) if abs(apart) <= half else math.inf
         wider[low] = min(getattr(straight, low), max(value + apart - half, value - room))
         wider[high] = max(getattr(straight, high), min(value + apart + half, value + room))
