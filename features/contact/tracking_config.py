@@ -50,9 +50,8 @@ class TrackingConfig:
         return self.local is not None
 
 
-TINY = (
-    1e-9  # of what a map of recordings alone does not know: friction, other depths, residuals along the way
-)
+# Of what a map of recordings alone does not know: friction, other depths, residuals along the way.
+TINY = 1e-9
 NEVER = 1e-9
 
 # Contacts bend and change speed, and no more: where presses stand for a motion, one that is held looks like a stop, and
