@@ -3,7 +3,8 @@
 import math
 from collections.abc import Mapping
 from enum import StrEnum
-from typing import NamedTuple
+from functools import cache
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -119,6 +120,30 @@ class Estimate(NamedTuple):
 # Of a record, as `serve` writes it.
 RECORDED = tuple(name for name in Estimate._fields if name != "bent")
 
+
+@cache
+def interval_ends(name: str) -> tuple[str, str]:
+    """Names of the ends of a quantity's interval: x_lo_mm and x_hi_mm of x_mm."""
+    quantity, unit = name.split("_", 1)
+    return f"{quantity}_lo_{unit}", f"{quantity}_hi_{unit}"
+
+
+def bounded(**quantities: tuple[float, float]) -> dict[str, Any]:
+    """Fields of an estimate: of each quantity, given as its value and its interval's half-width, value and ends."""
+    known = {}
+    for name, (value, half) in quantities.items():
+        low, high = interval_ends(name)
+        known[name], known[low], known[high] = value, value - half, value + half
+    return known
+
+
+def bounded_direction(angle_rad: float, half_deg: float) -> dict[str, Any]:
+    """The same of the direction."""
+    degrees = math.degrees(angle_rad) % 360.0
+    # An angle just below 0 is rounded to 360.
+    return bounded(direction_deg=(degrees, half_deg)) | {"direction_deg": degrees % 360.0}
+
+
 _NO_INTERVAL = Interval(math.nan, math.nan)
 MIXED_STEPS = 16  # of bisection: 1e-4 of a width
 
@@ -149,7 +174,6 @@ def decode(
     )
     # Clamped, so that exp cannot overflow whatever a graph answers.
     speed_factor = math.exp(min(speed_half, 50.0))
-    degrees = math.degrees(direction) % 360.0
     speed = math.exp(min(max(log_speed, -50.0), 50.0))
     cos, sin = math.cos(direction), math.sin(direction)
     limits = card.validity
@@ -165,16 +189,9 @@ def decode(
     return Estimate(
         time_s=time_s,
         state=state,
-        direction_deg=0.0 if degrees == 360.0 else degrees,
-        direction_lo_deg=degrees - direction_half,
-        direction_hi_deg=degrees + direction_half,
         speed_mm_s=speed,
         speed_lo_mm_s=speed / speed_factor,
         speed_hi_mm_s=speed * speed_factor,
-        offset_mm=offset,
-        offset_lo_mm=offset - offset_half,
-        offset_hi_mm=offset + offset_half,
-        depth_mm=depth,
         x_mm=card.reference_mm[0] - offset * sin + along * cos,
         y_mm=card.reference_mm[1] + offset * cos + along * sin,
         valid=reason is Reason.NONE,
@@ -182,10 +199,10 @@ def decode(
         reason=reason,
         vx_mm_s=speed * cos,
         vy_mm_s=speed * sin,
-        depth_lo_mm=depth - depth_half,
-        depth_hi_mm=depth + depth_half,
         misfit=value.get("misfit", math.nan),
         bent=_bent(value, direction_half, speed * speed_half, offset_half) if reason is Reason.NONE else None,
+        **bounded_direction(direction, direction_half),
+        **bounded(offset_mm=(offset, offset_half), depth_mm=(depth, depth_half)),
     )
 
 

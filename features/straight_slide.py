@@ -5,7 +5,6 @@ with the track, it is the estimate: it knows more, and is sharper.
 """
 
 import math
-from typing import Any
 
 import numpy as np
 
@@ -13,9 +12,22 @@ from softslide.features.angles import wrapped_deg
 from softslide.features.card import HALF_WIDTH_SD
 from softslide.features.contact.track import Track
 from softslide.features.contact.tracker import StraightFit
-from softslide.features.estimate import Contact, Estimate, Reason
+from softslide.features.estimate import Contact, Estimate, Reason, bounded, interval_ends
 from softslide.features.stream.tracker import SlideState
-from softslide.features.track_estimate import TrackLimits
+from softslide.features.track_estimate import (
+    HALF_WIDTH,
+    LEAST_MM,
+    LEAST_MM_S,
+    STOPPED_MM_S,
+    TRIGGERS,
+    TrackLimits,
+)
+
+WAY_LOG_ODDS = 1.0  # what each mm of way adds to the log odds of a straight slide
+# A line is held for STOPPING_S while a contact seems to be slower than SLOW_SHARE of the slide, or is lost; it rests
+# once it is slower than REST_SHARE, where it may stand still, and has stopped for good after PAUSE_S.
+STOPPING_S, PAUSE_S = 0.3, 0.6
+SLOW_SHARE, REST_SHARE = 0.5, 0.25
 
 
 def apart(straight: Estimate, track: Track, since_s: float, limits: TrackLimits) -> float:
@@ -27,7 +39,7 @@ def apart(straight: Estimate, track: Track, since_s: float, limits: TrackLimits)
     place = np.array([straight.x_mm, straight.y_mm]) - since_s * velocity
     off = np.concatenate([place, velocity]) - track.mean
     # The floors of the intervals, as standard deviations: both read the same blocks.
-    floor = np.array([limits.place_mm, limits.place_mm, limits.speed_mm_s, limits.speed_mm_s])
+    floor = np.array([LEAST_MM, LEAST_MM, LEAST_MM_S, LEAST_MM_S])
     spread = track.covariance + np.diag(floor**2)
     return float(off @ np.linalg.solve(spread, off))
 
@@ -39,10 +51,10 @@ def likely(track: Track, distance: float, limits: TrackLimits) -> bool:
     is often weak.
     """
     further_mm = track.way_mm - limits.straight_way_mm
-    log_odds = track.evidence.log_odds - 0.5 * distance + limits.way_log_odds * further_mm
+    log_odds = track.evidence.log_odds - 0.5 * distance + WAY_LOG_ODDS * further_mm
     return (
         log_odds >= limits.straight_log_odds
-        and track.evidence.triggers >= limits.triggers
+        and track.evidence.triggers >= TRIGGERS
         and track.manoeuvres <= limits.straight_manoeuvres
     )
 
@@ -106,27 +118,27 @@ def stops_on(
     half_mm = math.hypot(
         line.offset_hi_mm - line.offset_mm, track.x_hi_mm - track.x_mm, track.y_hi_mm - track.y_mm
     )
-    near_mm = math.sqrt(limits.agreement) * half_mm / limits.half_width
+    near_mm = math.sqrt(limits.agreement) * half_mm / HALF_WIDTH
     if abs(across_mm) > near_mm or not -near_mm <= along_mm <= longest_mm + near_mm:
         return False
-    if track.reason in (Reason.NONE, Reason.AMBIGUOUS) and may_rest(track, limits):
+    if track.reason in (Reason.NONE, Reason.AMBIGUOUS) and may_rest(track):
         return True
-    slow = track.speed_mm_s < limits.slow_share * line.speed_mm_s
-    return elapsed_s <= limits.stopping_s and (slow or track.reason is Reason.NOT_THIS_SENSOR)
+    slow = track.speed_mm_s < SLOW_SHARE * line.speed_mm_s
+    return elapsed_s <= STOPPING_S and (slow or track.reason is Reason.NOT_THIS_SENSOR)
 
 
-def may_rest(track: Estimate, limits: TrackLimits) -> bool:
+def may_rest(track: Estimate) -> bool:
     """Whether a contact may have come to rest."""
-    return track.speed_mm_s < limits.stopped_mm_s or track.speed_lo_mm_s <= 0.0
+    return track.speed_mm_s < STOPPED_MM_S or track.speed_lo_mm_s <= 0.0
 
 
-def rests(track: Estimate, line: Estimate, limits: TrackLimits) -> bool:
+def rests(track: Estimate, line: Estimate) -> bool:
     """Whether it has: a track that is still a quarter as fast as the slide has only lost the speed."""
-    slow_mm_s = max(limits.stopped_mm_s, limits.rest_share * line.speed_mm_s)
-    return may_rest(track, limits) and track.speed_mm_s < slow_mm_s
+    slow_mm_s = max(STOPPED_MM_S, REST_SHARE * line.speed_mm_s)
+    return may_rest(track) and track.speed_mm_s < slow_mm_s
 
 
-def stopped_on(line: Estimate, track: Estimate, limits: TrackLimits, ended: bool) -> Estimate:
+def stopped_on(line: Estimate, track: Estimate, ended: bool) -> Estimate:
     """The track of a contact that stops on a line: the line with its direction and distance, and how far it went.
 
     ended: the stop is no pause, so that the slide has ended. Then, and until the contact rests, the speed is the
@@ -135,16 +147,12 @@ def stopped_on(line: Estimate, track: Estimate, limits: TrackLimits, ended: bool
     along_mm, _ = _on_line(line, track)
     angle = math.radians(line.direction_deg)
     now = {"x_mm": line.x_mm + along_mm * math.cos(angle), "y_mm": line.y_mm + along_mm * math.sin(angle)}
-    at_rest = ended or rests(track, line, limits)
+    at_rest = ended or rests(track, line)
     if at_rest:
         now |= {"vx_mm_s": 0.0, "vy_mm_s": 0.0, "speed_mm_s": 0.0}
-    changed: dict[str, Any] = {}
-    for name, value in now.items():
-        low, high = _ends(name)
-        half = (getattr(track, high) - getattr(track, low)) / 2
-        changed |= {name: value, low: value - half, high: value + half}
+    changed = bounded(**{name: (value, _half(track, name)) for name, value in now.items()})
     for name in ("direction_deg", "offset_mm", "depth_mm", *(["speed_mm_s"] if ended or not at_rest else [])):
-        changed |= {each: getattr(line, each) for each in (name, *_ends(name))}
+        changed |= {each: getattr(line, each) for each in (name, *interval_ends(name))}
     return track._replace(
         state=SlideState.ENDED if ended else track.state,
         valid=True,
@@ -161,10 +169,11 @@ def earlier(straight: Estimate, since_s: float) -> Estimate:
     return straight._replace(x_mm=x_mm, y_mm=y_mm)
 
 
-def _ends(name: str) -> tuple[str, str]:
-    """Names of the interval of a quantity, x_lo_mm and x_hi_mm of x_mm."""
-    quantity, unit = name.split("_", 1)
-    return f"{quantity}_lo_{unit}", f"{quantity}_hi_{unit}"
+def _half(estimate: Estimate, name: str) -> float:
+    """Half-width of the interval of a quantity."""
+    low, high = interval_ends(name)
+    width: float = getattr(estimate, high) - getattr(estimate, low)
+    return width / 2
 
 
 def _on_line(line: Estimate, track: Estimate) -> tuple[float, float]:
@@ -188,38 +197,29 @@ def with_track(straight: Estimate, tracked: Estimate, shared: float | None) -> E
     """
     angle = math.radians(straight.direction_deg)
     cos, sin = abs(math.cos(angle)), abs(math.sin(angle))
-    across = (straight.offset_hi_mm - straight.offset_lo_mm) / 2
-    along_x, along_y = (tracked.x_hi_mm - tracked.x_lo_mm) / 2, (tracked.y_hi_mm - tracked.y_lo_mm) / 2
-    x_half, y_half = math.hypot(across * sin, along_x * cos), math.hypot(across * cos, along_y * sin)
+    across = _half(straight, "offset_mm")
+    along_x, along_y = _half(tracked, "x_mm"), _half(tracked, "y_mm")
     if math.isnan(straight.depth_lo_mm):
         straight = straight._replace(depth_lo_mm=tracked.depth_lo_mm, depth_hi_mm=tracked.depth_hi_mm)
-    speed_half = (straight.speed_hi_mm_s - straight.speed_lo_mm_s) / 2
-    turn_half = straight.speed_mm_s * math.radians(straight.direction_hi_deg - straight.direction_lo_deg) / 2
-    vx_half, vy_half = (
-        math.hypot(speed_half * cos, turn_half * sin),
-        math.hypot(speed_half * sin, turn_half * cos),
+    speed_half = _half(straight, "speed_mm_s")
+    turn_half = straight.speed_mm_s * math.radians(_half(straight, "direction_deg"))
+    known = bounded(
+        x_mm=(straight.x_mm, math.hypot(across * sin, along_x * cos)),
+        y_mm=(straight.y_mm, math.hypot(across * cos, along_y * sin)),
+        vx_mm_s=(straight.vx_mm_s, math.hypot(speed_half * cos, turn_half * sin)),
+        vy_mm_s=(straight.vy_mm_s, math.hypot(speed_half * sin, turn_half * cos)),
     )
-    straight = straight._replace(
-        contact=Contact.SLIDE,
-        x_lo_mm=straight.x_mm - x_half,
-        x_hi_mm=straight.x_mm + x_half,
-        y_lo_mm=straight.y_mm - y_half,
-        y_hi_mm=straight.y_mm + y_half,
-        vx_lo_mm_s=straight.vx_mm_s - vx_half,
-        vx_hi_mm_s=straight.vx_mm_s + vx_half,
-        vy_lo_mm_s=straight.vy_mm_s - vy_half,
-        vy_hi_mm_s=straight.vy_mm_s + vy_half,
-    )
+    straight = straight._replace(contact=Contact.SLIDE, **known)
     if shared is None:
         return straight
     wider = {}
     bent = dict(zip(_BENT, straight.bent or (), strict=False))
     for name in ("direction_deg", "speed_mm_s", "offset_mm", "x_mm", "y_mm", "vx_mm_s", "vy_mm_s"):
-        low, high = _ends(name)
+        low, high = interval_ends(name)
         value, apart = getattr(straight, name), getattr(tracked, name) - getattr(straight, name)
         if name == "direction_deg":
             apart = wrapped_deg(apart)
-        half = shared * (getattr(tracked, high) - getattr(tracked, low)) / 2
+        half = shared * _half(tracked, name)
         room = bent.get(name, math.inf) if abs(apart) <= half else math.inf
         wider[low] = min(getattr(straight, low), max(value + apart - half, value - room))
         wider[high] = max(getattr(straight, high), min(value + apart + half, value + room))

@@ -20,9 +20,15 @@ from typing import NamedTuple
 import numpy as np
 
 from softslide.features.card import Card
+from softslide.features.contact.replay import ReplayingTracker
+from softslide.features.contact.response_surface import ResponseSurface
 from softslide.features.contact.track import Track
+from softslide.features.contact.tracker import ContactTracker
+from softslide.features.contact.tracking_config import TOUCH_DOWN, TrackingConfig
 from softslide.features.estimate import Contact, Estimate, Reason
 from softslide.features.straight_slide import (
+    PAUSE_S,
+    STOPPING_S,
     apart,
     crosses,
     earlier,
@@ -37,7 +43,6 @@ from softslide.features.straight_slide import (
 from softslide.features.stream.conditioning import ONSETS, LagUndone
 from softslide.features.stream.tracker import SlideState, SlideTracker
 from softslide.features.track_estimate import LIKELY, TOUCH_LIMITS, TrackLimits, is_sure, judged
-from softslide.serve.contact_tracker import AnyTracker, contact_tracker
 
 # Blocks, 0.1 s, between two straight fits that are kept, and 0.2 s between two that the tracker is offered.
 FIT_BLOCKS, OFFER_BLOCKS = 5, 10
@@ -71,9 +76,9 @@ class ContactEstimator:
     def __init__(self, card: Card, stream: SlideTracker, lag_blocks: int) -> None:
         self._card, self._stream, self._lag_blocks = card, stream, lag_blocks
         self._lag = LagUndone(card.conditioning, len(stream.touch))
+        self.touches_down = card.conditioning.onset == ONSETS[1]
         self._tracker = self._made(math.nan)
         self._step = 0  # of the skin's height that it is for
-        self.touches_down = card.conditioning.onset == ONSETS[1]
         self._on_features = card.input == "features"
         self._limits = TOUCH_LIMITS if self.touches_down else TrackLimits()
         self._strict = replace(self._limits, sure_log_odds=math.inf)
@@ -243,7 +248,7 @@ class ContactEstimator:
         """Why the straight slide is not valid where the track has not been of its line a moment ago; else None."""
         if straight is None or not straight.valid:
             return None
-        latest = self._stream.rested_s + self._limits.stopping_s
+        latest = self._stream.rested_s + STOPPING_S
         if self._lines and self._seconds_since(self._lines[-1].blocks) <= latest:
             return None
         return straight._replace(valid=False, reason=tracked.reason or Reason.AMBIGUOUS)
@@ -270,16 +275,16 @@ class ContactEstimator:
 
         Where the slide has ended with a stop, a fit of all before the stop says the most, if it is of the same line.
         """
-        line, limits = self._lines[0], self._limits
+        line = self._lines[0]
         since_s, rested_s = self._seconds_since(self._lines[-1].blocks), self._stream.rested_s
-        ended = rested_s > 0.0 and since_s <= rested_s + limits.stopping_s
+        ended = rested_s > 0.0 and since_s <= rested_s + STOPPING_S
         if ended and straight.valid and same_line(straight, line.estimate):
             # What was fitted ends where the contact rests.
             at_end = tracked._replace(x_mm=straight.x_mm, y_mm=straight.y_mm)
-            return stopped_on(straight, at_end, limits, ended)
+            return stopped_on(straight, at_end, ended)
         longest_mm = self._seconds_since(line.blocks) * line.estimate.speed_mm_s
-        if ended or stops_on(line.estimate, tracked, since_s, longest_mm, limits):
-            return stopped_on(line.estimate, tracked, limits, ended or since_s > limits.pause_s)
+        if ended or stops_on(line.estimate, tracked, since_s, longest_mm, self._limits):
+            return stopped_on(line.estimate, tracked, ended or since_s > PAUSE_S)
         return tracked
 
     def _judged(self, track: Track, time_s: float, limits: TrackLimits | None = None) -> Estimate:
@@ -297,5 +302,20 @@ class ContactEstimator:
     def _seconds_since(self, blocks: int) -> float:
         return (self._count - blocks) * self._card.conditioning.block_s
 
-    def _made(self, height_mm: float) -> AnyTracker | None:
-        return contact_tracker(self._card, self._lag.noise_gain, height_mm, lag_blocks=self._lag_blocks)
+    def _made(self, height_mm: float) -> ContactTracker | ReplayingTracker | None:
+        """The tracker of the card's contacts. height_mm: of the skin, for a card over heights; NaN: the card's."""
+        contact, heights = self._card.contact, self._card.heights
+        if contact is None:
+            return None
+        splines = contact.splines()
+        if heights is not None and not math.isnan(height_mm):
+            splines[0] += (height_mm - heights.height_mm) * heights.splines(len(contact.noise_v))
+        tracker = ContactTracker(
+            ResponseSurface(splines, contact.half_mm, contact.spacing_mm),
+            contact,
+            self._card.conditioning,
+            TOUCH_DOWN if self.touches_down else TrackingConfig(),
+            self._lag_blocks,
+        )
+        # Where the only accelerometer fails, nothing is left to track with.
+        return ReplayingTracker(tracker) if len(self._card.channels) > 3 else tracker

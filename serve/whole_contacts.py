@@ -14,7 +14,6 @@ from softslide.features.stream.tracker import SlideState
 from softslide.features.track_estimate import TOUCH_LIMITS, judged
 from softslide.features.whole_contact.first_places import Measured
 from softslide.features.whole_contact.whole_path import PathConfig, WholePath, whole_path
-from softslide.serve.contact_tracker import response_surface
 from softslide.serve.localizer import Localizer
 
 # A contact comes down and is lifted within a block each, which then show a part of it.
@@ -99,9 +98,9 @@ def _path(card: Card, volts: np.ndarray) -> WholePath | None:
         variance=np.full(volts.shape[1], contact.floor_v**2),
         block_s=card.conditioning.block_s,
         gain_sd=contact.gain_sd,
-        half_mm=(contact.chamber_mm[0] / 2, contact.chamber_mm[1] / 2),
+        half_mm=contact.chamber_half_mm,
     )
-    return whole_path(measured, response_surface(card), PathConfig())
+    return whole_path(measured, contact.surface(), PathConfig())
 
 
 def _reported(card: Card, path: WholePath, part: slice, live: list[Estimate]) -> list[Estimate]:

@@ -11,7 +11,6 @@ from tracked_map import TWO_BOARDS, noisy_map, touched, tracker, volts_along
 
 import softslide
 from softslide.features.contact.hypotheses import correct, remember, remembering, started
-from softslide.features.contact.tracking_config import TrackingConfig
 from softslide.features.errors import InputError
 from softslide.features.estimate import Estimate
 from softslide.pipeline.atlas.atlas import read_atlas
@@ -63,7 +62,7 @@ def test_a_corner_is_seen_where_it_was_from_what_comes_after_it() -> None:
         [np.column_stack([along, 0 * along + 4]), np.column_stack([0 * along, along + 24])]
     )
     response, blocks = noisy_map(places=TWO_BOARDS), 25
-    followed = tracker(response, config=TrackingConfig(remembered=14))
+    followed = tracker(response, lag_blocks=blocks)
     volts = volts_along(response, corner)
     live, past = [], []
     for v, touch in zip(volts, touched(volts), strict=True):

@@ -16,11 +16,10 @@ from tracked_map import (
     volts_along,
 )
 
-from softslide.features.contact.evidence import PRESS_ON_S, PRESS_S
+from softslide.features.contact.evidence import PRESS_ON_S, PRESS_S, beyond_device
 from softslide.features.contact.hypotheses import GAIN, RISE, Y
 from softslide.features.contact.touch import Onset, at_rest
 from softslide.features.contact.track import Track
-from softslide.features.contact.whole_device import beyond_device
 from softslide.features.estimate import Contact, Estimate, Reason
 from softslide.features.stream.tracker import SlideState
 from softslide.features.track_estimate import TrackLimits, judged
@@ -30,9 +29,9 @@ ON_S, HELD_S = 0.4, 1.5
 RESPONSE = noisy_map(places=TWO_BOARDS)
 
 
-def grown(level_v: np.ndarray, on_s: float = ON_S) -> np.ndarray:
+def grown(level_v: np.ndarray, on_s: float = ON_S, held_s: float = HELD_S) -> np.ndarray:
     """Blocks (m, C) V that grow to a level within on_s and keep it, with noise of 1 mV."""
-    share = np.clip(np.arange(round((0.3 + on_s + HELD_S) / BLOCK_S)) * BLOCK_S / on_s - 0.3 / on_s, 0.0, 1.0)
+    share = np.clip(np.arange(round((0.3 + on_s + held_s) / BLOCK_S)) * BLOCK_S / on_s - 0.3 / on_s, 0.0, 1.0)
     noise = np.random.default_rng(0).normal(0.0, 1e-3, (len(share), len(level_v)))
     return share[:, None] * level_v + noise
 
@@ -122,10 +121,7 @@ def test_without_what_the_pressure_does_or_with_one_board_no_press_is_valid(
 def test_a_press_that_comes_on_slowly_is_not_valid(seconds: float) -> None:
     """A drift of single channels takes any direction, and goes on for longer than it takes to press something on. What
     drifts on is small next to what has drifted, and is not a press then either."""
-    level = pressed(RESPONSE, (12.0, 9.0))
-    blocks = round(1.2 * seconds / BLOCK_S)
-    share = np.clip(np.arange(blocks) * BLOCK_S / seconds, 0.0, 1.0)
-    volts = share[:, None] * level + np.random.default_rng(2).normal(0.0, 1e-3, (blocks, 4))
+    volts = grown(pressed(RESPONSE, (12.0, 9.0)), seconds, 0.2 * seconds)
     found = estimates(tracks_of(RESPONSE, volts, INFLATION))
     late = found[round((PRESS_ON_S + 1.0) / BLOCK_S) :]
     assert late
@@ -134,14 +130,10 @@ def test_a_press_that_comes_on_slowly_is_not_valid(seconds: float) -> None:
 
 def test_a_press_that_still_grows_after_two_seconds_is_not_valid_before_it_rests() -> None:
     """A drift grows so long, too."""
-    seconds, held_s = 3.0, 3.0
-    blocks = round((seconds + held_s) / BLOCK_S)
-    share = np.clip(np.arange(blocks) * BLOCK_S / seconds, 0.0, 1.0)
-    volts = share[:, None] * pressed(RESPONSE, (12.0, 9.0))
-    tracks = tracks_of(RESPONSE, volts + np.random.default_rng(2).normal(0.0, 1e-3, volts.shape), INFLATION)
-    of_press = [bool(e.valid and e.contact is Contact.PRESS) for e in estimates(tracks)]
-    began_s = (blocks - len(of_press)) * BLOCK_S
-    grows = slice(round((began_s + PRESS_S + 0.3) / BLOCK_S) - blocks, -round(held_s / BLOCK_S))
+    held_s = 3.0
+    found = estimates(tracks_of(RESPONSE, grown(pressed(RESPONSE, (12.0, 9.0)), 3.0, held_s), INFLATION))
+    of_press = [bool(e.valid and e.contact is Contact.PRESS) for e in found]
+    grows = slice(round((PRESS_S + 0.3) / BLOCK_S), -round(held_s / BLOCK_S))
     assert len(of_press[grows]) > 20
     assert not any(of_press[grows])
     assert any(of_press[-round(1.0 / BLOCK_S) :])
@@ -153,8 +145,8 @@ def test_where_a_contact_rests_is_found_closer_than_a_cell_of_the_grid(seed: int
     response = noisy_map()
     place = np.random.default_rng(seed).uniform(-15.0, 15.0, 2)
     level, sd = pressed(response, tuple(place)), np.full(2, 4e-4)
-    surface = contact_calibration(response).surface()
-    bank = at_rest(Onset(level, np.zeros(2), sd, sd), surface, (25.0, 25.0), 1e-3, 0.02, 0.02)
+    card = contact_calibration(response)
+    bank = at_rest(Onset(level, np.zeros(2), sd, sd), card.surface(), card, 1e-3)
     assert bank is not None
     likely = bank.log_weight > bank.log_weight.max() - 6.0
     off_mm = np.hypot(*(bank.state[:, : Y + 1] - place).T)

@@ -11,29 +11,26 @@ from tracked_map import CLEAR
 from softslide.features.angles import wrapped_deg
 from softslide.features.card import HALF_WIDTH_SD
 from softslide.features.contact.track import ContactEvidence
-from softslide.features.estimate import Contact, Estimate, Reason, mixed_width
+from softslide.features.estimate import Contact, Estimate, Reason, bounded, interval_ends, mixed_width
 from softslide.features.straight_slide import apart, likely, stopped_on, with_track
 from softslide.features.stream.tracker import SlideState
-from softslide.features.track_estimate import TOUCH_LIMITS, TrackLimits, judged
+from softslide.features.track_estimate import LEAST_MM, TOUCH_LIMITS, TrackLimits, judged
 
-QUANTITIES = (("speed", "mm_s"), ("offset", "mm"), ("x", "mm"), ("y", "mm"), ("vx", "mm_s"), ("vy", "mm_s"))
+QUANTITIES = ("speed_mm_s", "offset_mm", "x_mm", "y_mm", "vx_mm_s", "vy_mm_s")
 
 
 def estimate(direction_deg: float, speed: float, place: float, half: float) -> Estimate:
     """Every interval is `half` to either side."""
     angle = np.radians(direction_deg)
-    values = {"speed": speed, "offset": place, "x": place, "y": -place}
-    values |= {"vx": speed * float(np.cos(angle)), "vy": speed * float(np.sin(angle))}
-    numbers = {"direction_deg": direction_deg}
-    numbers |= {"direction_lo_deg": direction_deg - half, "direction_hi_deg": direction_deg + half}
-    for name, unit in QUANTITIES:
-        numbers |= {f"{name}_{unit}": values[name]}
-        numbers |= {f"{name}_lo_{unit}": values[name] - half, f"{name}_hi_{unit}": values[name] + half}
-    return Estimate(0.0, SlideState.SLIDE, valid=True, reason=Reason.NONE, **numbers)
+    velocity = speed * float(np.cos(angle)), speed * float(np.sin(angle))
+    values = zip(QUANTITIES, (speed, place, place, -place, *velocity), strict=True)
+    known = bounded(direction_deg=(direction_deg, half), **{name: (value, half) for name, value in values})
+    return Estimate(0.0, SlideState.SLIDE, valid=True, reason=Reason.NONE, **known)
 
 
-def interval(of: Estimate, name: str, unit: str) -> tuple[float, float]:
-    return getattr(of, f"{name}_lo_{unit}"), getattr(of, f"{name}_hi_{unit}")
+def interval(of: Estimate, name: str) -> tuple[float, float]:
+    low, high = interval_ends(name)
+    return getattr(of, low), getattr(of, high)
 
 
 @given(
@@ -50,10 +47,10 @@ def test_a_straight_slides_intervals_hold_what_the_track_says(
     straight = estimate(direction, 3.0, 1.0, 0.05)
     track = estimate((direction + turn) % 360, 4.0, place, half)
     both = with_track(straight, track, shared)
-    for name, unit in QUANTITIES:
-        low, high = interval(both, name, unit)
-        value = getattr(track, f"{name}_{unit}")
-        assert getattr(both, f"{name}_{unit}") == getattr(straight, f"{name}_{unit}")
+    for name in QUANTITIES:
+        low, high = interval(both, name)
+        value = getattr(track, name)
+        assert getattr(both, name) == getattr(straight, name)
         assert low <= value - shared * half + 1e-9
         assert high >= value + shared * half - 1e-9
     apart = wrapped_deg(track.direction_deg - straight.direction_deg)
@@ -67,8 +64,8 @@ def test_a_track_that_agrees_leaves_the_straight_slides_intervals() -> None:
     blunt = estimate(30.0, 20.0, 1.0, 0.5), estimate(33.0, 21.0, 1.3, 5.0), TOUCH_LIMITS.shared
     for straight, track, shared in (sharp, blunt):
         both = with_track(straight, track, shared)
-        for name, unit in (("direction", "deg"), ("speed", "mm_s"), ("offset", "mm")):
-            assert interval(both, name, unit) == pytest.approx(interval(straight, name, unit))
+        for name in ("direction_deg", "speed_mm_s", "offset_mm"):
+            assert interval(both, name) == pytest.approx(interval(straight, name))
     assert both.x_hi_mm - both.x_mm > 4.0
 
 
@@ -78,8 +75,8 @@ def test_a_track_that_is_near_widens_no_further_than_a_bend_allows(turn_deg: flo
     track = estimate(30.0 + turn_deg, 3.0, 1.0, 6.0)
     near, both = turn_deg <= 3.0, with_track(straight, track, 0.5)
     assert both.direction_hi_deg - 30.0 == pytest.approx(0.5 if near else turn_deg + 3.0)
-    assert interval(both, "speed", "mm_s") == pytest.approx((2.7, 3.3))
-    assert interval(both, "offset", "mm") == pytest.approx((0.8, 1.2))
+    assert interval(both, "speed_mm_s") == pytest.approx((2.7, 3.3))
+    assert interval(both, "offset_mm") == pytest.approx((0.8, 1.2))
 
 
 @given(weight=st.floats(0.0, 1.0), wider=st.floats(1.0, 50.0))
@@ -101,7 +98,7 @@ def test_a_straight_slide_is_compared_where_it_was_when_the_track_was_clear(
     mean = np.concatenate([then + off_mm * across, velocity])
     track = CLEAR._replace(mean=mean, covariance=np.diag([0.09, 0.09, 0.01, 0.01]))
     limits = TrackLimits()
-    farthest_mm = np.sqrt(limits.agreement * (0.09 + limits.place_mm**2))
+    farthest_mm = np.sqrt(limits.agreement * (0.09 + LEAST_MM**2))
     if abs(off_mm - farthest_mm) > 1e-6:
         assert (apart(straight, track, since_s, limits) <= limits.agreement) == (off_mm < farthest_mm)
 
@@ -181,21 +178,18 @@ def test_without_a_rim_a_bent_or_short_track_is_not_believed(
     assert estimated(**track).valid
 
 
-@pytest.mark.parametrize(
-    ("speed", "half", "at_rest"),
-    [(0.1, 0.3, True), (0.1, 5.0, True), (1.5, 3.0, True), (2.9, 3.5, False), (1.5, 0.5, False)],
-)
-def test_a_slide_rests_once_its_track_is_a_quarter_as_fast(speed: float, half: float, at_rest: bool) -> None:
+QUARTER = [(8.0, 0.1, 0.3, True), (8.0, 0.1, 5.0, True), (8.0, 1.5, 3.0, True), (8.0, 2.9, 3.5, False)]
+# And a slow one below what a stopped contact shows.
+SLOW = [(0.4, 0.14, 0.5, True), (0.4, 0.16, 0.5, False)]
+
+
+@pytest.mark.parametrize(("slide", "speed", "half", "at_rest"), [*QUARTER, (8.0, 1.5, 0.5, False), *SLOW])
+def test_a_slide_rests_once_its_track_is_a_quarter_as_fast(
+    slide: float, speed: float, half: float, at_rest: bool
+) -> None:
     """A track that has lost the speed, 2.9 +- 3.5 mm/s of a slide of 8, does not show that it has stopped."""
-    line, track = estimate(30.0, 8.0, 1.0, 0.05), estimate(30.0, speed, 1.0, half)
-    stopped = stopped_on(line, track, TrackLimits(), ended=False)
+    line, track = estimate(30.0, slide, 1.0, 0.05), estimate(30.0, speed, 1.0, half)
+    stopped = stopped_on(line, track, ended=False)
     assert (stopped.valid, stopped.contact is Contact.STOPPED) == (True, at_rest)
-    assert (stopped.speed_mm_s, stopped.vx_mm_s) == ((0.0, 0.0) if at_rest else (8.0, track.vx_mm_s))
-    assert stopped_on(line, track, TrackLimits(), ended=True).speed_mm_s == 8.0
-
-
-@pytest.mark.parametrize(("speed", "at_rest"), [(0.14, True), (0.16, False)])
-def test_a_slow_slide_rests_below_what_a_stopped_contact_shows(speed: float, at_rest: bool) -> None:
-    line, track = estimate(30.0, 0.4, 1.0, 0.05), estimate(30.0, speed, 1.0, 0.5)
-    stopped = stopped_on(line, track, TrackLimits(), ended=False)
-    assert (stopped.contact is Contact.STOPPED) is at_rest
+    assert (stopped.speed_mm_s, stopped.vx_mm_s) == ((0.0, 0.0) if at_rest else (slide, track.vx_mm_s))
+    assert stopped_on(line, track, ended=True).speed_mm_s == slide

@@ -8,22 +8,28 @@ from dome_map import dome_map, surface_of
 
 from softslide.features.contact.hypotheses import LocalErrors, update
 from softslide.features.contact.touch_down import at_touch_down
+from softslide.features.contact.track import Track
 from softslide.features.contact.tracker import ContactTracker
 from softslide.features.contact.tracking_config import TOUCH_DOWN
+from softslide.features.stream.conditioning import Conditioning
 from softslide.features.track_estimate import TOUCH_LIMITS
+from softslide.models.response_map.card import contact_calibration
 
 BLOCK_S = 0.02
 RADIUS_MM, SPEED_MM_S = 6.0, 25.0
 RESPONSE = dome_map(2, floor_v=4e-3)
-SURFACE = surface_of(RESPONSE)
+SURFACE, CARD = surface_of(RESPONSE), contact_calibration(RESPONSE)
 USABLE = np.ones(6, dtype=bool)
 LOCAL = LocalErrors(0.42, 0.07)
 
 
-def tracker(remembered: int = 0) -> ContactTracker:
-    config = replace(TOUCH_DOWN, remembered=remembered)
-    noise_v = np.full(6, 1e-3)
-    return ContactTracker(SURFACE, (15.0, 15.0), BLOCK_S, noise_v, RESPONSE.floor_v, 0.1, 5e-3, 3e-3, config)
+def tracker(lag_blocks: int = 0) -> ContactTracker:
+    return ContactTracker(SURFACE, CARD, Conditioning(), TOUCH_DOWN, lag_blocks)
+
+
+def tracks_of(blocks: np.ndarray, usable: np.ndarray = USABLE) -> list[Track | None]:
+    one = tracker()
+    return [one.push(block, True, usable) for block in blocks]
 
 
 def on_the_circle(time_s: np.ndarray, speed_mm_s: float = SPEED_MM_S) -> np.ndarray:
@@ -63,8 +69,7 @@ def test_a_circle_is_followed_from_its_touch(gain: float, dead: bool) -> None:
     usable = USABLE.copy()
     if dead:
         usable[3:], blocks[:, 3:] = False, 9.9
-    one = tracker()
-    found = [one.push(block, True, usable) for block in blocks]
+    found = tracks_of(blocks, usable)
     assert found[1] is None
     late = [(track.mean, true) for track, true in zip(found[30:], truth[30:], strict=True) if track]
     assert len(late) == 50
@@ -83,7 +88,6 @@ def test_a_lifted_contact_stays_where_it_was_before_its_last_block() -> None:
     after = [one.push(np.zeros(6), touched, USABLE) for touched in (True, True, False, False)]
     assert all(track is tracks[-1] for track in after[:3])
     assert after[3] is None
-    assert not one.tracking
 
 
 def test_evidence_is_for_a_contact_and_against_a_smooth_signal() -> None:
@@ -97,7 +101,7 @@ def test_evidence_is_for_a_contact_and_against_a_smooth_signal() -> None:
         (blocks, TOUCH_LIMITS.evidence, np.inf),
         (waves, -np.inf, TOUCH_LIMITS.evidence),
     ):
-        one = tracker(remembered=10)
+        one = tracker(lag_blocks=9)
         tracks = [one.push(block, True, USABLE) for block in shown]
         assert tracks[-1] is not None
         assert least < tracks[-1].evidence.log_odds < most
@@ -112,20 +116,16 @@ def test_on_a_smooth_skin_a_contact_has_its_evidence(speed_mm_s: float) -> None:
     place = on_the_circle(BLOCK_S * (np.arange(120) + 0.5), speed_mm_s)
     volts = SURFACE.at(*place[:, :2].T)[:, 0, 0]
     volts = volts + 1e-3 * np.random.default_rng(4).standard_normal(volts.shape)
-    one = tracker()
-    tracks = [one.push(block, True, USABLE) for block in volts]
-    log_odds = [track.evidence.log_odds for track in tracks if track is not None]
+    log_odds = [track.evidence.log_odds for track in tracks_of(volts) if track is not None]
     assert min(log_odds) > TOUCH_LIMITS.evidence
     assert log_odds[-1] > -30.0
 
 
 def test_bends_are_counted_and_a_circle_needs_none() -> None:
     """A track that needed a bend is not believed: the next one shows 2 mm late."""
-    bent, one = bent_line(56), tracker()
-    turned = [track.manoeuvres for track in (one.push(block, True, USABLE) for block in bent) if track]
+    turned = [track.manoeuvres for track in tracks_of(bent_line(56)) if track]
     assert max(turned[:25]) < TOUCH_LIMITS.manoeuvres < max(turned)
-    round_it, one = circle(60)[0], tracker()
-    held = [track.manoeuvres for track in (one.push(block, True, USABLE) for block in round_it) if track]
+    held = [track.manoeuvres for track in tracks_of(circle(60)[0]) if track]
     assert np.median(held) < TOUCH_LIMITS.manoeuvres
 
 
@@ -133,7 +133,7 @@ def test_errors_of_place_and_gain_add_their_own_covariance() -> None:
     """One linear update, against the Kalman gain with the whole covariance of the measurement."""
     level = SURFACE.at(np.array([2.0]), np.array([-1.0]))[0, 0, 0]
     variance = np.full(6, 1e-5)
-    before = at_touch_down(level, variance, SURFACE, (15.0, 15.0), 0.1, LOCAL).take(slice(0, 1))
+    before = at_touch_down(level, variance, SURFACE, CARD, LOCAL).take(slice(0, 1))
     response = SURFACE.at(*before.state[:, :2].T)[0, :, 0]
     shown, slopes = response[0], response[1:]
     whole = np.diag(variance) + 0.3**2 * slopes.T @ slopes + 0.05**2 * np.outer(shown, shown)
@@ -146,8 +146,9 @@ def test_errors_of_place_and_gain_add_their_own_covariance() -> None:
 
 
 def test_places_are_found_by_the_first_output_whatever_its_gain() -> None:
+    card = replace(CARD, gain_sd=0.15)
     for place in ((8.0, -3.0), (-5.0, 10.0)):
         level = 1.1 * SURFACE.at(*np.array([place]).T)[0, 0, 0]
-        bank = at_touch_down(level, np.full(6, 1e-5), SURFACE, (15.0, 15.0), 0.15, LOCAL)
+        bank = at_touch_down(level, np.full(6, 1e-5), SURFACE, card, LOCAL)
         assert np.hypot(*(bank.state[0, :2] - place)) < 1.0
         assert len({tuple(heading) for heading in bank.state[:, 2:4]}) == 24

@@ -27,7 +27,6 @@ from softslide.features.stream.conditioning import LagUndone, block_means
 from softslide.features.stream.tracker import SlideState, SlideTracker
 from softslide.pipeline.recordings.folder import Folder, read_folder
 from softslide.pipeline.workers import results
-from softslide.serve.contact_tracker import contact_tracker
 
 Blocks = list[tuple[np.ndarray, bool]]
 
@@ -48,9 +47,8 @@ def blocks_of(volts: np.ndarray, card: Card) -> Blocks:
 
 def gained(blocks: Blocks, card: Card, config: TrackingConfig) -> float:
     """The logarithm of the odds that one path's hypotheses gain."""
-    noise_gain = LagUndone(card.conditioning, len(blocks[0][0])).noise_gain
-    tracker = contact_tracker(card, noise_gain, np.nan, config, replays=False)
-    assert isinstance(tracker, ContactTracker)
+    assert card.contact is not None
+    tracker = ContactTracker(card.contact.surface(), card.contact, card.conditioning, config)
     total, every = 0.0, np.ones(len(blocks[0][0]), dtype=bool)
     for volts, touched in blocks:
         tracker.push(volts, touched, every)

@@ -87,6 +87,11 @@ class ContactCalibration:
         if not symmetric or not np.linalg.eigvalsh(correlation)[0] > LEAST_EIGENVALUE:
             raise ValueError("contact: static_covariance_v2 is no covariance, or cannot be inverted")
 
+    @property
+    def chamber_half_mm(self) -> tuple[float, float]:
+        """Half the chamber's sizes along x and y."""
+        return self.chamber_mm[0] / 2, self.chamber_mm[1] / 2
+
     def surface(self) -> ResponseSurface:
         """The response map, ready to be read."""
         return ResponseSurface(self.splines(), self.half_mm, self.spacing_mm)

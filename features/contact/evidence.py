@@ -7,7 +7,6 @@ import numpy as np
 
 from softslide.features.contact.smooth_signal import SmoothSignal
 from softslide.features.contact.track import ContactEvidence
-from softslide.features.contact.whole_device import beyond_device
 
 # Memory of the evidence for a contact: of way, and of time, so that a signal that comes to rest earns nothing by it
 # (synthetic paths and tilts, experiments/LOG.md).
@@ -24,6 +23,22 @@ SLIDE_LOG_ODDS = 3.0
 TOUCH_SHARE = 0.3
 PRESS_TRIGGERS = 4.0
 PRESS_ON_S = 4.0
+
+
+def beyond_device(inflation_v_per_mm: np.ndarray) -> np.ndarray:
+    """The projection (C, C) of outputs (C,) V, V_x and V_y of each accelerometer, on what only a touch makes.
+
+    The whole device makes two more: a tilt shows alike in all accelerometers, a change of the chamber's pressure along
+    inflation_v_per_mm (C,), by which outputs at rest change as the skin rises; only its direction matters. With one
+    accelerometer nothing is beyond these; with two a direction is left, and each further one leaves two more.
+    """
+    channels = len(inflation_v_per_mm)
+    tilts = np.tile(np.eye(2), (channels // 2, 1))
+    made = np.column_stack([tilts, inflation_v_per_mm])
+    # A pressure that tilts all boards alike, or none, adds no direction of its own.
+    directions, sizes, _ = np.linalg.svd(made / np.linalg.norm(made, axis=0).clip(1e-12), full_matrices=False)
+    kept = directions[:, sizes > 1e-6]
+    return np.eye(channels) - kept @ kept.T
 
 
 class Evidence:
@@ -50,13 +65,13 @@ class Evidence:
         self._smooth = SmoothSignal(noise_v, step_s)
         self.begin(self._use, np.zeros_like(noise_v), np.zeros_like(noise_v))
 
-    def begin(self, use: np.ndarray, level_v: np.ndarray, slope_v_s: np.ndarray) -> None:
-        """A contact begins, read from the channels `use` (C,) bool, at a level (C,) and a slope (C,)."""
-        self._peak_v = 0.0
-        self.begin_anew(use, level_v, slope_v_s)
+    def begin(self, use: np.ndarray, level_v: np.ndarray, slope_v_s: np.ndarray, anew: bool = False) -> None:
+        """A contact begins, read from the channels `use` (C,) bool, at a level (C,) and a slope (C,).
 
-    def begin_anew(self, use: np.ndarray, level_v: np.ndarray, slope_v_s: np.ndarray) -> None:
-        """The contact goes on, but its track begins anew."""
+        anew: the contact goes on, but its track was lost.
+        """
+        if not anew:
+            self._peak_v = 0.0
         self._log_odds = 0.0
         # How many steps the contact has, and the sum of their misfits.
         self._steps = self._misfits = self._prior_steps or 0.0

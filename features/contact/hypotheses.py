@@ -117,6 +117,13 @@ def joined(parts: list[Hypotheses]) -> Hypotheses:
     return Hypotheses(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Hypotheses)))
 
 
+def placed(x_mm: np.ndarray, y_mm: np.ndarray, channels: int) -> np.ndarray:
+    """States (N, n) of whole contacts at places (N,) mm, without motion, friction and residual."""
+    state = np.zeros((len(x_mm), RESIDUAL + channels))
+    state[:, X], state[:, Y], state[:, GAIN] = x_mm, y_mm, 1.0
+    return state
+
+
 def started(state: np.ndarray, sd: np.ndarray, log_weight: np.ndarray, partial: bool) -> Hypotheses:
     """New hypotheses from states (N, n), their standard deviations (N, n) and log weights (N,)."""
     count, size = state.shape
@@ -179,9 +186,11 @@ def correct(bank: Hypotheses, along: np.ndarray, change: np.ndarray, less: np.nd
     bank.past_cross -= gain @ crossed.transpose(0, 2, 1)[:, None]
 
 
-def predict(bank: Hypotheses, elapsed_s: float, floor_v: float, partial_v: float, noise: MotionNoise) -> None:
-    """Moves every hypothesis on by elapsed_s along its arc. floor_v: V, standard deviation of the map's residual;
-    partial_v: V, what it grows by in 1 s while a contact is pressed on or lifted."""
+def predict(
+    bank: Hypotheses, elapsed_s: float, residual_v: float, partial_v: float, noise: MotionNoise
+) -> None:
+    """Moves every hypothesis on by elapsed_s along its arc. residual_v: V, standard deviation of the map's
+    residual; partial_v: V, what it grows by in 1 s while a contact is pressed on or lifted."""
     state, count, size = bank.state, len(bank), bank.state.shape[1]
     state[:, SPEED] += elapsed_s * state[:, ACCELERATION]
     speed, curvature = state[:, SPEED], state[:, CURVATURE]
@@ -223,7 +232,7 @@ def predict(bank: Hypotheses, elapsed_s: float, floor_v: float, partial_v: float
     grown[:, RISE] += np.where(bank.partial, noise.rise**2 * elapsed_s, 0.0)
     grown[:, DEPTH] += noise.depth**2 * way
     grown[:, FRICTION] += (noise.friction**2 * way)[:, None] + (noise.turned * turned) ** 2
-    grown[:, RESIDUAL:] += (floor_v**2 * (1.0 - kept[:, 1] ** 2))[:, None]
+    grown[:, RESIDUAL:] += (residual_v**2 * (1.0 - kept[:, 1] ** 2))[:, None]
     grown[:, RESIDUAL:] += np.where(bank.partial, partial_v**2 * elapsed_s, 0.0)[:, None]
     bank.covariance = covariance
     bank.past_cross = bank.past_cross @ slope.transpose(0, 2, 1)[:, None]

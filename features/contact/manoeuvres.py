@@ -93,7 +93,7 @@ def branched(
             child.covariance[:, CURVATURE, CURVATURE] += p.curvature**2
         children.append(child)
     stop = _child(parent, np.minimum(p.stop * way, 0.1))
-    _set_speed(stop, np.zeros(len(stop)), np.full(len(stop), STOPPED_MM_S))
+    _set_speed(stop, 0.0, STOPPED_MM_S)
     back = _child(parent, np.minimum(p.back * way, 0.1))
     _set_speed(back, -back.state[:, SPEED], 0.3 * speed + 0.1)
     children += [stop, back]
@@ -101,7 +101,7 @@ def branched(
         corner = _child(parent, np.minimum(p.corner * way, 0.1))
         corner.state[:, HEADING] += turn
         corner.covariance[:, HEADING, HEADING] += 0.5**2
-        _set(corner, CURVATURE, np.zeros(len(corner)), np.full(len(corner), 0.02))
+        _set(corner, CURVATURE, 0.0, 0.02)
         children.append(corner)
     slow = np.abs(bank.state[:, SPEED]) < SLOW_MM_S
     slow &= bank.log_weight > -log_odds
@@ -186,18 +186,18 @@ def _halves(parent: Hypotheses) -> list[Hypotheses]:
     return children
 
 
-def _set(bank: Hypotheses, n: int, value: np.ndarray, sd: np.ndarray) -> None:
-    """Number n of the state anew, correlated with nothing."""
+def _set(bank: Hypotheses, n: int, value: np.ndarray | float, sd: np.ndarray | float) -> None:
+    """Number n of the state anew, of all or (N,), correlated with nothing."""
     bank.state[:, n] = value
     bank.covariance[:, n, :] = 0.0
     bank.covariance[:, :, n] = 0.0
-    bank.covariance[:, n, n] = sd**2
+    bank.covariance[:, n, n] = np.square(sd)
     bank.past_cross[..., n] = 0.0
 
 
-def _set_speed(bank: Hypotheses, value: np.ndarray, sd: np.ndarray) -> None:
+def _set_speed(bank: Hypotheses, value: np.ndarray | float, sd: np.ndarray | float) -> None:
     _set(bank, SPEED, value, sd)
-    _set(bank, ACCELERATION, np.zeros(len(bank)), np.full(len(bank), 0.01))
+    _set(bank, ACCELERATION, 0.0, 0.01)
 
 
 def _restarts(slow: Hypotheses, chance: float) -> list[Hypotheses]:
@@ -207,9 +207,9 @@ def _restarts(slow: Hypotheses, chance: float) -> list[Hypotheses]:
         for speed, sd in RESTART_SPEEDS:
             child = _child(slow, chance)
             turned = child.state[:, HEADING] + k * 2 * np.pi / RESTART_HEADINGS
-            _set(child, HEADING, turned, np.full(len(child), np.pi / RESTART_HEADINGS))
-            _set(child, CURVATURE, np.zeros(len(child)), np.full(len(child), 0.02))
-            _set_speed(child, np.full(len(child), speed), np.full(len(child), sd))
+            _set(child, HEADING, turned, np.pi / RESTART_HEADINGS)
+            _set(child, CURVATURE, 0.0, 0.02)
+            _set_speed(child, speed, sd)
             children.append(child)
     return children
 
@@ -226,5 +226,5 @@ def _made_whole(partial: Hypotheses, gain_sd: float, chance: float) -> Hypothese
     correct(child, along, (gap / total)[:, None, None], 1.0 / total[:, None, None])
     child.partial[:] = False
     child.manoeuvres -= 1.0
-    _set(child, RISE, np.zeros(len(child)), np.zeros(len(child)))
+    _set(child, RISE, 0.0, 0.0)
     return child

@@ -1,6 +1,5 @@
 """Re-runs a tracker over the last 0.5 s without an accelerometer that was found faulty."""
 
-import copy
 from typing import NamedTuple
 
 import numpy as np
@@ -33,11 +32,6 @@ class ReplayingTracker:
         self._tracker.reset()
         self._start_anew()
 
-    @property
-    def tracking(self) -> bool:
-        """Whether a contact is tracked."""
-        return self._tracker.tracking
-
     def push(self, volts: np.ndarray, touched: bool, usable: np.ndarray) -> Track | None:
         """One block, as in `ContactTracker.push`. -> the contact, None if none is tracked."""
         block = _Block(volts, touched, usable)
@@ -56,14 +50,14 @@ class ReplayingTracker:
 
     def _start_anew(self) -> None:
         # Two copies, so that the older is never younger than the longest fault that is not yet found.
-        self._older, self._newer = copy.deepcopy(self._tracker), copy.deepcopy(self._tracker)
+        self._older, self._newer = self._tracker.copied(), self._tracker.copied()
         self._blocks: list[_Block] = []  # since the older copy
         self._since_newer = 0
 
     def _keep(self, block: _Block) -> None:
         if self._since_newer == FROZEN_BLOCKS:
             self._blocks = self._blocks[-FROZEN_BLOCKS:]
-            self._older, self._newer, self._since_newer = self._newer, copy.deepcopy(self._tracker), 0
+            self._older, self._newer, self._since_newer = self._newer, self._tracker.copied(), 0
         self._blocks.append(block)
         self._since_newer += 1
 

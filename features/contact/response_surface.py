@@ -27,10 +27,6 @@ class ResponseSurface:
             rows[:, :, n] = patch.transpose(1, 2, 0, 3).reshape(self._cells, self._cells, -1)
         self._rows = rows.reshape(self._cells**2, -1)
 
-    def __deepcopy__(self, memo: dict[int, object]) -> "ResponseSurface":
-        """Itself: nothing changes a surface, and copies of a tracker share it."""
-        return self
-
     def at(self, x_mm: np.ndarray, y_mm: np.ndarray) -> np.ndarray:
         """Places (N,), (N,) mm -> (N, 3, 4, C): value (V), slope along x and along y (V/mm) of M, Fx, Fy, D."""
         place = np.stack([x_mm, y_mm]) + self._half

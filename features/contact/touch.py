@@ -8,10 +8,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from softslide.features.contact.calibration import ContactCalibration
 from softslide.features.contact.hypotheses import (
     ACCELERATION,
+    CURVATURE,
+    DEPTH,
     FRICTION,
-    FRICTION_X,
     GAIN,
     HEADING,
     RESIDUAL,
@@ -22,12 +24,14 @@ from softslide.features.contact.hypotheses import (
     Y,
     expected,
     joined,
+    placed,
     started,
 )
 from softslide.features.contact.response_surface import ResponseSurface
 
 GRID_MM = 2.5
 HEADINGS = 8
+HEADING_SD = 0.35  # rad: nearly half the angle between two of them
 SPEEDS_MM_S = (0.2, 40.0)
 RIM_MM = (5.0, 9.0)  # outside and inside the chamber's edge, where a contact over the rim first shows
 GATE = 18.0  # chi-square of a place for two channels
@@ -63,25 +67,11 @@ def onset(recent: np.ndarray, block_s: float, noise_v: np.ndarray) -> Onset:
 
 
 def at_touch(
-    seen: Onset,
-    surface: ResponseSurface,
-    half_mm: tuple[float, float],
-    floor_v: float,
-    gain_sd: float,
-    depth_sd_mm: float,
-    most: int,
-    anywhere: bool = False,
+    seen: Onset, surface: ResponseSurface, calibration: ContactCalibration, most: int, anywhere: bool = False
 ) -> Hypotheses | None:
-    """The most likely hypotheses, at most `most`; None if no place fits.
-
-    half_mm: half the chamber's sizes along x and y. anywhere: at full depth not only near the rim.
-    """
-    scale = np.array([GRID_MM / 2, GRID_MM / 2, 0.35, 0.0, 0.0, 0.01, gain_sd, depth_sd_mm, 0.0, 0.0, 0.0])
-    parts = [
-        _over_rim(seen, surface, half_mm, floor_v, scale, anywhere),
-        _pressed_on(seen, surface, half_mm, floor_v, scale),
-    ]
-    bank = joined(parts)
+    """The most likely hypotheses, at most `most`; None if no place fits. anywhere: at full depth not only near the
+    rim."""
+    bank = joined([_over_rim(seen, surface, calibration, anywhere), _pressed_on(seen, surface, calibration)])
     if not len(bank):
         return None
     best = bank.likeliest(most)
@@ -90,33 +80,36 @@ def at_touch(
 
 
 def at_rest(
-    seen: Onset,
-    surface: ResponseSurface,
-    half_mm: tuple[float, float],
-    floor_v: float,
-    gain_sd: float,
-    depth_sd_mm: float,
+    seen: Onset, surface: ResponseSurface, calibration: ContactCalibration, residual_v: float
 ) -> Hypotheses | None:
     """Whole contacts that rest where they were pressed on: where the map inside answers as the level; None if nowhere.
 
-    floor_v: V, what the map leaves of an output as large as the level.
+    residual_v: V, what the map leaves of an output as large as the level.
     """
-    x, y = _inner_grid(half_mm)
+    x, y = _inner_grid(calibration)
     response = surface.at(x, y)
     shown, slopes = response[:, 0, 0], response[:, 1:, 0]
-    variance = seen.level_sd**2 + floor_v**2 + (slopes**2).sum(1) * (GRID_MM / 2) ** 2
+    variance = seen.level_sd**2 + residual_v**2 + (slopes**2).sum(1) * (GRID_MM / 2) ** 2
     misfit = ((seen.level - shown) ** 2 / variance).sum(1)
     n = np.flatnonzero(misfit < GATE)
     if not len(n):
         return None
-    state = np.zeros((len(n), RESIDUAL + surface.channels))
-    state[:, X], state[:, Y], state[:, SPEED], state[:, GAIN] = x[n], y[n], 0.01, 1.0
-    sd = np.full(state.shape, floor_v)
-    sd[:, :FRICTION_X] = GRID_MM / 2, GRID_MM / 2, 3.0, 0.05, 0.01, 0.01, gain_sd, depth_sd_mm, 0.0
+    state, sd = placed(x[n], y[n], surface.channels), _deviations(len(n), calibration, residual_v)
+    state[:, SPEED] = 0.01
+    sd[:, HEADING], sd[:, SPEED], sd[:, ACCELERATION] = 3.0, 0.05, 0.01
     sd[:, FRICTION] = PRESSED_FRICTION
     bank = started(state, sd, np.full(len(n), -np.log(len(n))), partial=False)
     _settle(bank, seen.level, seen.level_sd**2, surface)
     return bank
+
+
+def _deviations(count: int, calibration: ContactCalibration, residual_v: float) -> np.ndarray:
+    """(count, n): standard deviations of whole contacts anywhere in a cell of the grid; of their motion none."""
+    sd = np.zeros((count, RESIDUAL + len(calibration.noise_v)))
+    sd[:, X] = sd[:, Y] = GRID_MM / 2
+    sd[:, CURVATURE], sd[:, GAIN], sd[:, DEPTH] = 0.01, calibration.gain_sd, calibration.depth_sd_mm
+    sd[:, RESIDUAL:] = residual_v
+    return sd
 
 
 def _settle(bank: Hypotheses, level: np.ndarray, variance: np.ndarray, surface: ResponseSurface) -> None:
@@ -141,22 +134,19 @@ def _grid(half_mm: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
     return x.ravel(), y.ravel()
 
 
-def _inner_grid(half_mm: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
+def _inner_grid(calibration: ContactCalibration) -> tuple[np.ndarray, np.ndarray]:
     """Where a contact may be pressed on: off the chamber's edge."""
+    half_mm = calibration.chamber_half_mm
     x, y = _grid(half_mm)
     inner = (np.abs(x) < half_mm[0] - GRID_MM) & (np.abs(y) < half_mm[1] - GRID_MM)
     return x[inner], y[inner]
 
 
 def _over_rim(
-    seen: Onset,
-    surface: ResponseSurface,
-    half_mm: tuple[float, float],
-    floor_v: float,
-    scale: np.ndarray,
-    anywhere: bool,
+    seen: Onset, surface: ResponseSurface, calibration: ContactCalibration, anywhere: bool
 ) -> Hypotheses:
     """Contacts at full depth: the place from the level, the speed along each heading from the slope."""
+    half_mm, floor_v = calibration.chamber_half_mm, calibration.floor_v
     x, y = (np.tile(axis, HEADINGS) for axis in _grid(half_mm))
     heading = np.repeat(np.arange(HEADINGS) * 2 * np.pi / HEADINGS, len(x) // HEADINGS)
     motion = np.stack([np.cos(heading), np.sin(heading)], axis=1)
@@ -183,30 +173,23 @@ def _over_rim(
         possible &= (inside < RIM_MM[1]) & (inward > -0.2)
     n = np.flatnonzero(possible)
     speed = np.clip(speed[n], *SPEEDS_MM_S)
-    state = np.zeros((len(n), RESIDUAL + surface.channels))
-    state[:, X], state[:, Y], state[:, HEADING], state[:, SPEED] = x[n], y[n], heading[n], speed
-    state[:, GAIN] = 1.0
-    sd = np.concatenate([np.tile(scale, (len(n), 1)), np.full((len(n), surface.channels), floor_v)], axis=1)
+    state, sd = placed(x[n], y[n], surface.channels), _deviations(len(n), calibration, floor_v)
+    state[:, HEADING], state[:, SPEED], state[:, FRICTION] = heading[n], speed, motion[n]
+    sd[:, HEADING] = HEADING_SD
     sd[:, SPEED] = np.minimum(precision[n] ** -0.5, speed) + 0.3 * speed
     sd[:, ACCELERATION] = 0.005 * speed**2 + 0.01
-    state[:, FRICTION] = motion[n]
     bank = started(state, sd, -0.5 * (misfit + off_slope)[n], partial=False)
     # The friction has the direction of the motion.
-    turned = np.stack([-motion[n, 1], motion[n, 0]], axis=1) * (scale[HEADING] ** 2)
+    turned = np.stack([-motion[n, 1], motion[n, 0]], axis=1) * HEADING_SD**2
     bank.covariance[:, FRICTION, HEADING] = bank.covariance[:, HEADING, FRICTION] = turned
-    bank.covariance[:, FRICTION, FRICTION] += turned[:, :, None] * turned[:, None] / scale[HEADING] ** 2
+    bank.covariance[:, FRICTION, FRICTION] += turned[:, :, None] * turned[:, None] / HEADING_SD**2
     return bank
 
 
-def _pressed_on(
-    seen: Onset,
-    surface: ResponseSurface,
-    half_mm: tuple[float, float],
-    floor_v: float,
-    scale: np.ndarray,
-) -> Hypotheses:
+def _pressed_on(seen: Onset, surface: ResponseSurface, calibration: ContactCalibration) -> Hypotheses:
     """Contacts that are still being pressed on: the gain from the level, no motion yet."""
-    x, y = _inner_grid(half_mm)
+    floor_v = calibration.floor_v
+    x, y = _inner_grid(calibration)
     shown = surface.at(x, y)[:, 0, 0]
     use = np.isfinite(seen.level_sd)
     size = (shown[:, use] ** 2).sum(1) + 1e-12
@@ -215,10 +198,8 @@ def _pressed_on(
     variance = seen.level_sd**2 + floor_v**2 + (PRESSED_SHARE * np.abs(seen.level).max()) ** 2
     misfit = ((seen.level - gain[:, None] * shown) ** 2 / variance).sum(1)
     n = np.flatnonzero((gain > 0.005) & (gain < 1.1) & (misfit < GATE))
-    state = np.zeros((len(n), RESIDUAL + surface.channels))
-    state[:, X], state[:, Y], state[:, SPEED], state[:, GAIN] = x[n], y[n], 0.01, gain[n]
-    state[:, RISE] = rise[n]
-    sd = np.concatenate([np.tile(scale, (len(n), 1)), np.full((len(n), surface.channels), floor_v)], axis=1)
+    state, sd = placed(x[n], y[n], surface.channels), _deviations(len(n), calibration, floor_v)
+    state[:, SPEED], state[:, GAIN], state[:, RISE] = 0.01, gain[n], rise[n]
     sd[:, HEADING], sd[:, SPEED], sd[:, ACCELERATION] = 3.0, 1.0, 0.01
     sd[:, FRICTION] = PRESSED_FRICTION
     sd[:, GAIN], sd[:, RISE] = 0.3 * gain[n] + 0.05, np.hypot(0.3 * rise[n], rise_sd[n])

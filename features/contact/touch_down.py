@@ -10,18 +10,19 @@ import math
 
 import numpy as np
 
+from softslide.features.contact.calibration import ContactCalibration
 from softslide.features.contact.hypotheses import (
     ACCELERATION,
     CURVATURE,
     FRICTION,
     GAIN,
     HEADING,
-    RESIDUAL,
     SPEED,
     Hypotheses,
     LocalErrors,
     X,
     Y,
+    placed,
     started,
 )
 from softslide.features.contact.response_surface import ResponseSurface
@@ -40,22 +41,21 @@ def at_touch_down(
     volts: np.ndarray,
     variance: np.ndarray,
     surface: ResponseSurface,
-    half_mm: tuple[float, float],
-    gain_sd: float,
+    calibration: ContactCalibration,
     local: LocalErrors,
 ) -> Hypotheses:
     """The likeliest places, each with a fan of headings and speeds.
 
     volts: (C,) V, what the touch shows; variance: (C,) V^2 of a step's residual, infinite for a dead channel.
     """
-    axes = [np.arange(-h, h + GRID_MM / 2, GRID_MM) for h in half_mm]
+    axes = [np.arange(-h, h + GRID_MM / 2, GRID_MM) for h in calibration.chamber_half_mm]
     x, y = (axis.ravel() for axis in np.meshgrid(*axes, indexing="ij"))
     use = np.isfinite(variance)
     response = surface.at(x, y)[:, :, 0][..., use]
     shown, slopes = response[:, 0], response[:, 1:]
     place = local.place_mm**2 + (GRID_MM / 2) ** 2
     spread = np.diag(variance[use]) + place * (slopes.transpose(0, 2, 1) @ slopes)
-    spread = spread + gain_sd**2 * shown[:, :, None] * shown[:, None]
+    spread = spread + calibration.gain_sd**2 * shown[:, :, None] * shown[:, None]
     gap = volts[use] - shown
     off = 0.5 * (
         (gap * np.linalg.solve(spread, gap[..., None])[..., 0]).sum(1) + np.linalg.slogdet(spread)[1]
@@ -66,12 +66,11 @@ def at_touch_down(
         axis.ravel() for axis in np.meshgrid(places, np.arange(HEADINGS), SPEEDS_MM_S, indexing="ij")
     )
     heading = turn * 2 * np.pi / HEADINGS
-    state = np.zeros((len(at), RESIDUAL + surface.channels))
-    state[:, X], state[:, Y], state[:, HEADING], state[:, SPEED] = x[at], y[at], heading, speed
-    state[:, GAIN] = 1.0
+    state = placed(x[at], y[at], surface.channels)
+    state[:, HEADING], state[:, SPEED] = heading, speed
     state[:, FRICTION] = np.stack([np.cos(heading), np.sin(heading)], axis=1)
     sd = np.full(state.shape, TINY)
     sd[:, X] = sd[:, Y] = GRID_MM / 2
     sd[:, HEADING], sd[:, SPEED] = math.pi / HEADINGS, SPEED_SHARE * speed
-    sd[:, ACCELERATION], sd[:, CURVATURE], sd[:, GAIN] = 0.01, START_CURVATURE, gain_sd
+    sd[:, ACCELERATION], sd[:, CURVATURE], sd[:, GAIN] = 0.01, START_CURVATURE, calibration.gain_sd
     return started(state, sd, off[places[0]] - off[at], partial=False)

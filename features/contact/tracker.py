@@ -1,12 +1,13 @@
 """Tracks one contact from touch to release: where it is and how it moves, with a covariance, at each block."""
 
+import copy
 import math
 from collections import deque
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
+from softslide.features.contact.calibration import ContactCalibration
 from softslide.features.contact.evidence import Evidence
 from softslide.features.contact.hypotheses import (
     ACCELERATION,
@@ -18,13 +19,13 @@ from softslide.features.contact.hypotheses import (
     MANOEUVRE_MM,
     PARTIAL_SHARE,
     PEAK_SHARE,
-    RESIDUAL,
     RISE,
     SPEED,
     Hypotheses,
     X,
     Y,
     joined,
+    placed,
     predict,
     remember,
     remembering,
@@ -37,7 +38,13 @@ from softslide.features.contact.touch import at_rest, at_touch, onset
 from softslide.features.contact.touch_down import at_touch_down
 from softslide.features.contact.track import Track, moved_on, read, read_past
 from softslide.features.contact.tracking_config import TINY, TrackingConfig
+from softslide.features.stream.conditioning import Conditioning, LagUndone
 
+TOUCH_MOST = 100  # hypotheses at a touch
+# Logarithms: a hypothesis is dropped beyond these odds to the best; those of rest, where the output first settles, to
+# the other hypotheses.
+LEAST_ODDS, RESTING_ODDS = 15.0, -2.0
+HELD_RISE = 0.05  # 1/s: the gain of a contact that stands still, half pressed on, changes by less
 ONSET_BLOCKS = 12
 TRIGGER_BLOCKS = 5
 # A contact comes down and is lifted within a block, which then shows a part of it; so many whole ones show the place.
@@ -83,9 +90,8 @@ class _Step(NamedTuple):
 class ContactTracker:
     """One stream's tracker.
 
-    surface: the calibrated response. half_mm: half the chamber's sizes. noise_v: (C,) V of one block, with the lag
-    undone. floor_v, floor_share, inflation_v_per_mm: as in ContactCalibration; without the last no press is detected.
-    gain_sd: from slide to slide. trigger_v, release_v: V, outputs that begin and end a contact.
+    surface: the calibrated response, at the skin's height; calibration, conditioning: the card's. lag_blocks: how far
+    back `past` reads.
 
     gained: by the last block, the logarithm of the odds of a contact against a signal that needs no map.
     """
@@ -93,34 +99,32 @@ class ContactTracker:
     def __init__(
         self,
         surface: ResponseSurface,
-        half_mm: tuple[float, float],
-        block_s: float,
-        noise_v: np.ndarray,
-        floor_v: float,
-        gain_sd: float,
-        trigger_v: float,
-        release_v: float,
+        calibration: ContactCalibration,
+        conditioning: Conditioning,
         config: TrackingConfig,
-        inflation_v_per_mm: Sequence[float] = (),
-        floor_share: float | None = None,
+        lag_blocks: int = 0,
     ) -> None:
-        self._surface, self._half, self._block_s, self._config = surface, half_mm, block_s, config
-        self._noise_v, self._gain_sd = noise_v, gain_sd
-        self._floor_v, self._floor_share = floor_v, floor_share
-        self._trigger_v, self._release_v = trigger_v, release_v
-        self._step_s = config.step_blocks * block_s
+        self._surface, self._calibration = surface, calibration
+        self._conditioning, self._config = conditioning, config
+        self._block_s, self._step_s = conditioning.block_s, config.step_blocks * conditioning.block_s
+        self._remembered = math.ceil(lag_blocks / config.step_blocks) + 1 if lag_blocks else 0
+        # Of one block, with the lag undone.
+        noise_gain = LagUndone(conditioning, surface.channels).noise_gain
+        self._noise_v = noise_gain * np.array(calibration.noise_v)
         # Of a measurement about what a hypothesis expects, V^2: the noise, or all that the map leaves.
-        self._variance = noise_v**2 / config.step_blocks
+        self._variance = self._noise_v**2 / config.step_blocks
         # The state of a contact that comes down is that of its block's middle.
         self._ahead_s = 0.0
         if config.comes_down:
-            self._variance, self._ahead_s = np.full_like(noise_v, floor_v**2), block_s / 2
-        self._recent = np.zeros((ONSET_BLOCKS, len(noise_v)))
+            self._variance = np.full(surface.channels, calibration.floor_v**2)
+            self._ahead_s = self._block_s / 2
+        self._recent = np.zeros((ONSET_BLOCKS, surface.channels))
         self._evidence = Evidence(
-            noise_v / math.sqrt(config.step_blocks),
+            self._noise_v / math.sqrt(config.step_blocks),
             self._step_s,
-            trigger_v,
-            inflation_v_per_mm,
+            conditioning.trigger_v,
+            # A press of a contact that comes down anywhere is not distinguished from the whole device's motion.
+            () if config.comes_down else calibration.inflation_v_per_mm,
             config.least_log_odds,
             config.prior_steps,
         )
@@ -136,10 +140,10 @@ class ContactTracker:
         self._filled = self._steps = self._blocks = self._quiet = self._lost = 0
         self._past: deque[_Step] = deque(maxlen=PAST_STEPS)
 
-    @property
-    def tracking(self) -> bool:
-        """Whether a contact is tracked."""
-        return self._bank is not None
+    def copied(self) -> "ContactTracker":
+        """Another one that has read the same; they share what never changes."""
+        shared = (self._surface, self._calibration, self._conditioning, self._config)
+        return copy.deepcopy(self, {id(each): each for each in shared})
 
     def push(self, volts: np.ndarray, touched: bool, usable: np.ndarray) -> Track | None:
         """One block: volts (C,) V of the tilt channels, subtracted, the lag undone; touched: whether the output is off
@@ -172,7 +176,7 @@ class ContactTracker:
         self._touched = touched
         if not touched or self._lifted:
             return False
-        if np.abs(volts[usable]).max(initial=0.0) < self._release_v:
+        if np.abs(volts[usable]).max(initial=0.0) < self._conditioning.release_v:
             # The block before this one may have shown a part of a contact that was being lifted.
             self._lifted, self._track = True, self._before
             return False
@@ -185,7 +189,11 @@ class ContactTracker:
             return self._filled >= PARTIAL_BLOCKS + PLACE_BLOCKS
         # A slide's end is noticed later than the output is gone: no new track begins in what is left of it.
         level = self._recent[-TRIGGER_BLOCKS:].mean(axis=0)
-        return touched and self._filled >= TRIGGER_BLOCKS and float(np.abs(level).max()) > self._trigger_v
+        return (
+            touched
+            and self._filled >= TRIGGER_BLOCKS
+            and float(np.abs(level).max()) > self._conditioning.trigger_v
+        )
 
     def _start(self, usable: np.ndarray, anew: bool = False) -> None:
         """anew: the contact goes on, but its track was lost."""
@@ -196,24 +204,14 @@ class ContactTracker:
             slope = (recent[-1] - recent[0]) / ((PLACE_BLOCKS - 1) * self._block_s)
             variance = np.where(usable, self._variance, np.inf)
             bank: Hypotheses | None = at_touch_down(
-                level, variance, self._surface, self._half, self._gain_sd, config.local
+                level, variance, self._surface, self._calibration, config.local
             )
         else:
             seen = onset(recent, self._block_s, np.where(usable, self._noise_v, np.inf))
             level, slope = seen.level, seen.slope
-            bank = at_touch(
-                seen,
-                self._surface,
-                self._half,
-                self._floor_v,
-                self._gain_sd,
-                config.depth_sd_mm,
-                config.touch_most,
-                anywhere=anew,
-            )
-        self._bank = None if bank is None else remembering(bank, config.remembered)
-        begin = self._evidence.begin_anew if anew else self._evidence.begin
-        begin(usable, level, slope)
+            bank = at_touch(seen, self._surface, self._calibration, TOUCH_MOST, anywhere=anew)
+        self._bank = None if bank is None else remembering(bank, self._remembered)
+        self._evidence.begin(usable, level, slope, anew)
         self._blocks = self._steps = self._quiet = self._lost = 0
         self._rested = False
         self._past.clear()
@@ -225,13 +223,13 @@ class ContactTracker:
     def _step(self, usable: np.ndarray) -> None:
         assert self._bank is not None
         config, elapsed_s = self._config, self._step_s
-        volts = self._recent[-config.step_blocks :].mean(axis=0)
-        self._quiet = self._quiet + 1 if float(np.abs(volts).max()) < self._release_v else 0
+        volts = self._measured()
+        self._quiet = self._quiet + 1 if float(np.abs(volts).max()) < self._conditioning.release_v else 0
         if self._quiet * elapsed_s > RELEASE_S:
             self._bank = self._track = None
             return
         if not usable.any():
-            self._bank = remembering(self._bank, config.remembered)
+            self._bank = remembering(self._bank, self._remembered)
             return
         variance = np.where(usable, self._variance, np.inf)
         predict(self._bank, elapsed_s, *self._residual_v(volts), config.noise)
@@ -250,12 +248,12 @@ class ContactTracker:
         self._doubt()
         self._steps += 1
         if self._steps <= config.first_steps:
-            self._bank = self._bank.likeliest(config.touch_most)
+            self._bank = self._bank.likeliest(TOUCH_MOST)
         if usable.all() and not self._rested and self._steps * elapsed_s < config.young_s:
             self._rest()
         if config.step_blocks == 1:
             self._branch()
-        self._track = self._read_track()
+        self._track = self._read_track(volts)
         self._lost = self._lost + 1 if self._track.misfit > config.lost else 0
         if self._lost * elapsed_s > LOST_S:
             self._start(usable, anew=True)
@@ -269,8 +267,7 @@ class ContactTracker:
         each = self._config.step_blocks
         since = self._blocks % each
         steps = math.ceil((blocks - since) / each)
-        residual_v, _ = self._residual_v(self._recent[-each:].mean(axis=0))
-        track = read_past(self._bank, steps, residual_v)
+        track = read_past(self._bank, steps, self._residual_v(self._measured())[0])
         if track is None:
             return None
         track = moved_on(track, (steps * each + since - blocks) * self._block_s + self._ahead_s)
@@ -284,12 +281,12 @@ class ContactTracker:
         """
         if self._bank is None or len(self._past) < LEAST_PAST_STEPS:
             return
-        elapsed_s, since_s = self._step_s, self._blocks % self._config.step_blocks * self._block_s
-        line = self._on_line(fit, len(self._past) * elapsed_s + since_s)
+        since_s = self._blocks % self._config.step_blocks * self._block_s
+        line = self._on_line(fit, len(self._past) * self._step_s + since_s)
         odds = math.log(STRAIGHT)
         for volts, variance, log_density in self._past:
-            predict(line, elapsed_s, *self._residual_v(volts), self._config.noise)
-            odds += update(line, volts, variance, self._surface, elapsed_s)[0] - log_density
+            predict(line, self._step_s, *self._residual_v(volts), self._config.noise)
+            odds += update(line, volts, variance, self._surface, self._step_s)[0] - log_density
             remember(line)
         if not line.sound.all() or not math.isfinite(odds):
             return
@@ -297,46 +294,45 @@ class ContactTracker:
         line.log_weight += np.logaddexp.reduce(self._bank.log_weight) + odds
         self._bank = joined([self._bank, line])
         self._bank.log_weight -= self._bank.log_weight.max()
-        self._track = moved_on(self._read_track(), since_s)
+        self._track = moved_on(self._read_track(self._measured()), since_s)
+
+    def _measured(self) -> np.ndarray:
+        """(C,) V: the mean of the last step's blocks."""
+        return self._recent[-self._config.step_blocks :].mean(axis=0)
 
     def _residual_v(self, volts: np.ndarray) -> tuple[float, float]:
         """What is correlated over the way of what the map leaves of an output (C,) V, and what that grows by in 1 s
         while a contact is pressed on or lifted, V."""
         if self._config.comes_down:
             return TINY, 0.0
+        floor_v, share = self._calibration.floor_v, self._calibration.floor_share
         peak_v = float(np.abs(volts).max())
         partial_v = PARTIAL_SHARE * peak_v
-        if self._floor_share is None:
-            return self._floor_v + PEAK_SHARE * peak_v, partial_v
-        return math.hypot(self._floor_v, self._floor_share * peak_v, PEAK_SHARE * peak_v), partial_v
+        if share is None:
+            return floor_v + PEAK_SHARE * peak_v, partial_v
+        return math.hypot(floor_v, share * peak_v, PEAK_SHARE * peak_v), partial_v
 
     def _on_line(self, fit: StraightFit, ago_s: float) -> Hypotheses:
         """The hypothesis that a straight fit was so long ago."""
-        cos, sin = math.cos(fit.heading), math.sin(fit.heading)
-        state = np.zeros((1, RESIDUAL + self._surface.channels))
-        sd = np.full(state.shape, self._floor_v)
-        way_mm = fit.speed_mm_s * ago_s
-        state[:, X], state[:, Y] = fit.x_mm - way_mm * cos, fit.y_mm - way_mm * sin
-        state[:, HEADING], state[:, SPEED], state[:, GAIN], state[:, DEPTH] = (
-            fit.heading,
-            fit.speed_mm_s,
-            1.0,
-            fit.depth_mm,
-        )
+        cos, sin, way_mm = math.cos(fit.heading), math.sin(fit.heading), fit.speed_mm_s * ago_s
+        x_mm, y_mm = np.array([fit.x_mm - way_mm * cos]), np.array([fit.y_mm - way_mm * sin])
+        state = placed(x_mm, y_mm, self._surface.channels)
+        state[:, HEADING], state[:, SPEED], state[:, DEPTH] = fit.heading, fit.speed_mm_s, fit.depth_mm
         state[:, FRICTION] = cos, sin
+        sd = np.full(state.shape, self._calibration.floor_v)
         sd[:, X] = sd[:, Y] = fit.place_sd_mm + fit.speed_sd * way_mm
         sd[:, HEADING], sd[:, SPEED] = fit.heading_sd, fit.speed_sd * fit.speed_mm_s
-        sd[:, ACCELERATION], sd[:, CURVATURE], sd[:, GAIN] = 0.0, 0.001, self._gain_sd
+        sd[:, ACCELERATION], sd[:, CURVATURE], sd[:, GAIN] = 0.0, 0.001, self._calibration.gain_sd
         sd[:, DEPTH], sd[:, RISE], sd[:, FRICTION] = fit.depth_sd_mm, 0.0, 0.02
-        return remembering(started(state, sd, np.zeros(1), partial=False), self._config.remembered)
+        return remembering(started(state, sd, np.zeros(1), partial=False), self._remembered)
 
-    def _read_track(self) -> Track:
+    def _read_track(self, volts: np.ndarray) -> Track:
+        """The contact now. volts: (C,) V, the last measurement."""
         assert self._bank is not None
         now = self._bank
         if self._ahead_s:
             now = now.take(slice(None))
             predict(now, self._ahead_s, TINY, 0.0, self._config.noise)
-        volts = self._recent[-self._config.step_blocks :].mean(axis=0)
         return read(now, self._residual_v(volts)[0])._replace(evidence=self._evidence.read(volts))
 
     def _branch(self) -> None:
@@ -345,10 +341,10 @@ class ContactTracker:
         config = self._config
         if self._steps == 0 or self._steps % config.branch_steps:
             return
-        self._bank = merged(self._bank, config.most, config.most_partial, config.log_odds)
+        self._bank = merged(self._bank, config.most, config.most_partial, LEAST_ODDS)
         if self._steps > config.first_steps:
             self._bank = branched(
-                self._bank, config.parents, config.parent_odds, self._gain_sd, config.manoeuvres
+                self._bank, config.parents, config.parent_odds, self._calibration.gain_sd, config.manoeuvres
             )
 
     def _rest(self) -> None:
@@ -359,23 +355,21 @@ class ContactTracker:
         if self._filled < ONSET_BLOCKS or (np.abs(seen.slope) > still).any():
             return
         self._rested = True
-        config = self._config
-        floor_v, _ = self._residual_v(seen.level)
-        resting = at_rest(seen, self._surface, self._half, floor_v, self._gain_sd, config.depth_sd_mm)
+        resting = at_rest(seen, self._surface, self._calibration, self._residual_v(seen.level)[0])
         if resting is not None:
-            resting.log_weight += config.rest - np.logaddexp.reduce(resting.log_weight)
-            likeliest = remembering(resting.likeliest(config.touch_most), config.remembered)
+            resting.log_weight += RESTING_ODDS - np.logaddexp.reduce(resting.log_weight)
+            likeliest = remembering(resting.likeliest(TOUCH_MOST), self._remembered)
             self._bank = joined([self._bank, likeliest])
 
     def _doubt(self) -> None:
         """A place far off the chamber, a gain beyond reason, or a press that stands still is unlikely."""
         assert self._bank is not None
         config, gain = self._config, self._bank.state[:, GAIN]
-        beyond_mm = np.maximum(self._bank.beyond_mm(self._half) - config.edge_mm, 0.0)
+        beyond_mm = np.maximum(self._bank.beyond_mm(self._calibration.chamber_half_mm) - config.edge_mm, 0.0)
         unlikely = config.edge_cost * beyond_mm**config.edge_power
         unlikely += 10.0 * np.maximum(gain - config.most_gain, 0.0) ** 2 + 0.5 * (gain < 0.0)
         # What is pressed on or lifted is on its way to a whole contact, or off the skin.
-        held = np.exp(-0.5 * (self._bank.state[:, RISE] / config.held_rise) ** 2)
+        held = np.exp(-0.5 * (self._bank.state[:, RISE] / HELD_RISE) ** 2)
         unlikely += self._bank.partial * config.held_cost * self._step_s * held
         self._bank.log_weight -= unlikely
         self._bank.log_weight -= self._bank.log_weight.max()

@@ -14,16 +14,15 @@ class TrackingConfig:
     everywhere: errors of place and gain, white from one to the next; None: contacts come over the rim or are pressed
     on, and what the map leaves is correlated over the way.
     branch_steps: between two branchings; first_steps: before the first one that adds hypotheses.
-    most, most_partial: hypotheses kept after a branching, of a whole contact and of one pressed on or lifted;
-    touch_most: at a touch. parents: hypotheses that get children, within parent_odds of the best. log_odds: of a
-    hypothesis to the best, beyond which it is dropped.
-    young_s: after the touch, in which an output that comes to rest may have been pressed on there, with log odds `rest`
-    to the other hypotheses. depth_sd_mm: contact depth about the calibration's. lost: misfit of a track that is lost.
+    most, most_partial: hypotheses kept after a branching, of a whole contact and of one pressed on or lifted.
+    parents: hypotheses that get children, within parent_odds of the best.
+    young_s: after the touch, in which an output that comes to rest may have been pressed on there. lost: misfit of a
+    track that is lost.
     edge_mm: a place further off the chamber is unlikely, by edge_cost for the first mm, which grows with the power
     edge_power; most_gain: and so is a gain beyond it. held_cost: in 1 s, of a contact that is pressed on or
-    lifted whose gain changes by less than held_rise, 1/s (paths solved step by step, experiments/LOG.md).
+    lifted whose gain hardly changes (paths solved step by step, experiments/LOG.md).
     least_log_odds: of a contact, that a step adds. prior_steps: as many steps count as what the calibration says of
-    the residual's size; None: nothing else counts. remembered: steps of the past that the track can be read at."""
+    the residual's size; None: nothing else counts."""
 
     step_blocks: int = 2
     local: LocalErrors | None = None
@@ -33,23 +32,17 @@ class TrackingConfig:
     first_steps: int = 0
     most: int = 14
     most_partial: int = 12
-    touch_most: int = 100
     parents: int = 3
     parent_odds: float = 5.0
-    log_odds: float = 15.0
     young_s: float = 4.0
-    rest: float = -2.0
-    depth_sd_mm: float = 0.02
     lost: float = 5.0
     edge_mm: float = 4.0
     edge_cost: float = 0.3
     edge_power: float = 1.0
     most_gain: float = 1.15
     held_cost: float = 2.0
-    held_rise: float = 0.05
     least_log_odds: float = -math.inf
     prior_steps: float | None = None
-    remembered: int = 0
 
     @property
     def comes_down(self) -> bool:
@@ -57,9 +50,8 @@ class TrackingConfig:
         return self.local is not None
 
 
-TINY = (
-    1e-9  # of what a map of recordings alone does not know: friction, other depths, residuals along the way
-)
+# Of what a map of recordings alone does not know: friction, other depths, residuals along the way.
+TINY = 1e-9
 NEVER = 1e-9
 
 # Contacts bend and change speed, and no more: where presses stand for a motion, one that is held looks like a stop, and

@@ -9,6 +9,7 @@ block.
 
 import math
 from dataclasses import dataclass, field
+from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -78,9 +79,10 @@ def whole_path(measured: Measured, surface: ResponseSurface, config: PathConfig)
     places = first_places(measured, surface, config.local, config.step_mm)
     *others, freest = config.steerings
     starts = [curve_along(places, measured.block_s, each, config.knot_mm) for each in config.averaged]
-    first = max((_fitted(measured, surface, each, freest, config) for each in starts), key=_evidence)
+    evidence = attrgetter("evidence")
+    first = max((_fitted(measured, surface, each, freest, config) for each in starts), key=evidence)
     found = [first, *(_fitted(measured, surface, first.curve, each, config) for each in others)]
-    best = max(found, key=_evidence)
+    best = max(found, key=evidence)
     return _at_block_ends(best, config.spread) if math.isfinite(best.evidence) else None
 
 
@@ -91,10 +93,6 @@ class _Fit(NamedTuple):
     covariance: np.ndarray
     evidence: float
     misfit: float
-
-
-def _evidence(fit: _Fit) -> float:
-    return fit.evidence
 
 
 class _Prior(NamedTuple):

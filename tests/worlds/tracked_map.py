@@ -17,6 +17,7 @@ from softslide.features.contact.hypotheses import (
 from softslide.features.contact.track import ContactEvidence, Track
 from softslide.features.contact.tracker import ContactTracker
 from softslide.features.contact.tracking_config import TrackingConfig
+from softslide.features.stream.conditioning import Conditioning
 from softslide.models.response_map.card import contact_calibration
 from softslide.models.response_map.map import ResponseMap
 
@@ -50,12 +51,10 @@ def noisy_map(**changes) -> ResponseMap:
 
 
 def tracker(
-    response: ResponseMap, inflation_v_per_mm: tuple[float, ...] = (), config: TrackingConfig | None = None
+    response: ResponseMap, inflation_v_per_mm: tuple[float, ...] = (), lag_blocks: int = 0
 ) -> ContactTracker:
     card = contact_calibration(response, inflation_v_per_mm)
-    half_mm, noise_v = (card.chamber_mm[0] / 2, card.chamber_mm[1] / 2), np.array(card.noise_v)
-    skin = (card.surface(), half_mm, BLOCK_S, noise_v, card.floor_v, card.gain_sd)
-    return ContactTracker(*skin, 0.005, 0.0035, config or TrackingConfig(), inflation_v_per_mm)
+    return ContactTracker(card.surface(), card, Conditioning(), TrackingConfig(), lag_blocks)
 
 
 def volts_along(response: ResponseMap, path_mm: np.ndarray, seed: int = 0) -> np.ndarray:
