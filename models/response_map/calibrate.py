@@ -21,7 +21,15 @@ from scipy.linalg import solveh_banded
 from scipy.optimize import minimize
 
 from softslide.models.response_map.from_atlas import DESIGN_DRIFT_V_S
-from softslide.models.response_map.map import PARTS, SPACING_MM, ResponseMap, half_of, knots, tensor_splines
+from softslide.models.response_map.map import (
+    PARTS,
+    SPACING_MM,
+    ResponseMap,
+    half_of,
+    knots,
+    spline_grid,
+    tensor_splines,
+)
 from softslide.models.response_map.slide_fit import (
     LEAST_RESIDUAL_V,
     SHIFT_STEP_MM,
@@ -40,7 +48,7 @@ SHRINKAGE = 0.1  # of the residuals' covariance; without it errors were the same
 # residual is 0.86 mV, a block's noise 1.35 mV (residual_v in the card of a bundle), 0.4.
 MAP_VARIANCE = 0.5
 RIM_MM = 1.5  # from this far beyond the chamber's edge on, the skin lies on the base and shows nothing
-RIM_WEIGHT = 3.0  # of a rim point, one each mm; a stretch of 0.5 mm weighs at most 2
+RIM_WEIGHT = 3.0  # of a rim point, GRID_MM apart; a stretch of 0.5 mm weighs at most 2
 # Hold coefficients that no slide touches: share of the smoothing, and at least.
 RIDGE, LEAST_RIDGE = 1e-3, 1e-6
 PENALTY_NOISE_V = 1.35e-3  # a block's noise on the recordings that the penalties were chosen on
@@ -71,21 +79,17 @@ def calibrate(
     response = _over_heights(replace(prior, noise_v=noise), slides)
     gains, shifts = np.ones(len(slides)), np.zeros(len(slides))
     speeds = np.array([s.speed_mm_s.max() for s in slides])
-    rms, means = np.empty(len(slides)), np.empty((len(slides), response.channels))
-    residuals = [slide.volts for slide in slides]
-    keep, timed = np.ones(len(slides), dtype=bool), np.array([s.timed for s in slides])
+    timed = np.array([s.timed for s in slides])
+    keep, fitted = np.ones(len(slides), dtype=bool), _first_slides(slides, response)
     changing = [name for name in COVARIATES if several(slides, name)]
-    for first in (True, *[False] * (config.iterations - 1)):
-        fitted = _first_slides(slides, response) if first else keep
+    for _ in range(config.iterations):
         placed: list[Placed] = list(zip(slides, gains, shifts, strict=True))
         response = fit_splines(_some(placed, fitted), response, prior if informed else None, config)
         response = _with_changes(response, _some(placed, keep), prior, changing)
-        for i, slide in enumerate(slides):
-            fit = fit_slide(slide, response, config, gains[i], shifts[i])
-            gains[i], shifts[i], rms[i] = fit.gain, fit.shift_mm, fit.rms_v
-            means[i], residuals[i] = fit.residual_v.mean(axis=0), fit.residual_v
+        fits = [fit_slide(slide, response, config, gain, shift) for slide, gain, shift in placed]
+        gains, shifts, rms = np.array([(fit.gain, fit.shift_mm, fit.rms_v) for fit in fits]).T
         # A slide with wrong labels must not bend the map: it stands out by its residual.
-        keep = rms < OUTLIER * np.median(rms)
+        fitted = keep = rms < OUTLIER * np.median(rms)
         gains /= np.mean(gains[keep])
         # A shift that grows with the speed is a lag, where the labels say when the slide was where.
         lag = float(response.lag_s + _slope(speeds[keep & timed], shifts[keep & timed]))
@@ -94,19 +98,20 @@ def calibrate(
     peaks = np.array([np.abs(s.volts).max() for s in slides])
     clear = keep & (peaks > CLEAR * peaks.max())
     residual = float(np.sqrt(np.mean(rms[keep] ** 2)))
-    gain_sd = float(_deviation(gains[clear] - 1, config.gain_sd))
-    if not response.rim:
+    gain_sd = _gain_sd(gains[clear], config.gain_sd)
+    residuals = [fit.residual_v for fit in fits]
+    if response.rim:
+        left, placed = _some(residuals, keep), list(zip(slides, gains, shifts, strict=True))
+        weak_v, share = _growth(_some(slides, keep), left)
+        response = replace(response, weak_floor_v=weak_v, floor_share=share)
+        response = _with_parts(response, _some(placed, keep), left)
+    else:
         gain_sd = float(np.hypot(gain_sd, config.day_gain_sd))
         response = replace(response, whitening=_whitening(residuals))
+    means = np.array([each.mean(axis=0) for each in residuals])
     lasts_s = np.array([slide.volts.shape[0] * slide.step_s for slide in slides])
     zero_v, drift_v_s = zero_errors(means[keep], lasts_s[keep])
     response = replace(response, gain_sd=gain_sd, floor_v=residual, zero_v=zero_v, drift_v_s=drift_v_s)
-    if response.rim:
-        left = _some(residuals, keep)
-        weak_v, share = _growth(_some(slides, keep), left)
-        response = replace(response, weak_floor_v=weak_v, floor_share=share)
-        placed = list(zip(slides, gains, shifts, strict=True))
-        response = _with_parts(response, _some(placed, keep), left)
     if "depth" in changing:
         farthest = max(abs(slide.depth_mm - response.depth_mm) for slide in slides)
         response = replace(response, depth_sd_mm=float(farthest))
@@ -310,9 +315,8 @@ def roughness(k: int) -> sparse.spmatrix:
 
 
 def rim_gram(response: ResponseMap) -> sparse.csr_matrix:
-    """Gram matrix (K^2, K^2) of the splines at points of the rim, one each mm, where the response is zero."""
-    grid = np.arange(-response.half_mm, response.half_mm + 0.5, 1.0)
-    x, y = (axis.ravel() for axis in np.meshgrid(grid, grid, indexing="ij"))
+    """Gram matrix (K^2, K^2) of the splines at points of the rim, GRID_MM apart, where the response is zero."""
+    x, y = spline_grid(response.half_mm)
     rim = (np.abs(x) > response.chamber_mm[0] / 2 + RIM_MM) | (
         np.abs(y) > response.chamber_mm[1] / 2 + RIM_MM
     )
@@ -351,9 +355,10 @@ def _slope(speeds: np.ndarray, shifts: np.ndarray) -> float:
     return np.polyfit(speeds, shifts, 1)[0] if len(speeds) > 8 and np.ptp(speeds) > 1 else 0.0
 
 
-def _deviation(errors: np.ndarray, prior_sd: float) -> np.ndarray:
-    """Root mean square over slides (n,), the prior counting as PRIOR_SLIDES further ones."""
-    return np.sqrt((np.sum(errors**2, axis=0) + PRIOR_SLIDES * prior_sd**2) / (len(errors) + PRIOR_SLIDES))
+def _gain_sd(gains: np.ndarray, prior_sd: float) -> float:
+    """Standard deviation of slides' gains (n,) about 1, the prior's counting as PRIOR_SLIDES further ones."""
+    square = np.sum((gains - 1) ** 2) + PRIOR_SLIDES * prior_sd**2
+    return float(np.sqrt(square / (len(gains) + PRIOR_SLIDES)))
 
 
 def blank_map(sensor: Sensor, depth_mm: float, spacing_mm: float = SPACING_MM) -> ResponseMap:

@@ -77,10 +77,9 @@ class CalibrationSlide:
             self.start_mm[1] + s * np.sin(self.direction_rad),
         )
 
-    def shown(self, response: ResponseMap, shift_mm: float, lag_s: float | None = None) -> np.ndarray:
-        """Output (m, C) V along the slide by a map at its depth and height. lag_s: None, the map's."""
-        place = self.place(shift_mm, response.lag_s if lag_s is None else lag_s)
-        return response.response(*place, self.direction_rad)
+    def shown(self, response: ResponseMap, shift_mm: float) -> np.ndarray:
+        """Output (m, C) V along the slide by a map at its depth and height."""
+        return response.response(*self.place(shift_mm, response.lag_s), self.direction_rad)
 
 
 def calibration_slides(
