@@ -21,7 +21,6 @@ from softslide.models.response_map.slides import (
     calibration_slides,
     touch_blocks,
 )
-from softslide.pipeline.recordings.derived_labels import UNTIMED
 from softslide.pipeline.recordings.folder import Folder
 
 # Standard deviations of the prior: a real skin was 11 to 18 % stronger on another day, channel by channel.
@@ -107,9 +106,10 @@ def labelled_contacts(
     """
     standing = folder.manifest[list(PRESS_LABELS)].notna().all(axis=1) & _stands(folder.manifest)
     moving = replace(folder, manifest=folder.manifest[~standing])
-    untimed = moving.manifest.index[moving.manifest.get(UNTIMED, pd.Series(False, moving.manifest.index))]
-    slides = calibration_slides(moving, conditioning, frozenset(map(str, untimed)))
-    slides = [replace(slide, height_mm=heights_mm.get(slide.recording, math.nan)) for slide in slides]
+    slides = [
+        replace(slide, height_mm=heights_mm.get(slide.recording, math.nan))
+        for slide in calibration_slides(moving, conditioning)
+    ]
     presses = {
         name: press
         for name in map(str, folder.manifest.index[standing])
