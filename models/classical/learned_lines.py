@@ -17,6 +17,7 @@ from softslide.models.response_map.map import ResponseMap
 from softslide.models.response_map.select import LEAST_ALONE, CalibratedMap, calibrated_map
 from softslide.models.response_map.slide_fit import CalibrationConfig
 from softslide.pipeline.atlas.atlas import Atlas
+from softslide.pipeline.ranges import POSITIVE, check_ranges
 from softslide.pipeline.recordings.folder import Folder
 from softslide.pipeline.recordings.windows import LabelledWindows, joined, labelled_windows
 
@@ -31,8 +32,7 @@ class SharesConfig:
     recorded_share: float = 0.25
 
     def __post_init__(self) -> None:
-        if not 0.0 < self.recorded_share <= 1.0:
-            raise ValueError(f"recorded_share is {self.recorded_share}; it lies above 0 and not above 1")
+        check_ranges(self, recorded_share=(POSITIVE[0], 1.0))
 
 
 @dataclass(frozen=True)
