@@ -32,8 +32,7 @@ from softslide.models.cnn.training import TrainingConfig, train_proposal
 from softslide.models.cnn.training_windows import SynthesisConfig, WindowBatch, WindowSource
 from softslide.models.export.bundle import PARITY
 from softslide.models.export.c_code import sources
-from softslide.models.export.formats import export
-from softslide.models.export.precision import in_single
+from softslide.models.export.formats import export, in_single
 from softslide.models.graph.from_torch import export_graph
 
 pytestmark = NEEDS_COMPILER
