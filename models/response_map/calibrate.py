@@ -13,7 +13,8 @@ height. The lines of each are too few for a change that is free in place: held-o
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, TypeVar
+from itertools import compress
+from typing import Any
 
 import numpy as np
 from scipy import sparse
@@ -61,7 +62,6 @@ COVARIATES = ("depth", "height")
 # Priors of such a change: of its factor on the design's, and of what it holds of the response itself, 1/mm.
 CHANGE_SD = (0.5, 0.1)
 
-T = TypeVar("T")
 # A slide with its own gain and its shift along its line, mm.
 Placed = tuple[CalibrationSlide, float, float]
 
@@ -84,8 +84,8 @@ def calibrate(
     changing = [name for name in COVARIATES if several(slides, name)]
     for _ in range(config.iterations):
         placed: list[Placed] = list(zip(slides, gains, shifts, strict=True))
-        response = fit_splines(_some(placed, fitted), response, prior if informed else None, config)
-        response = _with_changes(response, _some(placed, keep), prior, changing)
+        response = fit_splines(list(compress(placed, fitted)), response, prior if informed else None, config)
+        response = _with_changes(response, list(compress(placed, keep)), prior, changing)
         fits = [fit_slide(slide, response, config, gain, shift) for slide, gain, shift in placed]
         gains, shifts, rms = np.array([(fit.gain, fit.shift_mm, fit.rms_v) for fit in fits]).T
         # A slide with wrong labels must not bend the map: it stands out by its residual.
@@ -101,10 +101,10 @@ def calibrate(
     gain_sd = _gain_sd(gains[clear], config.gain_sd)
     residuals = [fit.residual_v for fit in fits]
     if response.rim:
-        left, placed = _some(residuals, keep), list(zip(slides, gains, shifts, strict=True))
-        weak_v, share = _growth(_some(slides, keep), left)
+        left, placed = list(compress(residuals, keep)), list(zip(slides, gains, shifts, strict=True))
+        weak_v, share = _growth(list(compress(slides, keep)), left)
         response = replace(response, weak_floor_v=weak_v, floor_share=share)
-        response = _with_parts(response, _some(placed, keep), left)
+        response = _with_parts(response, list(compress(placed, keep)), left)
     else:
         gain_sd = float(np.hypot(gain_sd, config.day_gain_sd))
         response = replace(response, whitening=_whitening(residuals))
@@ -133,11 +133,6 @@ def zero_errors(means: np.ndarray, lasts_s: np.ndarray) -> np.ndarray:
     each = np.ones_like(lasts_s)
     shapes, usual = np.array([each, (lasts_s / 2) ** 2]), (USUAL_ZERO_V, DESIGN_DRIFT_V_S)
     return np.transpose([_likeliest(mean**2, shapes, each, usual, spread=PARTS_SPREAD) for mean in means.T])
-
-
-def _some(each: list[T], mask: np.ndarray) -> list[T]:
-    """What a mask (n,) marks."""
-    return [one for one, marked in zip(each, mask, strict=True) if marked]
 
 
 def _growth(slides: list[CalibrationSlide], residuals: list[np.ndarray]) -> tuple[float, float]:

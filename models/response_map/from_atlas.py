@@ -8,6 +8,7 @@ design's.
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from itertools import compress
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -132,7 +133,7 @@ def prior_map(
     over_heights = several(slides, "height")
     if over_heights:
         height_mm = main_height_mm(slides)
-        slides = [s for s, main in zip(slides, at_height(slides, height_mm), strict=True) if main]
+        slides = list(compress(slides, at_height(slides, height_mm)))
     if slides:
         slides = slides[:: max(1, len(slides) // MOST_SLIDES)]
         peak = max(float(np.abs(s.volts).max()) for s in slides)

@@ -12,6 +12,7 @@ skin: lines that are close together or cross show the same places.
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
+from itertools import compress
 
 import numpy as np
 
@@ -135,8 +136,7 @@ def calibrated_map(
         shares = _shares_at_other_heights(slides, found.held_out, known)
         figures = {f"heldout_residual_{name}": share for name, share in shares.items()}
         if shares and shares["map_over_heights"] > WRONG_HEIGHTS * shares["map_a_height"]:
-            main = at_height(slides, main_height_mm(slides))
-            others = [s.recording for s, mains in zip(slides, main, strict=True) if not mains]
+            others = [slide.recording for slide in _at_other_heights(slides)]
             why = "a map of each height predicts held-out lines better; train one for it"
             folder = replace(folder, manifest=folder.manifest.drop(index=others))
             found, slides = _fitted(folder, left_out, found.conditioning, known)
@@ -267,7 +267,7 @@ def _parts(slides: list[CalibrationSlide], known: _Known) -> tuple[_Part, list[_
     direction = np.array([s.direction_rad for s in slides])
     fold = line_folds(direction, np.array([s.line_offset_mm for s in slides]), FOLDS)
     split = [
-        tuple([s for s, f in zip(slides, fold, strict=True) if (f == number) == out] for out in (False, True))
+        (list(compress(slides, fold != number)), list(compress(slides, fold == number)))
         for number in np.unique(fold)
     ]
     if not known.sensor.measures_gravity:
@@ -322,9 +322,7 @@ def _shares_at_other_heights(
     that of most: the median residual as a share of a slide's largest output. Empty where no height has enough slides:
     heights anywhere between two are none.
     """
-    main = at_height(slides, main_height_mm(slides))
-    others = [slide for slide, mains in zip(slides, main, strict=True) if not mains]
-    others.sort(key=lambda slide: slide.height_mm)
+    others = sorted(_at_other_heights(slides), key=lambda slide: slide.height_mm)
     gaps = np.flatnonzero(np.diff([slide.height_mm for slide in others]) > LEAST_APART_MM) + 1
     least = 2 * FOLDS if known.atlas is not None else LEAST_ALONE
     shared: list[tuple[float, float]] = []
@@ -335,6 +333,11 @@ def _shares_at_other_heights(
             shared += _residuals(held_out, group)
             apart += _residuals(_chosen(group, known)[1], group)
     return {"map_over_heights": _median(shared), "map_a_height": _median(apart)} if shared else {}
+
+
+def _at_other_heights(slides: list[CalibrationSlide]) -> list[CalibrationSlide]:
+    """The slides at other heights of the skin than that of most."""
+    return list(compress(slides, ~at_height(slides, main_height_mm(slides))))
 
 
 def _residuals(maps: Maps, slides: list[CalibrationSlide]) -> Iterator[tuple[float, float]]:
