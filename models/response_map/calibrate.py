@@ -35,6 +35,7 @@ from softslide.models.response_map.slide_fit import (
     LEAST_RESIDUAL_V,
     SHIFT_STEP_MM,
     CalibrationConfig,
+    SlideFit,
     fit_slide,
 )
 from softslide.models.response_map.slides import CalibrationSlide, at_height, main_height_mm, several
@@ -62,9 +63,6 @@ COVARIATES = ("depth", "height")
 # Priors of such a change: of its factor on the design's, and of what it holds of the response itself, 1/mm.
 CHANGE_SD = (0.5, 0.1)
 
-# A slide with its own gain and its shift along its line, mm.
-Placed = tuple[CalibrationSlide, float, float]
-
 
 def calibrate(
     slides: list[CalibrationSlide], prior: ResponseMap, informed: bool, config: CalibrationConfig
@@ -77,16 +75,15 @@ def calibrate(
     """
     noise = np.sqrt(np.mean([s.rest_noise_v**2 for s in slides], axis=0))
     response = _over_heights(replace(prior, noise_v=noise), slides)
-    gains, shifts = np.ones(len(slides)), np.zeros(len(slides))
+    fits = [SlideFit(slide, 1.0, 0.0, slide.volts) for slide in slides]
     speeds = np.array([s.speed_mm_s.max() for s in slides])
     timed = np.array([s.timed for s in slides])
     keep, fitted = np.ones(len(slides), dtype=bool), _first_slides(slides, response)
     changing = [name for name in COVARIATES if several(slides, name)]
     for _ in range(config.iterations):
-        placed: list[Placed] = list(zip(slides, gains, shifts, strict=True))
-        response = fit_splines(list(compress(placed, fitted)), response, prior if informed else None, config)
-        response = _with_changes(response, list(compress(placed, keep)), prior, changing)
-        fits = [fit_slide(slide, response, config, gain, shift) for slide, gain, shift in placed]
+        response = fit_splines(list(compress(fits, fitted)), response, prior if informed else None, config)
+        response = _with_changes(response, list(compress(fits, keep)), prior, changing)
+        fits = [fit_slide(fit.slide, response, config, fit.gain, fit.shift_mm) for fit in fits]
         gains, shifts, rms = np.array([(fit.gain, fit.shift_mm, fit.rms_v) for fit in fits]).T
         # A slide with wrong labels must not bend the map: it stands out by its residual.
         fitted = keep = rms < OUTLIER * np.median(rms)
@@ -95,22 +92,21 @@ def calibrate(
         lag = float(response.lag_s + _slope(speeds[keep & timed], shifts[keep & timed]))
         shifts -= (lag - response.lag_s) * speeds
         response = replace(response, lag_s=lag)
+        fits = [replace(f, gain=g, shift_mm=s) for f, g, s in zip(fits, gains, shifts, strict=True)]
+    kept = list(compress(fits, keep))
     peaks = np.array([np.abs(s.volts).max() for s in slides])
     clear = keep & (peaks > CLEAR * peaks.max())
     residual = float(np.sqrt(np.mean(rms[keep] ** 2)))
     gain_sd = _gain_sd(gains[clear], config.gain_sd)
-    residuals = [fit.residual_v for fit in fits]
     if response.rim:
-        left, placed = list(compress(residuals, keep)), list(zip(slides, gains, shifts, strict=True))
-        weak_v, share = _growth(list(compress(slides, keep)), left)
-        response = replace(response, weak_floor_v=weak_v, floor_share=share)
-        response = _with_parts(response, list(compress(placed, keep)), left)
+        weak_v, share = _growth(kept)
+        response = _with_parts(replace(response, weak_floor_v=weak_v, floor_share=share), kept)
     else:
         gain_sd = float(np.hypot(gain_sd, config.day_gain_sd))
-        response = replace(response, whitening=_whitening(residuals))
-    means = np.array([each.mean(axis=0) for each in residuals])
-    lasts_s = np.array([slide.volts.shape[0] * slide.step_s for slide in slides])
-    zero_v, drift_v_s = zero_errors(means[keep], lasts_s[keep])
+        response = replace(response, whitening=_whitening([fit.residual_v for fit in fits]))
+    means = np.array([fit.residual_v.mean(axis=0) for fit in kept])
+    lasts_s = np.array([len(fit.slide.volts) * fit.slide.step_s for fit in kept])
+    zero_v, drift_v_s = zero_errors(means, lasts_s)
     response = replace(response, gain_sd=gain_sd, floor_v=residual, zero_v=zero_v, drift_v_s=drift_v_s)
     if "depth" in changing:
         farthest = max(abs(slide.depth_mm - response.depth_mm) for slide in slides)
@@ -135,11 +131,11 @@ def zero_errors(means: np.ndarray, lasts_s: np.ndarray) -> np.ndarray:
     return np.transpose([_likeliest(mean**2, shapes, each, usual, spread=PARTS_SPREAD) for mean in means.T])
 
 
-def _growth(slides: list[CalibrationSlide], residuals: list[np.ndarray]) -> tuple[float, float]:
-    """How the slides' residuals (m, C) V grow with the output, by likelihood: the standard deviation where there is
-    none (V), and what is added in quadrature, as a share of the largest output of the channels."""
-    size = np.concatenate([np.abs(slide.volts).max(axis=1) for slide in slides])
-    square = np.concatenate([(residual**2).mean(axis=1) for residual in residuals])
+def _growth(fits: list[SlideFit]) -> tuple[float, float]:
+    """How the slides' residuals grow with the output, by likelihood: the standard deviation where there is none (V),
+    and what is added in quadrature, as a share of the largest output of the channels."""
+    size = np.concatenate([np.abs(fit.slide.volts).max(axis=1) for fit in fits])
+    square = np.concatenate([(fit.residual_v**2).mean(axis=1) for fit in fits])
     rms_v = max(math.sqrt(square.mean()), LEAST_RESIDUAL_V)
     shapes, weight = np.square([np.ones_like(size), size]), np.full(len(size), 1.0 / len(size))
     weak_v, share = _likeliest(square, shapes, weight, [rms_v, rms_v / size.max()])
@@ -169,21 +165,20 @@ def _likeliest(
     return np.exp(minimize(unlikely, middle, method="Nelder-Mead").x).tolist()
 
 
-def _with_parts(response: ResponseMap, placed: list[Placed], residuals: list[np.ndarray]) -> ResponseMap:
-    """The map with the likeliest parts of its slides' residuals (m, C) V: `level_v`, `output_share`, `place_mm`.
+def _with_parts(response: ResponseMap, fits: list[SlideFit]) -> ResponseMap:
+    """The map with the likeliest parts of its slides' residuals: `level_v`, `output_share`, `place_mm`.
 
     Along a slide residuals are alike, so that each counts as one observation.
     """
     each = []
-    for (slide, gain, shift), residual in zip(placed, residuals, strict=True):
-        own = response.at(slide.depth_mm, slide.height_mm)
-        ahead, behind = (slide.shown(own, shift - step) for step in (SHIFT_STEP_MM, -SHIFT_STEP_MM))
-        change = gain * (ahead - behind) / (2 * SHIFT_STEP_MM)
+    for fit in fits:
+        slide, own = fit.slide, response.at(fit.slide.depth_mm, fit.slide.height_mm)
+        ahead, behind = (slide.shown(own, fit.shift_mm - step) for step in (SHIFT_STEP_MM, -SHIFT_STEP_MM))
+        change = fit.gain * (ahead - behind) / (2 * SHIFT_STEP_MM)
         even = np.ones_like(change)
         noise = slide.rest_noise_v / math.sqrt(slide.blocks) * even
-        each.append(
-            [residual, noise, even, np.abs(slide.volts).max() * even, change, even / change.size**0.5]
-        )
+        peak = np.abs(slide.volts).max()
+        each.append([fit.residual_v, noise, even, peak * even, change, even / change.size**0.5])
     # All squared; a slide's weights add up to 1.
     square, noise, *shapes, weight = np.concatenate([np.reshape(one, (6, -1)) for one in each], axis=1) ** 2
     rms_v = max(math.sqrt(weight @ square / len(each)), LEAST_RESIDUAL_V)
@@ -217,7 +212,7 @@ def _first_slides(slides: list[CalibrationSlide], response: ResponseMap) -> np.n
 
 
 def _with_changes(
-    response: ResponseMap, placed: list[Placed], prior: ResponseMap, changing: list[str]
+    response: ResponseMap, fits: list[SlideFit], prior: ResponseMap, changing: list[str]
 ) -> ResponseMap:
     """The map with its change with those of COVARIATES that are changing. prior: with the design's.
 
@@ -233,12 +228,13 @@ def _with_changes(
         # In units of a block's noise.
         normal = np.diag(1.0 / np.square(CHANGE_SD))
         right = np.array([1.0, 0.0]) / np.square(CHANGE_SD)
-        for slide, gain, shift in placed:
+        for fit in fits:
+            slide = fit.slide
             off_mm = getattr(slide, f"{name}_mm") - getattr(response, f"{name}_mm")
-            known = slide.shown(without.at(slide.depth_mm, slide.height_mm), shift)
-            rest = (slide.volts - gain * known) / noise
-            shown = np.stack([slide.shown(part, shift).ravel() for part in parts], axis=1)
-            rows = gain * off_mm / noise * shown
+            known = slide.shown(without.at(slide.depth_mm, slide.height_mm), fit.shift_mm)
+            rest = (slide.volts - fit.gain * known) / noise
+            shown = np.stack([slide.shown(part, fit.shift_mm).ravel() for part in parts], axis=1)
+            rows = fit.gain * off_mm / noise * shown
             weight = _weight(slide)
             normal += weight * rows.T @ rows
             right += weight * rows.T @ rest.ravel()
@@ -260,7 +256,7 @@ def _weight(slide: CalibrationSlide) -> float:
 
 
 def fit_splines(
-    placed: list[Placed], response: ResponseMap, prior: ResponseMap | None, config: CalibrationConfig
+    fits: list[SlideFit], response: ResponseMap, prior: ResponseMap | None, config: CalibrationConfig
 ) -> ResponseMap:
     """One penalised least-squares solution for M, Fx, Fy with the slides' gains and shifts held.
 
@@ -277,9 +273,9 @@ def fit_splines(
     still = replace(response, coefficients=np.zeros_like(response.coefficients))
     # Slides of one direction share their weights of M, Fx, Fy, so that their Gram matrices add up.
     grams: dict[float, sparse.csr_matrix] = {}
-    for slide, gain, shift in placed:
-        place = slide.place(shift, response.lag_s)
-        rows = tensor_splines(*place, response.half_mm, response.spacing_mm) * gain
+    for fit in fits:
+        slide, place = fit.slide, fit.slide.place(fit.shift_mm, response.lag_s)
+        rows = tensor_splines(*place, response.half_mm, response.spacing_mm) * fit.gain
         weight, parts = _weight(slide), part_weights(slide.direction_rad)
         off = still.at(slide.depth_mm, slide.height_mm).coefficients[0].reshape(size, -1)
         known = rows @ (off + np.tensordot(parts, start, (0, 1)))

@@ -66,8 +66,9 @@ class CalibrationConfig:
 
 @dataclass(frozen=True)
 class SlideFit:
-    """A slide's own gain and shift along its line, and the residual (m, C) V that the map leaves."""
+    """A slide with its own gain and shift along its line, and the residual (m, C) V that the map leaves."""
 
+    slide: CalibrationSlide
     gain: float
     shift_mm: float
     residual_v: np.ndarray
@@ -101,7 +102,7 @@ def fit_slide(
         )
         step = np.linalg.lstsq(jacobian, residuals, rcond=None)[0]
         gain, shift_mm = gain + step[0], shift_mm + step[1]
-    return SlideFit(gain, shift_mm, slide.volts - gain * slide.shown(own, shift_mm))
+    return SlideFit(slide, gain, shift_mm, slide.volts - gain * slide.shown(own, shift_mm))
 
 
 def with_lag(
