@@ -79,10 +79,10 @@ def calibrate(
     speeds = np.array([s.speed_mm_s.max() for s in slides])
     timed = np.array([s.timed for s in slides])
     keep, fitted = np.ones(len(slides), dtype=bool), _first_slides(slides, response)
-    changing = [name for name in COVARIATES if several(slides, name)]
+    designs = {name: getattr(response, f"{name}_slope") for name in COVARIATES if several(slides, name)}
     for _ in range(config.iterations):
         response = fit_splines(list(compress(fits, fitted)), response, prior if informed else None, config)
-        response = _with_changes(response, list(compress(fits, keep)), prior, changing)
+        response = _with_changes(response, list(compress(fits, keep)), designs)
         fits = [fit_slide(fit.slide, response, config, fit.gain, fit.shift_mm) for fit in fits]
         gains, shifts, rms = np.array([(fit.gain, fit.shift_mm, fit.rms_v) for fit in fits]).T
         # A slide with wrong labels must not bend the map: it stands out by its residual.
@@ -108,7 +108,7 @@ def calibrate(
     lasts_s = np.array([len(fit.slide.volts) * fit.slide.step_s for fit in kept])
     zero_v, drift_v_s = zero_errors(means, lasts_s)
     response = replace(response, gain_sd=gain_sd, floor_v=residual, zero_v=zero_v, drift_v_s=drift_v_s)
-    if "depth" in changing:
+    if "depth" in designs:
         farthest = max(abs(slide.depth_mm - response.depth_mm) for slide in slides)
         response = replace(response, depth_sd_mm=float(farthest))
     return response, {
@@ -211,18 +211,14 @@ def _first_slides(slides: list[CalibrationSlide], response: ResponseMap) -> np.n
     return main if main.mean() > 0.5 else every
 
 
-def _with_changes(
-    response: ResponseMap, fits: list[SlideFit], prior: ResponseMap, changing: list[str]
-) -> ResponseMap:
-    """The map with its change with those of COVARIATES that are changing. prior: with the design's.
+def _with_changes(response: ResponseMap, fits: list[SlideFit], designs: dict[str, np.ndarray]) -> ResponseMap:
+    """The map with its change with those of COVARIATES that slides differ in. designs: the design's, by name.
 
     A change is c times the design's + b M, its two numbers c and b fitted by least squares, in V/mm.
     """
     noise = float(np.median(response.noise_v))
     still, flat = response.coefficients[0], np.zeros_like(response.depth_slope)
-    for name in changing:
-        found = getattr(prior, f"{name}_slope")
-        design = flat if found is None else found
+    for name, design in designs.items():
         without = _with_slope(response, name, flat)
         parts = [replace(without, coefficients=np.stack([part, flat, flat])) for part in (design, still)]
         # In units of a block's noise.
