@@ -83,11 +83,8 @@ def learned_windows(
             return rows
         return joined([rows, drawn_windows(response, found.conditioning.block_s, count)])
 
-    unseen = [np.isin(recorded.recording, names) for _, names in found.held_out]
-    folds = [
-        (with_drawn(recorded[~mask], response), mask)
-        for (response, _), mask in zip(found.held_out, unseen, strict=True)
-    ]
+    unseen = [(response, np.isin(recorded.recording, names)) for response, names in found.held_out]
+    folds = [(with_drawn(recorded[~mask], response), mask) for response, mask in unseen]
     return LearnedLines(
         recorded,
         with_drawn(recorded, found.response),

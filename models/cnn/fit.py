@@ -153,15 +153,13 @@ def initial_proposal(graph: onnx.ModelProto, response: ResponseMap, config: Netw
     """
     found = {i.name: onnx.numpy_helper.to_array(i) for i in graph.graph.initializer}
     proposal = Proposal(response.channels, response.boards, config)
-    state = proposal.state_dict()
-    for name, value in state.items():
+    for name, value in proposal.state_dict().items():
         stored = found.get(f"proposal.{name}")
         if stored is None or stored.shape != tuple(value.shape):
             raise InputError(
                 f"proposal.{name} is missing or of another shape; name a cnn bundle of a like sensor", "init"
             )
-        state[name] = torch.tensor(stored)
-    proposal.load_state_dict(state)
+        value.copy_(torch.tensor(stored))
     return proposal
 
 
