@@ -47,10 +47,10 @@ def _placed(manifest: pd.DataFrame, folder: Folder, slides: Folder) -> pd.DataFr
         return manifest  # of a robot that moves, of which nothing is known
     conditioning = conditioning_for(slides, Conditioning())
     atlas = atlas_at_hand(slides.sensor)
-    onsets = with_onsets(slides, atlas, conditioning, SensorSpread(), CalibrationConfig())
-    table = manifest.copy()
-    table.loc[slides.manifest.index, list(LABELS)] = onsets.folder.manifest[list(LABELS)]
-    return table.assign(**{UNTIMED: table.index.isin(onsets.fitted)})
+    found, _ = with_onsets(slides, atlas, conditioning, SensorSpread(), CalibrationConfig())
+    table, columns = manifest.assign(**{UNTIMED: False}), [*LABELS, UNTIMED]
+    table.loc[found.manifest.index, columns] = found.manifest[columns]
+    return table
 
 
 def _say(before: pd.DataFrame, after: pd.DataFrame) -> None:

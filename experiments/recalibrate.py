@@ -19,7 +19,12 @@ from softslide.models.cnn.height_input import SLOPE
 from softslide.models.export.bundle import read_graph, with_graph
 from softslide.models.export.gains import Gains, fit_gains, labelled_contacts
 from softslide.models.graph.packing import pack
-from softslide.models.response_map.card import contact_calibration, response_of, static_heights_mm, with_gains
+from softslide.models.response_map.card import (
+    calibrated_heights,
+    contact_calibration,
+    response_of,
+    static_heights_mm,
+)
 from softslide.models.response_map.slides import static_outputs
 from softslide.pipeline.recordings.folder import Folder, read_folder
 from softslide.pipeline.recordings.learned import REPORTING
@@ -59,7 +64,7 @@ def recalibrate(
         renewed = replace(
             with_graph(card, graph),
             contact=_renewed(card, contact, gains, folder),
-            heights=None if card.heights is None else with_gains(card.heights, gains.gain),
+            heights=calibrated_heights(response_of(card).scaled(gains.gain)),
             provenance={**card.provenance, "recalibrations": recalibrations},
         )
         write_card(renewed, made / "model.json")

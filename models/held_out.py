@@ -7,6 +7,13 @@ from softslide.features.card import Validity
 from softslide.features.vector.energy import energy_width_s
 from softslide.pipeline.recordings.windows import LabelledWindows
 
+# Of each quantity that has an interval, the column of the graph's own standard deviation.
+DEVIATIONS = {
+    "direction_deg": "direction_sd_deg",
+    "log_speed": "log_speed_sd",
+    "offset_mm": "offset_sd_mm",
+    "depth_mm": "depth_sd_mm",
+}
 # Limits of `Validity` on what a graph says of its own estimate.
 OWN_LIMITS = ("misfit", "direction_sd_deg", "log_speed_sd")
 WHOLE = 0.99  # a stroke fraction beyond it is the whole stroke

@@ -59,18 +59,15 @@ def conformal_interval(
         0.02, 5.0, 60
     )
     groups = np.array_split(np.argsort(sd, kind="stable"), min(GROUPS, len(errors)))
-    best: tuple[float, Interval] | None = None
+    shown = Interval(scale=1.0, floor=least)
+    least_uneven, interval = math.inf, shown
     for floor in floors:
         ratios = errors / np.hypot(sd, floor)
         scale = float(np.sort(ratios)[rank])
         uneven = sum((float(np.mean(ratios[group] <= scale)) - COVERAGE) ** 2 for group in groups)
-        if best is None or uneven < best[0] - 1e-12:
-            best = uneven, Interval(scale=scale, floor=float(floor))
-    assert best is not None
-    interval = best[1]
-    if interval.half_width(0.0) >= least:
-        return interval
-    return Interval(scale=1.0, floor=least)
+        if uneven < least_uneven - 1e-12:
+            least_uneven, interval = uneven, Interval(scale=scale, floor=float(floor))
+    return interval if interval.half_width(0.0) >= least else shown
 
 
 def step_between(answers: np.ndarray, period: float | None = None) -> float:

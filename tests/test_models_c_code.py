@@ -11,6 +11,7 @@ import pytest
 import torch
 from bump_map import bump_map
 from c_case import NEEDS_COMPILER, SANITIZED, Case, any_card, compiled, difference
+from feature_models import small_model
 from front_door import refused
 from slide_windows import labelled_slides
 from small_bundle import resigned, write_small_bundle
@@ -19,21 +20,15 @@ from streams import a_sensor
 import softslide
 from softslide.features.card import Card
 from softslide.models.classical import interpolation
-from softslide.models.classical.fit import WithMisfit, graph_of
-from softslide.models.classical.gaussian_process import GpConfig, fit_gp
-from softslide.models.classical.interpolation import InterpolationConfig, fit_interpolation
-from softslide.models.classical.misfit import Misfit
-from softslide.models.classical.mlp import MlpConfig, fit_mlp
+from softslide.models.classical.fit import graph_of
 from softslide.models.classical.regression import float_features
-from softslide.models.classical.trees import TreesConfig, fit_trees
 from softslide.models.cnn.gauss_newton import Refinement
 from softslide.models.cnn.network import OUTPUTS, NetworkConfig, SlideNetwork
 from softslide.models.cnn.training import TrainingConfig, train_proposal
 from softslide.models.cnn.training_windows import SynthesisConfig, WindowBatch, WindowSource
 from softslide.models.export.bundle import PARITY
 from softslide.models.export.c_code import sources
-from softslide.models.export.formats import export
-from softslide.models.export.precision import in_single
+from softslide.models.export.formats import export, in_single
 from softslide.models.graph.from_torch import export_graph
 
 pytestmark = NEEDS_COMPILER
@@ -54,15 +49,9 @@ def a_model(name: str) -> Case:
         return a_network()
     offsets = np.array([-12.0, -9.0, -6.0, -3.0, 3.0, 6.0, 9.0, 12.0])
     slides = labelled_slides(interpolation.DIRECTIONS_DEG, offsets)
-    model = {
-        "interpolation": lambda: fit_interpolation(slides, InterpolationConfig()),
-        "trees": lambda: fit_trees(slides, TreesConfig(trees=20)),
-        "mlp": lambda: fit_mlp(slides, MlpConfig(members=2, hidden=(16,), iterations=60)),
-        "gp": lambda: fit_gp(slides, GpConfig(search_rows=60)),
-    }[name]()
     features = float_features(slides)
     noise = np.random.default_rng(0).normal(0, 0.1, features.shape).astype(np.float32)
-    graph = graph_of(WithMisfit(model, Misfit.of(slides)), features.shape[1])
+    graph = graph_of(small_model(name, slides), features.shape[1])
     return Case(graph, {"features": np.concatenate([features, features + noise])})
 
 

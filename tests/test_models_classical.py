@@ -6,16 +6,14 @@ from pathlib import Path
 import numpy as np
 import onnxruntime as ort
 import pytest
+from feature_models import SMALL, small_model
 from slide_windows import labelled_slides
 
 from softslide.features.vector.energy import energy_width_s
 from softslide.models.classical import interpolation, regression
 from softslide.models.classical.augmentation import with_lines_between
-from softslide.models.classical.fit import WithMisfit, graph_of
-from softslide.models.classical.gaussian_process import GpConfig, fit_gp
-from softslide.models.classical.interpolation import InterpolationConfig, fit_interpolation
-from softslide.models.classical.misfit import Misfit
-from softslide.models.classical.mlp import MlpConfig, fit_mlp
+from softslide.models.classical.fit import graph_of
+from softslide.models.classical.interpolation import fit_interpolation
 from softslide.models.classical.regression import float_features
 from softslide.models.classical.trees import TreesConfig, fit_trees
 from softslide.pipeline.recordings.folder import SAMPLE, read_folder
@@ -24,31 +22,17 @@ from softslide.pipeline.recordings.windows import labelled_windows
 OFFSETS = np.array([-15.0, -12.5, -10.0, -7.5, -5.0, -2.5, 2.5, 5.0, 7.5, 10.0, 12.5, 15.0])
 SLIDES = labelled_slides(interpolation.DIRECTIONS_DEG, OFFSETS)
 UNSEEN = labelled_slides(interpolation.DIRECTIONS_DEG, np.array([-8.4, 6.0, 11.0]), seed=1)
-CONFIGS = {
-    "interpolation": InterpolationConfig(),
-    "interpolation as published": InterpolationConfig(form="quadratic"),
-    "trees": TreesConfig(trees=20),
-    "mlp": MlpConfig(members=2, hidden=(16,), iterations=60),
-    "gp": GpConfig(search_rows=60),
-}
-FITS = {InterpolationConfig: fit_interpolation, TreesConfig: fit_trees, MlpConfig: fit_mlp, GpConfig: fit_gp}
 BENCH = Path(__file__).parents[1].parent / "shared" / "recordings" / "bench-a"
 
 
-def fitted(windows, config):
-    return FITS[type(config)](windows, config)
-
-
-@pytest.fixture(scope="module", params=CONFIGS)
+@pytest.fixture(scope="module", params=SMALL)
 def case(request):
-    config = CONFIGS[request.param]
-    features = float_features(SLIDES)
-    return config, WithMisfit(fitted(SLIDES, config), Misfit.of(SLIDES)), features
+    return request.param, small_model(request.param, SLIDES), float_features(SLIDES)
 
 
 def test_seeded_to_the_last_byte_and_pure(case):
-    config, model, features = case
-    again, before = WithMisfit(fitted(SLIDES, config), Misfit.of(SLIDES)), features.copy()
+    name, model, features = case
+    again, before = small_model(name, SLIDES), features.copy()
     for one in (again, model, model):
         assert one.predict(features).tobytes() == again.predict(features).tobytes()
     np.testing.assert_array_equal(features, before)
@@ -76,7 +60,7 @@ def test_the_graph_says_the_same(case):
 
 @pytest.mark.parametrize("name", ["interpolation", "trees", "gp"])
 def test_lines_between_the_known_ones_are_found(name):
-    model = fitted(SLIDES, CONFIGS[name])
+    model = small_model(name, SLIDES)
     rows = model.predict(float_features(UNSEEN))
     column = dict(zip(model.outputs, rows.T, strict=True))
     log_speed = column.get("log_speed")

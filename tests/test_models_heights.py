@@ -36,7 +36,6 @@ from softslide.models.response_map.card import (
     calibrated_heights,
     contact_calibration,
     static_heights_mm,
-    with_gains,
 )
 from softslide.models.response_map.from_atlas import SensorSpread
 from softslide.models.response_map.map import ResponseMap
@@ -173,7 +172,8 @@ def heights() -> HeightCalibration:
 
 
 def test_gains_scale_the_change_with_height(heights: HeightCalibration) -> None:
-    scaled = with_gains(heights, np.array([1.1, 0.9]))
+    scaled = calibrated_heights(over_heights().scaled(np.array([1.1, 0.9])))
+    assert scaled is not None
     np.testing.assert_allclose(scaled.splines(2), heights.splines(2) * [1.1, 0.9], rtol=2e-3, atol=1e-6)
 
 

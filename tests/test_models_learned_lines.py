@@ -85,12 +85,6 @@ def test_labels_that_do_not_say_where_the_contact_was_give_no_place(folder):
     assert fit_gp(windows, GpConfig(search_rows=60)).outputs[-1] == "offset_mm"
 
 
-@pytest.mark.parametrize("share", [0.0, -0.1, 1.1])
-def test_a_share_out_of_range_is_refused(share):
-    with pytest.raises(ValueError, match="recorded_share"):
-        SharesConfig(recorded_share=share)
-
-
 def test_the_interpolation_takes_no_atlas(folder):
     with pytest.raises(InputError, match="recordings alone"):
         fit_model(model_named("interpolation"), folder, InterpolationConfig(), Given(atlas=object()))

@@ -49,6 +49,7 @@ def test_no_setting_is_beyond_its_range(model: str) -> None:
         ("trees", {"least_leaf": 0}),
         ("trees", {"seed": -1}),
         ("gp", {"search_rows": 0}),
+        *(("gp", {"training": {"recorded_share": share}}) for share in (0.0, -0.1, 1.1)),
         ("cnn", {"training": {"steps": 0}}),
         ("cnn", {"training": {"average": 1.0}}),
         ("cnn", {"network": {"hidden": [96, -1]}}),

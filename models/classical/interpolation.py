@@ -21,6 +21,7 @@ from softslide.features.stream.conditioning import Conditioning
 from softslide.features.vector.feature_vector import feature_matrix, feature_names
 from softslide.models.classical.fit import feature_model
 from softslide.models.graph.builder import GraphBuilder
+from softslide.pipeline.ranges import check_one_of
 from softslide.pipeline.recordings.windows import LabelledWindows
 
 # Directions in this order everywhere: X forward, Y forward, X backward, Y backward, deg.
@@ -159,8 +160,7 @@ class InterpolationConfig:
     form: str = "reciprocal"
 
     def __post_init__(self) -> None:
-        if self.form not in SPEED_FORMS:
-            raise ValueError(f"form is '{self.form}'; choose one of {', '.join(SPEED_FORMS)}")
+        check_one_of(SPEED_FORMS, form=self.form)
 
 
 @dataclass(frozen=True)

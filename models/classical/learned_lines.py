@@ -17,6 +17,7 @@ from softslide.models.response_map.map import ResponseMap
 from softslide.models.response_map.select import LEAST_ALONE, CalibratedMap, calibrated_map
 from softslide.models.response_map.slide_fit import CalibrationConfig
 from softslide.pipeline.atlas.atlas import Atlas
+from softslide.pipeline.ranges import POSITIVE, check_ranges
 from softslide.pipeline.recordings.folder import Folder
 from softslide.pipeline.recordings.windows import LabelledWindows, joined, labelled_windows
 
@@ -31,8 +32,7 @@ class SharesConfig:
     recorded_share: float = 0.25
 
     def __post_init__(self) -> None:
-        if not 0.0 < self.recorded_share <= 1.0:
-            raise ValueError(f"recorded_share is {self.recorded_share}; it lies above 0 and not above 1")
+        check_ranges(self, recorded_share=(POSITIVE[0], 1.0))
 
 
 @dataclass(frozen=True)
@@ -83,11 +83,8 @@ def learned_windows(
             return rows
         return joined([rows, drawn_windows(response, found.conditioning.block_s, count)])
 
-    unseen = [np.isin(recorded.recording, names) for _, names in found.held_out]
-    folds = [
-        (with_drawn(recorded[~mask], response), mask)
-        for (response, _), mask in zip(found.held_out, unseen, strict=True)
-    ]
+    unseen = [(response, np.isin(recorded.recording, names)) for response, names in found.held_out]
+    folds = [(with_drawn(recorded[~mask], response), mask) for response, mask in unseen]
     return LearnedLines(
         recorded,
         with_drawn(recorded, found.response),

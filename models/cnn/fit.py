@@ -17,7 +17,7 @@ from softslide.models.cnn.training import TrainingConfig, train_proposal
 from softslide.models.cnn.training_windows import SynthesisConfig, WindowSource
 from softslide.models.fitted_model import NOTHING, FittedModel, Given, Model
 from softslide.models.graph.from_torch import export_graph
-from softslide.models.held_out import WHOLE, believed, offset_reach_mm, signed_errors
+from softslide.models.held_out import DEVIATIONS, WHOLE, believed, offset_reach_mm, signed_errors
 from softslide.models.intervals import LEAST_WINDOWS, conformal_interval, misfit_limit
 from softslide.models.response_map.card import calibrated_forces, static_heights_mm
 from softslide.models.response_map.from_atlas import SensorSpread
@@ -52,13 +52,6 @@ LOST_DEG = 20.0
 EARLY = 0.35  # share of the stroke before which slides that differ look alike
 # Rows (n, K) of the network, and the windows that they are of.
 Held = tuple[np.ndarray, LabelledWindows]
-# Of each quantity that has an interval, the column of the graph's own standard deviation.
-DEVIATIONS = {
-    "direction_deg": "direction_sd_deg",
-    "log_speed": "log_speed_sd",
-    "offset_mm": "offset_sd_mm",
-    "depth_mm": "depth_sd_mm",
-}
 SHARED_HEIGHT_MM = 0.02  # held-out windows within it share a network; the response changes by 0.2 %
 
 
@@ -160,15 +153,13 @@ def initial_proposal(graph: onnx.ModelProto, response: ResponseMap, config: Netw
     """
     found = {i.name: onnx.numpy_helper.to_array(i) for i in graph.graph.initializer}
     proposal = Proposal(response.channels, response.boards, config)
-    state = proposal.state_dict()
-    for name, value in state.items():
+    for name, value in proposal.state_dict().items():
         stored = found.get(f"proposal.{name}")
         if stored is None or stored.shape != tuple(value.shape):
             raise InputError(
                 f"proposal.{name} is missing or of another shape; name a cnn bundle of a like sensor", "init"
             )
-        state[name] = torch.tensor(stored)
-    proposal.load_state_dict(state)
+        value.copy_(torch.tensor(stored))
     return proposal
 
 

@@ -15,7 +15,7 @@ from torch.nn import functional as F
 
 from softslide.features.window import WINDOW_BINS
 from softslide.models.response_map.map import ResponseMap
-from softslide.pipeline.ranges import POSITIVE, SHARE, SIZE, check_ranges
+from softslide.pipeline.ranges import POSITIVE, SHARE, SIZE, check_pairs, check_ranges
 from softslide.pipeline.recordings.windows import LabelledWindows
 
 SAMPLES = 2 * WINDOW_BINS  # of a slide before its window is cut: two a bin
@@ -56,10 +56,7 @@ class SynthesisConfig:
     def __post_init__(self) -> None:
         check_ranges(self, speed_mm_s=POSITIVE, trigger_v=POSITIVE, depth_mm=SIZE, channel_gain=SHARE)
         check_ranges(self, complete=SHARE, paused=SHARE, midway=SHARE, dead=SHARE)
-        for name in ("speed_mm_s", "trigger_v"):
-            low, high = getattr(self, name)
-            if low > high:
-                raise ValueError(f"{name} begins at {low:g} and ends at {high:g}; give the lower bound first")
+        check_pairs(self)
 
 
 @dataclass(frozen=True)
@@ -129,24 +126,22 @@ class WindowSource:
         start = start.clamp(max=SAMPLES - LEAST_SAMPLES)
         windows = _bins(integral, start) * weight.repeat_interleave(self.response.axes, 1)[:, :, None]
         along, depth_mm = slides.first + slides.length, self.response.depth_mm + depth
-        targets = torch.stack([slides.cos, slides.sin, slides.speed.log(), slides.offset, along, depth_mm], 1)
+        targets = torch.stack([*slides.heading, slides.speed.log(), slides.offset, along, depth_mm], 1)
         return WindowBatch(windows[whole], seconds[whole], weight[whole], targets[whole], slides.seen[whole])
 
     def _slides(self, random: "_Random") -> "_Slides":
         """Along lines at any angle and offset, which cross the chamber or not: where each slide begins, how far it is
         seen, and whether it rests at its end."""
         c, response = self.config, self.response
-        heading = random.uniform(0, 2 * math.pi)
-        cos, sin = heading.cos(), heading.sin()
+        angle = random.uniform(0, 2 * math.pi)
+        heading = torch.stack([angle.cos(), angle.sin()])
         reach = max(response.chamber_mm) / 2 + max(abs(r) for r in response.reference_mm)
         offset = random.uniform(-reach, reach)
         low, high = c.speed_mm_s
         speed = torch.exp(random.uniform(math.log(low), math.log(high)))
-        foot_x = response.reference_mm[0] - offset * sin
-        foot_y = response.reference_mm[1] + offset * cos
-        in_x = _crossing(foot_x, cos, response.chamber_mm[0] / 2)
-        in_y = _crossing(foot_y, sin, response.chamber_mm[1] / 2)
-        enter, leave = torch.maximum(in_x[0], in_y[0]), torch.minimum(in_x[1], in_y[1])
+        left = torch.stack([-heading[1], heading[0]])
+        foot = torch.tensor(response.reference_mm)[:, None] + offset * left
+        enter, leave = _crossing(foot, heading, torch.tensor(response.chamber_mm)[:, None] / 2)
         chord = leave - enter
         midway = random.chance(c.midway)
         on_the_dome = enter + random.uniform(0.0, MIDWAY_SHARE) * chord
@@ -158,9 +153,7 @@ class WindowSource:
         length = (last - first) * seen
         paused = random.chance(c.paused)
         pause = torch.where(paused, length * random.uniform(0.0, LONGEST_PAUSE), torch.zeros(random.count))
-        return _Slides(
-            cos, sin, offset, speed, foot_x, foot_y, chord > GRAZING_MM, first, length, pause, seen
-        )
+        return _Slides(heading, offset, speed, foot, chord > GRAZING_MM, first, length, pause, seen)
 
     def _volts(self, slides: "_Slides", random: "_Random") -> tuple[Tensor, Tensor]:
         """Output (B, SAMPLES, C) V as a device would record it, and the depth (B,) mm about the map's."""
@@ -173,14 +166,8 @@ class WindowSource:
         low, high = (at - response.height_mm for at in response.height_range_mm)
         # Drawn for a map over heights alone: the windows of others stay as they are.
         height = None if response.height_slope is None else random.uniform(low, high)
-        clean = self._response(
-            slides.foot_x[:, None] + s * slides.cos[:, None],
-            slides.foot_y[:, None] + s * slides.sin[:, None],
-            slides.cos,
-            slides.sin,
-            depth,
-            height,
-        )
+        places = slides.foot[:, :, None] + s * slides.heading[:, :, None]
+        clean = self._response(places, slides.heading, depth, height)
         each = (random.count, 1, clean.shape[2])
         gain = (
             1 + response.gain_sd * random.normal(random.count, 1, 1) + c.channel_gain * random.normal(*each)
@@ -221,22 +208,19 @@ class WindowSource:
             weight[torch.arange(random.count), lost] = 1.0 - random.chance(self.config.dead).float()
         return weight
 
-    def _response(
-        self, x: Tensor, y: Tensor, cos: Tensor, sin: Tensor, depth: Tensor, height: Tensor | None
-    ) -> Tensor:
-        """Bilinear look-up in the table: (B, n) positions -> (B, n, C) V; zero beyond the table."""
-        inside = (x.abs() < -self._origin) & (y.abs() < -self._origin)
-        u = ((x - self._origin) / TABLE_MM).clamp(0, self._size - 1.001)
-        v = ((y - self._origin) / TABLE_MM).clamp(0, self._size - 1.001)
-        i, j = u.long(), v.long()
-        fu, fv = (u - i)[..., None], (v - j)[..., None]
-        at = i * self._size + j
+    def _response(self, places: Tensor, heading: Tensor, depth: Tensor, height: Tensor | None) -> Tensor:
+        """Bilinear look-up in the table: places (2, B, n) mm -> (B, n, C) V; zero beyond the table."""
+        inside = (places.abs() < -self._origin).all(0)
+        cells = ((places - self._origin) / TABLE_MM).clamp(0, self._size - 1.001)
+        corner = cells.long()
+        fu, fv = (cells - corner)[..., None]
+        at = corner[0] * self._size + corner[1]
         low = self._table[at] * (1 - fu) + self._table[at + self._size] * fu
         high = self._table[at + 1] * (1 - fu) + self._table[at + self._size + 1] * fu
         parts = (low * (1 - fv) + high * fv) * inside[..., None]
         mean, along_x, along_y, deep, *higher = parts.split(self.response.channels, dim=2)
-        axis = (cos[:, None, None], sin[:, None, None])
-        volts = mean + axis[0] * along_x + axis[1] * along_y + depth[:, None, None] * deep
+        cos, sin = heading[:, :, None, None]
+        volts = mean + cos * along_x + sin * along_y + depth[:, None, None] * deep
         return volts if height is None else volts + height[:, None, None] * higher[0]
 
 
@@ -266,16 +250,14 @@ class _Random:
 
 @dataclass(frozen=True)
 class _Slides:
-    """(B,) each: direction, offset mm, speed mm/s and the foot of the perpendicular; whether the line crosses the
-    chamber by more than GRAZING_MM; where on it, mm from the foot, the slide begins; its length and the rest at its
-    end, as a length, mm; and which share of the slide that is."""
+    """heading (2, B): cos and sin of the direction. foot (2, B): of the perpendicular, mm. The others (B,) each: offset
+    mm, speed mm/s; whether the line crosses the chamber by more than GRAZING_MM; where on it, mm from the foot, the
+    slide begins; its length and the rest at its end, as a length, mm; and which share of the slide that is."""
 
-    cos: Tensor
-    sin: Tensor
+    heading: Tensor
     offset: Tensor
     speed: Tensor
-    foot_x: Tensor
-    foot_y: Tensor
+    foot: Tensor
     crosses: Tensor
     first: Tensor
     length: Tensor
@@ -288,11 +270,12 @@ class _Slides:
         return (self.length + self.pause) / self.speed
 
 
-def _crossing(foot: Tensor, slope: Tensor, half_mm: float) -> tuple[Tensor, Tensor]:
-    """Places along a line where one of its coordinates, foot + s slope, crosses -half and +half."""
-    slope = torch.where(slope.abs() < 1e-6, torch.full_like(slope, 1e-6), slope)
+def _crossing(foot: Tensor, heading: Tensor, half_mm: Tensor) -> tuple[Tensor, Tensor]:
+    """Places (B,) along lines, foot + s heading (2, B), where they enter the rectangle of half the sizes (2, 1), and
+    where they leave it."""
+    slope = torch.where(heading.abs() < 1e-6, torch.full_like(heading, 1e-6), heading)
     a, b = (-half_mm - foot) / slope, (half_mm - foot) / slope
-    return torch.minimum(a, b), torch.maximum(a, b)
+    return torch.minimum(a, b).amax(0), torch.maximum(a, b).amin(0)
 
 
 def _bins(integral: Tensor, start: Tensor) -> Tensor:

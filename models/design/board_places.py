@@ -71,16 +71,12 @@ def best_places(
     """
 
     def best(taken: list[int]) -> tuple[int, float]:
-        free = np.ones(len(places_mm), bool)
-        for one in taken:
-            apart = np.abs(places_mm - places_mm[one]) >= np.array(board_mm) + GAP_MM
-            free &= apart.any(axis=1)
+        apart = np.abs(places_mm[:, None] - places_mm[taken]) >= np.array(board_mm) + GAP_MM
+        free = apart.any(axis=2).all(axis=1)
         if not free.any():
             raise InputError(f"{boards}: only {len(taken)} such boards fit the chamber", "boards")
-        base = information[taken].sum(axis=0)
         values = np.full(len(places_mm), np.inf)
-        for one in np.flatnonzero(free).tolist():
-            values[one] = criterion(_variances(base + information[one]))
+        values[free] = criterion(_variances(information[taken].sum(axis=0) + information[free]))
         return int(values.argmin()), float(values.min())
 
     chosen = exchanged(best, range(boards), BOARD_SWEEPS)
@@ -98,9 +94,9 @@ def nearest_places(places_mm: np.ndarray, boards_mm: Sequence[tuple[float, float
 
 
 def _variances(information: np.ndarray) -> np.ndarray:
-    """(L, 3) of direction, log speed and offset, of information (L, 5, 5)."""
+    """(..., L, 3) of direction, log speed and offset, of information (..., L, 5, 5)."""
     inverse = np.linalg.inv(with_gain_prior(information))
-    return np.diagonal(inverse, axis1=-2, axis2=-1)[:, :ERRORS]
+    return np.diagonal(inverse, axis1=-2, axis2=-1)[..., :ERRORS]
 
 
 def response_of(field: TiltField, sensor: Sensor) -> ResponseMap:

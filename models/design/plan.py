@@ -125,11 +125,8 @@ class Unknowns:
     def __init__(
         self, atlas: Atlas, sensor: Sensor, depth_mm: float, config: CalibrationConfig, spread: SensorSpread
     ) -> None:
-        self.response, changes = prior_deviations(atlas, sensor, depth_mm, spread)
-        k = knots(self.response.half_mm)
-        by_place = [c.coefficients.transpose(1, 2, 0, 3).reshape(k * k, -1) for c in changes]
-        self._changes = np.stack(by_place, axis=-1).reshape(k * k, -1)
-        self._lags_s = np.array([c.lag_s for c in changes])
+        self.response, changes, self._lags_s = prior_deviations(atlas, sensor, depth_mm, spread)
+        self._changes = changes.transpose(2, 3, 1, 4, 0).reshape(knots(self.response.half_mm) ** 2, -1)
         self._modes = [
             _modes(self.response, smooth, config.near_prior)
             for smooth in (config.smooth_mean, config.smooth_friction)

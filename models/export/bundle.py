@@ -15,7 +15,7 @@ from softslide.features.errors import CheckFailed
 from softslide.features.vector.feature_vector import feature_matrix
 from softslide.models.fitted_model import FittedModel
 from softslide.models.graph.packing import unpack
-from softslide.models.held_out import believed
+from softslide.models.held_out import DEVIATIONS, believed
 from softslide.pipeline.recordings.windows import LabelledWindows
 from softslide.pipeline.sensor import Sensor
 from softslide.pipeline.staging import staged
@@ -23,10 +23,7 @@ from softslide.pipeline.staging import staged
 PARITY = 1e-4  # relative difference of graph and original
 # Of what is computed before the last step: rounding of the proposal moves it the most where that step is a long one (of
 # three accelerometers the misfit 1.3e-4, of one a deviation at its limit 2e-4, estimates 2e-5; experiments/LOG.md).
-BEFORE_LAST_STEP = (
-    *("misfit", "strain", "straight", *BENT),
-    *("direction_sd_deg", "log_speed_sd", "offset_sd_mm", "depth_sd_mm"),
-)
+BEFORE_LAST_STEP = ("misfit", "strain", "straight", *BENT, *DEVIATIONS.values())
 MISFIT_PARITY = 1e-3
 DIGITS = 4  # of the card's worked example and of the fit's figures: all digits are 3 kB
 AT_LIMIT = 1e-3  # share of windows that one of them may answer and the other not

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import onnx
+from onnx import TensorProto, helper, numpy_helper
 
 from softslide.features.card import Card, write_card
 from softslide.features.errors import InputError
@@ -23,7 +24,6 @@ from softslide.models.export.bundle import (
 from softslide.models.export.c_code import sources
 from softslide.models.export.forests import without_forests
 from softslide.models.export.hub_card import page
-from softslide.models.export.precision import in_single
 from softslide.models.graph.optimized import optimized
 from softslide.models.held_out import believed
 from softslide.pipeline.recordings.folder import SAMPLE, read_folder
@@ -114,6 +114,31 @@ def of_one_window(graph: onnx.ModelProto) -> onnx.ModelProto:
     del one.graph.input[:]
     one.graph.input.extend(inputs)
     return onnx.load_model_from_string(optimized(one.SerializeToString()))
+
+
+def in_single(model: onnx.ModelProto) -> onnx.ModelProto:
+    """The same graph with every float64 constant and value as float32: half the memory, and the only precision that a
+    small processor's floating-point unit has."""
+    single = onnx.ModelProto()
+    single.CopyFrom(model)
+    graph = single.graph
+    # Types noted between nodes no longer hold; they follow from the rest.
+    del graph.value_info[:]
+    for item in graph.initializer:
+        _narrow(item)
+    for node in graph.node:
+        for attribute in node.attribute:
+            if attribute.type == onnx.AttributeProto.TENSOR:
+                _narrow(attribute.t)
+            elif node.op_type == "Cast" and attribute.name == "to" and attribute.i == TensorProto.DOUBLE:
+                attribute.CopyFrom(helper.make_attribute("to", TensorProto.FLOAT))
+    return single
+
+
+def _narrow(item: onnx.TensorProto) -> None:
+    if item.data_type == TensorProto.DOUBLE:
+        with np.errstate(over="ignore"):
+            item.CopyFrom(numpy_helper.from_array(numpy_helper.to_array(item).astype(np.float32), item.name))
 
 
 def _as_ort(card: Card, path: Path, out: Path) -> dict[str, Any]:

@@ -21,8 +21,8 @@ from softslide.models.response_map.slides import (
     calibration_slides,
     touch_blocks,
 )
-from softslide.pipeline.recordings.derived_labels import UNTIMED
 from softslide.pipeline.recordings.folder import Folder
+from softslide.pipeline.recordings.heights import HEIGHT
 
 # Standard deviations of the prior: a real skin was 11 to 18 % stronger on another day, channel by channel.
 COMMON_SD, CHANNEL_SD = 0.15, 0.05
@@ -105,15 +105,13 @@ def labelled_contacts(
 
     heights_mm: of the skin, by recording, where several are known.
     """
-    standing = folder.manifest[list(PRESS_LABELS)].notna().all(axis=1) & _stands(folder.manifest)
-    moving = replace(folder, manifest=folder.manifest[~standing])
-    untimed = moving.manifest.index[moving.manifest.get(UNTIMED, pd.Series(False, moving.manifest.index))]
-    slides = calibration_slides(moving, conditioning, frozenset(map(str, untimed)))
-    slides = [replace(slide, height_mm=heights_mm.get(slide.recording, math.nan)) for slide in slides]
+    table = folder.manifest.assign(**{HEIGHT: pd.Series(heights_mm, dtype=float)})
+    standing = table[list(PRESS_LABELS)].notna().all(axis=1) & _stands(table)
+    slides = calibration_slides(replace(folder, manifest=table[~standing]), conditioning)
     presses = {
-        name: press
-        for name in map(str, folder.manifest.index[standing])
-        if (press := _press(folder, name, conditioning, heights_mm.get(name, math.nan))) is not None
+        str(name): press
+        for name, row in table[standing].iterrows()
+        if (press := _press(folder, str(name), row, conditioning)) is not None
     }
     used = {slide.recording for slide in slides} | set(presses)
     return slides, list(presses.values()), [str(n) for n in folder.manifest.index if str(n) not in used]
@@ -126,9 +124,8 @@ def _stands(manifest: pd.DataFrame) -> pd.Series:
     return (speed == 0) | (speed.isna() & manifest["direction_deg"].isna() & ~(travel > 0))
 
 
-def _press(folder: Folder, name: str, conditioning: Conditioning, height_mm: float) -> Press | None:
-    """The press of one recording; None if its rest or the press itself is too short."""
-    row: Any = folder.manifest.loc[name]
+def _press(folder: Folder, name: str, row: Any, conditioning: Conditioning) -> Press | None:
+    """The press of one recording, labelled by `row`; None if its rest or the press itself is too short."""
     middle_s, blocks = touch_blocks(folder, name, conditioning)
     half_s = conditioning.block_s / 2
     rest = blocks[middle_s < row.motion_start_s - half_s]
@@ -136,4 +133,4 @@ def _press(folder: Folder, name: str, conditioning: Conditioning, height_mm: flo
     if len(rest) < LEAST_REST_BLOCKS or not len(pressed):
         return None
     place, static_v = (float(row.start_x_mm), float(row.start_y_mm)), rest.mean(axis=0)
-    return Press(place, float(row.depth_mm), pressed.mean(axis=0) - static_v, height_mm)
+    return Press(place, float(row.depth_mm), pressed.mean(axis=0) - static_v, float(row[HEIGHT]))

@@ -13,7 +13,8 @@ height. The lines of each are too few for a change that is free in place: held-o
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, TypeVar
+from itertools import compress
+from typing import Any
 
 import numpy as np
 from scipy import sparse
@@ -21,11 +22,20 @@ from scipy.linalg import solveh_banded
 from scipy.optimize import minimize
 
 from softslide.models.response_map.from_atlas import DESIGN_DRIFT_V_S
-from softslide.models.response_map.map import PARTS, SPACING_MM, ResponseMap, half_of, knots, tensor_splines
+from softslide.models.response_map.map import (
+    PARTS,
+    SPACING_MM,
+    ResponseMap,
+    half_of,
+    knots,
+    spline_grid,
+    tensor_splines,
+)
 from softslide.models.response_map.slide_fit import (
     LEAST_RESIDUAL_V,
     SHIFT_STEP_MM,
     CalibrationConfig,
+    SlideFit,
     fit_slide,
 )
 from softslide.models.response_map.slides import CalibrationSlide, at_height, main_height_mm, several
@@ -40,7 +50,7 @@ SHRINKAGE = 0.1  # of the residuals' covariance; without it errors were the same
 # residual is 0.86 mV, a block's noise 1.35 mV (residual_v in the card of a bundle), 0.4.
 MAP_VARIANCE = 0.5
 RIM_MM = 1.5  # from this far beyond the chamber's edge on, the skin lies on the base and shows nothing
-RIM_WEIGHT = 3.0  # of a rim point, one each mm; a stretch of 0.5 mm weighs at most 2
+RIM_WEIGHT = 3.0  # of a rim point, GRID_MM apart; a stretch of 0.5 mm weighs at most 2
 # Hold coefficients that no slide touches: share of the smoothing, and at least.
 RIDGE, LEAST_RIDGE = 1e-3, 1e-6
 PENALTY_NOISE_V = 1.35e-3  # a block's noise on the recordings that the penalties were chosen on
@@ -52,10 +62,6 @@ USUAL_LEVEL, USUAL_PARTS, PARTS_SPREAD = 0.4, (0.0025, 0.06), 2.0
 COVARIATES = ("depth", "height")
 # Priors of such a change: of its factor on the design's, and of what it holds of the response itself, 1/mm.
 CHANGE_SD = (0.5, 0.1)
-
-T = TypeVar("T")
-# A slide with its own gain and its shift along its line, mm.
-Placed = tuple[CalibrationSlide, float, float]
 
 
 def calibrate(
@@ -69,45 +75,40 @@ def calibrate(
     """
     noise = np.sqrt(np.mean([s.rest_noise_v**2 for s in slides], axis=0))
     response = _over_heights(replace(prior, noise_v=noise), slides)
-    gains, shifts = np.ones(len(slides)), np.zeros(len(slides))
+    fits = [SlideFit(slide, 1.0, 0.0, slide.volts) for slide in slides]
     speeds = np.array([s.speed_mm_s.max() for s in slides])
-    rms, means = np.empty(len(slides)), np.empty((len(slides), response.channels))
-    residuals = [slide.volts for slide in slides]
-    keep, timed = np.ones(len(slides), dtype=bool), np.array([s.timed for s in slides])
-    changing = [name for name in COVARIATES if several(slides, name)]
-    for first in (True, *[False] * (config.iterations - 1)):
-        fitted = _first_slides(slides, response) if first else keep
-        placed: list[Placed] = list(zip(slides, gains, shifts, strict=True))
-        response = fit_splines(_some(placed, fitted), response, prior if informed else None, config)
-        response = _with_changes(response, _some(placed, keep), prior, changing)
-        for i, slide in enumerate(slides):
-            fit = fit_slide(slide, response, config, gains[i], shifts[i])
-            gains[i], shifts[i], rms[i] = fit.gain, fit.shift_mm, fit.rms_v
-            means[i], residuals[i] = fit.residual_v.mean(axis=0), fit.residual_v
+    timed = np.array([s.timed for s in slides])
+    keep, fitted = np.ones(len(slides), dtype=bool), _first_slides(slides, response)
+    designs = {name: getattr(response, f"{name}_slope") for name in COVARIATES if several(slides, name)}
+    for _ in range(config.iterations):
+        response = fit_splines(list(compress(fits, fitted)), response, prior if informed else None, config)
+        response = _with_changes(response, list(compress(fits, keep)), designs)
+        fits = [fit_slide(fit.slide, response, config, fit.gain, fit.shift_mm) for fit in fits]
+        gains, shifts, rms = np.array([(fit.gain, fit.shift_mm, fit.rms_v) for fit in fits]).T
         # A slide with wrong labels must not bend the map: it stands out by its residual.
-        keep = rms < OUTLIER * np.median(rms)
+        fitted = keep = rms < OUTLIER * np.median(rms)
         gains /= np.mean(gains[keep])
         # A shift that grows with the speed is a lag, where the labels say when the slide was where.
         lag = float(response.lag_s + _slope(speeds[keep & timed], shifts[keep & timed]))
         shifts -= (lag - response.lag_s) * speeds
         response = replace(response, lag_s=lag)
+        fits = [replace(f, gain=g, shift_mm=s) for f, g, s in zip(fits, gains, shifts, strict=True)]
+    kept = list(compress(fits, keep))
     peaks = np.array([np.abs(s.volts).max() for s in slides])
     clear = keep & (peaks > CLEAR * peaks.max())
     residual = float(np.sqrt(np.mean(rms[keep] ** 2)))
-    gain_sd = float(_deviation(gains[clear] - 1, config.gain_sd))
-    if not response.rim:
-        gain_sd = float(np.hypot(gain_sd, config.day_gain_sd))
-        response = replace(response, whitening=_whitening(residuals))
-    lasts_s = np.array([slide.volts.shape[0] * slide.step_s for slide in slides])
-    zero_v, drift_v_s = zero_errors(means[keep], lasts_s[keep])
-    response = replace(response, gain_sd=gain_sd, floor_v=residual, zero_v=zero_v, drift_v_s=drift_v_s)
+    gain_sd = _gain_sd(gains[clear], config.gain_sd)
     if response.rim:
-        left = _some(residuals, keep)
-        weak_v, share = _growth(_some(slides, keep), left)
-        response = replace(response, weak_floor_v=weak_v, floor_share=share)
-        placed = list(zip(slides, gains, shifts, strict=True))
-        response = _with_parts(response, _some(placed, keep), left)
-    if "depth" in changing:
+        weak_v, share = _growth(kept)
+        response = _with_parts(replace(response, weak_floor_v=weak_v, floor_share=share), kept)
+    else:
+        gain_sd = float(np.hypot(gain_sd, config.day_gain_sd))
+        response = replace(response, whitening=_whitening([fit.residual_v for fit in fits]))
+    means = np.array([fit.residual_v.mean(axis=0) for fit in kept])
+    lasts_s = np.array([len(fit.slide.volts) * fit.slide.step_s for fit in kept])
+    zero_v, drift_v_s = zero_errors(means, lasts_s)
+    response = replace(response, gain_sd=gain_sd, floor_v=residual, zero_v=zero_v, drift_v_s=drift_v_s)
+    if "depth" in designs:
         farthest = max(abs(slide.depth_mm - response.depth_mm) for slide in slides)
         response = replace(response, depth_sd_mm=float(farthest))
     return response, {
@@ -130,16 +131,11 @@ def zero_errors(means: np.ndarray, lasts_s: np.ndarray) -> np.ndarray:
     return np.transpose([_likeliest(mean**2, shapes, each, usual, spread=PARTS_SPREAD) for mean in means.T])
 
 
-def _some(each: list[T], mask: np.ndarray) -> list[T]:
-    """What a mask (n,) marks."""
-    return [one for one, marked in zip(each, mask, strict=True) if marked]
-
-
-def _growth(slides: list[CalibrationSlide], residuals: list[np.ndarray]) -> tuple[float, float]:
-    """How the slides' residuals (m, C) V grow with the output, by likelihood: the standard deviation where there is
-    none (V), and what is added in quadrature, as a share of the largest output of the channels."""
-    size = np.concatenate([np.abs(slide.volts).max(axis=1) for slide in slides])
-    square = np.concatenate([(residual**2).mean(axis=1) for residual in residuals])
+def _growth(fits: list[SlideFit]) -> tuple[float, float]:
+    """How the slides' residuals grow with the output, by likelihood: the standard deviation where there is none (V),
+    and what is added in quadrature, as a share of the largest output of the channels."""
+    size = np.concatenate([np.abs(fit.slide.volts).max(axis=1) for fit in fits])
+    square = np.concatenate([(fit.residual_v**2).mean(axis=1) for fit in fits])
     rms_v = max(math.sqrt(square.mean()), LEAST_RESIDUAL_V)
     shapes, weight = np.square([np.ones_like(size), size]), np.full(len(size), 1.0 / len(size))
     weak_v, share = _likeliest(square, shapes, weight, [rms_v, rms_v / size.max()])
@@ -169,21 +165,20 @@ def _likeliest(
     return np.exp(minimize(unlikely, middle, method="Nelder-Mead").x).tolist()
 
 
-def _with_parts(response: ResponseMap, placed: list[Placed], residuals: list[np.ndarray]) -> ResponseMap:
-    """The map with the likeliest parts of its slides' residuals (m, C) V: `level_v`, `output_share`, `place_mm`.
+def _with_parts(response: ResponseMap, fits: list[SlideFit]) -> ResponseMap:
+    """The map with the likeliest parts of its slides' residuals: `level_v`, `output_share`, `place_mm`.
 
     Along a slide residuals are alike, so that each counts as one observation.
     """
     each = []
-    for (slide, gain, shift), residual in zip(placed, residuals, strict=True):
-        own = response.at(slide.depth_mm, slide.height_mm)
-        ahead, behind = (slide.shown(own, shift - step) for step in (SHIFT_STEP_MM, -SHIFT_STEP_MM))
-        change = gain * (ahead - behind) / (2 * SHIFT_STEP_MM)
+    for fit in fits:
+        slide, own = fit.slide, response.at(fit.slide.depth_mm, fit.slide.height_mm)
+        ahead, behind = (slide.shown(own, fit.shift_mm - step) for step in (SHIFT_STEP_MM, -SHIFT_STEP_MM))
+        change = fit.gain * (ahead - behind) / (2 * SHIFT_STEP_MM)
         even = np.ones_like(change)
         noise = slide.rest_noise_v / math.sqrt(slide.blocks) * even
-        each.append(
-            [residual, noise, even, np.abs(slide.volts).max() * even, change, even / change.size**0.5]
-        )
+        peak = np.abs(slide.volts).max()
+        each.append([fit.residual_v, noise, even, peak * even, change, even / change.size**0.5])
     # All squared; a slide's weights add up to 1.
     square, noise, *shapes, weight = np.concatenate([np.reshape(one, (6, -1)) for one in each], axis=1) ** 2
     rms_v = max(math.sqrt(weight @ square / len(each)), LEAST_RESIDUAL_V)
@@ -216,29 +211,26 @@ def _first_slides(slides: list[CalibrationSlide], response: ResponseMap) -> np.n
     return main if main.mean() > 0.5 else every
 
 
-def _with_changes(
-    response: ResponseMap, placed: list[Placed], prior: ResponseMap, changing: list[str]
-) -> ResponseMap:
-    """The map with its change with those of COVARIATES that are changing. prior: with the design's.
+def _with_changes(response: ResponseMap, fits: list[SlideFit], designs: dict[str, np.ndarray]) -> ResponseMap:
+    """The map with its change with those of COVARIATES that slides differ in. designs: the design's, by name.
 
     A change is c times the design's + b M, its two numbers c and b fitted by least squares, in V/mm.
     """
     noise = float(np.median(response.noise_v))
     still, flat = response.coefficients[0], np.zeros_like(response.depth_slope)
-    for name in changing:
-        found = getattr(prior, f"{name}_slope")
-        design = flat if found is None else found
+    for name, design in designs.items():
         without = _with_slope(response, name, flat)
         parts = [replace(without, coefficients=np.stack([part, flat, flat])) for part in (design, still)]
         # In units of a block's noise.
         normal = np.diag(1.0 / np.square(CHANGE_SD))
         right = np.array([1.0, 0.0]) / np.square(CHANGE_SD)
-        for slide, gain, shift in placed:
+        for fit in fits:
+            slide = fit.slide
             off_mm = getattr(slide, f"{name}_mm") - getattr(response, f"{name}_mm")
-            known = slide.shown(without.at(slide.depth_mm, slide.height_mm), shift)
-            rest = (slide.volts - gain * known) / noise
-            shown = np.stack([slide.shown(part, shift).ravel() for part in parts], axis=1)
-            rows = gain * off_mm / noise * shown
+            known = slide.shown(without.at(slide.depth_mm, slide.height_mm), fit.shift_mm)
+            rest = (slide.volts - fit.gain * known) / noise
+            shown = np.stack([slide.shown(part, fit.shift_mm).ravel() for part in parts], axis=1)
+            rows = fit.gain * off_mm / noise * shown
             weight = _weight(slide)
             normal += weight * rows.T @ rows
             right += weight * rows.T @ rest.ravel()
@@ -260,7 +252,7 @@ def _weight(slide: CalibrationSlide) -> float:
 
 
 def fit_splines(
-    placed: list[Placed], response: ResponseMap, prior: ResponseMap | None, config: CalibrationConfig
+    fits: list[SlideFit], response: ResponseMap, prior: ResponseMap | None, config: CalibrationConfig
 ) -> ResponseMap:
     """One penalised least-squares solution for M, Fx, Fy with the slides' gains and shifts held.
 
@@ -277,9 +269,9 @@ def fit_splines(
     still = replace(response, coefficients=np.zeros_like(response.coefficients))
     # Slides of one direction share their weights of M, Fx, Fy, so that their Gram matrices add up.
     grams: dict[float, sparse.csr_matrix] = {}
-    for slide, gain, shift in placed:
-        place = slide.place(shift, response.lag_s)
-        rows = tensor_splines(*place, response.half_mm, response.spacing_mm) * gain
+    for fit in fits:
+        slide, place = fit.slide, fit.slide.place(fit.shift_mm, response.lag_s)
+        rows = tensor_splines(*place, response.half_mm, response.spacing_mm) * fit.gain
         weight, parts = _weight(slide), part_weights(slide.direction_rad)
         off = still.at(slide.depth_mm, slide.height_mm).coefficients[0].reshape(size, -1)
         known = rows @ (off + np.tensordot(parts, start, (0, 1)))
@@ -310,9 +302,8 @@ def roughness(k: int) -> sparse.spmatrix:
 
 
 def rim_gram(response: ResponseMap) -> sparse.csr_matrix:
-    """Gram matrix (K^2, K^2) of the splines at points of the rim, one each mm, where the response is zero."""
-    grid = np.arange(-response.half_mm, response.half_mm + 0.5, 1.0)
-    x, y = (axis.ravel() for axis in np.meshgrid(grid, grid, indexing="ij"))
+    """Gram matrix (K^2, K^2) of the splines at points of the rim, GRID_MM apart, where the response is zero."""
+    x, y = spline_grid(response.half_mm)
     rim = (np.abs(x) > response.chamber_mm[0] / 2 + RIM_MM) | (
         np.abs(y) > response.chamber_mm[1] / 2 + RIM_MM
     )
@@ -351,9 +342,10 @@ def _slope(speeds: np.ndarray, shifts: np.ndarray) -> float:
     return np.polyfit(speeds, shifts, 1)[0] if len(speeds) > 8 and np.ptp(speeds) > 1 else 0.0
 
 
-def _deviation(errors: np.ndarray, prior_sd: float) -> np.ndarray:
-    """Root mean square over slides (n,), the prior counting as PRIOR_SLIDES further ones."""
-    return np.sqrt((np.sum(errors**2, axis=0) + PRIOR_SLIDES * prior_sd**2) / (len(errors) + PRIOR_SLIDES))
+def _gain_sd(gains: np.ndarray, prior_sd: float) -> float:
+    """Standard deviation of slides' gains (n,) about 1, the prior's counting as PRIOR_SLIDES further ones."""
+    square = np.sum((gains - 1) ** 2) + PRIOR_SLIDES * prior_sd**2
+    return float(np.sqrt(square / (len(gains) + PRIOR_SLIDES)))
 
 
 def blank_map(sensor: Sensor, depth_mm: float, spacing_mm: float = SPACING_MM) -> ResponseMap:

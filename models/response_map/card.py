@@ -128,12 +128,6 @@ def static_heights_mm(
     return {name: height for name, v in statics if not math.isnan(height := rest.height_mm(v))}
 
 
-def with_gains(heights: HeightCalibration, gain: np.ndarray) -> HeightCalibration:
-    """The same of a sensor whose channels answer `gain` (C,) times as much."""
-    text, scale = encoded(gain * heights.splines(len(gain)))
-    return replace(heights, coefficients=text, scale_v=scale)
-
-
 def force_map(
     atlas: Atlas, chamber_mm: tuple[float, float], height_mm: float, depth_mm: float, friction: float = 1.0
 ) -> ForceMap:

@@ -8,6 +8,7 @@ design's.
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from itertools import compress
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -132,7 +133,7 @@ def prior_map(
     over_heights = several(slides, "height")
     if over_heights:
         height_mm = main_height_mm(slides)
-        slides = [s for s, main in zip(slides, at_height(slides, height_mm), strict=True) if main]
+        slides = list(compress(slides, at_height(slides, height_mm)))
     if slides:
         slides = slides[:: max(1, len(slides) // MOST_SLIDES)]
         peak = max(float(np.abs(s.volts).max()) for s in slides)
@@ -155,24 +156,15 @@ def prior_map(
 
 def prior_deviations(
     atlas: Atlas, sensor: Sensor, depth_mm: float, spread: SensorSpread
-) -> tuple[ResponseMap, list[ResponseMap]]:
-    """The prior's mean map, and how it changes when each parameter moves by its standard deviation.
-
-    The latter are maps of differences: their coefficients and their lag are the change.
-    """
+) -> tuple[ResponseMap, np.ndarray, np.ndarray]:
+    """The prior's mean map, and by how much its coefficients (P, 3, K, K, C) V and its lag (P,) s change when each
+    parameter moves by its standard deviation."""
     family = _Family(atlas, sensor, depth_mm, spread)
-    changes = []
-    for step in np.diag(family.sd):
-        above, below = family.map(family.centre + step), family.map(family.centre - step)
-        changes.append(
-            replace(
-                above,
-                coefficients=(above.coefficients - below.coefficients) / 2,
-                depth_slope=(above.depth_slope - below.depth_slope) / 2,
-                lag_s=(above.lag_s - below.lag_s) / 2,
-            )
-        )
-    return family.map(family.centre), changes
+    centre = family.centre
+    ends = [(family.map(centre + step), family.map(centre - step)) for step in np.diag(family.sd)]
+    changes = np.array([(above.coefficients - below.coefficients) / 2 for above, below in ends])
+    lags_s = np.array([(above.lag_s - below.lag_s) / 2 for above, below in ends])
+    return family.map(centre), changes, lags_s
 
 
 def _every(slide: CalibrationSlide) -> int:

@@ -7,7 +7,7 @@ A common delay of all slides looks like more friction, to first order: the desig
 which the response ends, keep the two apart.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -19,6 +19,7 @@ from softslide.models.response_map.map import ResponseMap
 from softslide.models.response_map.slide_fit import CalibrationConfig, fit_slide
 from softslide.models.response_map.slides import LABELS, calibration_slides, means, stretch_blocks
 from softslide.pipeline.atlas.atlas import Atlas
+from softslide.pipeline.recordings.derived_labels import UNTIMED
 from softslide.pipeline.recordings.folder import Folder, Recording
 from softslide.pipeline.synthesis.slide_plan import chord
 
@@ -27,35 +28,26 @@ REST_S = 0.5  # the static output is read from the recording's first half second
 RUN_UP_MM = 4.0  # the motion is taken to start and end so far outside the chamber, where nothing answers yet
 
 
-@dataclass(frozen=True)
-class Onsets:
-    """folder: with the motion of every slide that could be placed. fitted: the recordings whose onset is found here.
-    left_out: why a recording has no place, by name."""
-
-    folder: Folder
-    fitted: frozenset[str]
-    left_out: dict[str, str]
-
-
 def with_onsets(
     folder: Folder,
     atlas: Atlas | None,
     conditioning: Conditioning,
     spread: SensorSpread,
     config: CalibrationConfig,
-) -> Onsets:
-    """Fills start, travel and moments of motion of the folder's slides that lack some of them.
+) -> tuple[Folder, dict[str, str]]:
+    """The folder with start, travel and moments of motion of those slides too that lack some of them, UNTIMED of
+    these; and why a recording has no place, by name.
 
     Labelled moments are kept. Without a start the slide is taken to cross the chamber from rim to rim at its speed.
     Without an atlas the signal's energy is taken to be centred at the accelerometers, which is good to a few mm.
     """
     known = folder.manifest[list(LABELS)].notna().all(axis=1)
+    table, left_out = folder.manifest.assign(**{UNTIMED: ~known}), dict[str, str]()
     if known.all():
-        return Onsets(folder, frozenset(), {})
+        return replace(folder, manifest=table), left_out
     depth_mm = float(folder.manifest["depth_mm"].median())
     sensor = folder.sensor.scaled(conditioning.scale)
     response = None if atlas is None else prior_map(atlas, sensor, [], depth_mm, spread)[0]
-    table, left_out = folder.manifest.copy(), {}
     for name in folder.manifest.index[~known]:
         row, recording = folder.manifest.loc[name], folder.load(name)
         passing = _passing_s(folder, recording, row, conditioning, response)
@@ -64,21 +56,20 @@ def with_onsets(
         else:
             placed = _placed(folder, recording, row, passing)
             table.loc[name, list(placed)] = list(placed.values())
-    fitted = frozenset(str(name) for name in folder.manifest.index[~known]) - set(left_out)
     folder = replace(folder, manifest=table)
     if atlas is None:
-        return Onsets(folder, fitted, left_out)
+        return folder, left_out
     # The onsets are fitted to the design's map, and its parameters to the slides, in turn.
     for _ in range(ONSET_ROUNDS):
-        slides = calibration_slides(folder, conditioning, fitted)
+        slides = calibration_slides(folder, conditioning)
         if not slides:
             break
         depth_mm = float(np.median([slide.depth_mm for slide in slides]))
         response, _ = prior_map(atlas, sensor, slides, depth_mm, spread)
-        response = replace(response, lag_s=0.0) if len(fitted) == len(slides) else response
-        untimed = [slide for slide in slides if slide.recording in fitted]
+        untimed = [slide for slide in slides if not slide.timed]
+        response = replace(response, lag_s=0.0) if len(untimed) == len(slides) else response
         folder = moved(folder, {s.recording: fit_slide(s, response, config).shift_mm for s in untimed})
-    return Onsets(folder, fitted, left_out)
+    return folder, left_out
 
 
 def moved(folder: Folder, shift_mm: dict[str, float]) -> Folder:

@@ -12,6 +12,7 @@ skin: lines that are close together or cross show the same places.
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
+from itertools import compress
 
 import numpy as np
 
@@ -25,7 +26,7 @@ from softslide.models.response_map.calibrate import blank_map, calibrate
 from softslide.models.response_map.card import calibrated_heights, contact_calibration
 from softslide.models.response_map.from_atlas import SensorSpread, prior_map, tilt_v_per_g
 from softslide.models.response_map.map import SPACING_MM, ResponseMap
-from softslide.models.response_map.onset import Onsets, moved, with_onsets
+from softslide.models.response_map.onset import moved, with_onsets
 from softslide.models.response_map.slide_fit import CalibrationConfig, fit_slide, with_lag
 from softslide.models.response_map.slides import (
     LEAST_APART_MM,
@@ -128,31 +129,22 @@ def calibrated_map(
     Raises:
         InputError: neither an atlas nor enough slides, or none of the folder's recordings can be used.
     """
-    onsets = with_onsets(folder, atlas, conditioning, spread, calibration)
+    folder, left_out = with_onsets(folder, atlas, conditioning, spread, calibration)
     known = _Known(atlas, folder.sensor.scaled(conditioning.scale), spread, calibration)
-    found, slides = _fitted(onsets, conditioning, known)
-    left_out: dict[str, str] = {}
-    figures: dict[str, float] = {}
+    found, slides = _fitted(folder, left_out, conditioning, known)
     if found.response.height_slope is not None:
         shares = _shares_at_other_heights(slides, found.held_out, known)
         figures = {f"heldout_residual_{name}": share for name, share in shares.items()}
         if shares and shares["map_over_heights"] > WRONG_HEIGHTS * shares["map_a_height"]:
-            main = at_height(slides, main_height_mm(slides))
-            others = [s.recording for s, mains in zip(slides, main, strict=True) if not mains]
+            others = [slide.recording for slide in _at_other_heights(slides)]
             why = "a map of each height predicts held-out lines better; train one for it"
-            left_out = dict.fromkeys(others, why)
-            kept = onsets.folder.manifest.drop(index=others)
-            onsets = replace(onsets, folder=replace(onsets.folder, manifest=kept))
-            found, slides = _fitted(onsets, found.conditioning, known)
+            folder = replace(folder, manifest=folder.manifest.drop(index=others))
+            found, slides = _fitted(folder, left_out, found.conditioning, known)
+            found = replace(found, left_out=found.left_out | dict.fromkeys(others, why))
+        found = replace(found, summary=found.summary | figures)
     untimed = [slide for slide in slides if not slide.timed]
     shifts = {slide.recording: fit_slide(slide, found.response, calibration).shift_mm for slide in untimed}
-    return replace(
-        found,
-        summary=found.summary | figures,
-        folder=moved(onsets.folder, shifts),
-        untimed=len(untimed),
-        left_out=found.left_out | left_out,
-    )
+    return replace(found, folder=moved(folder, shifts), untimed=len(untimed))
 
 
 @dataclass(frozen=True)
@@ -166,38 +158,38 @@ class _Known:
 
 
 def _fitted(
-    onsets: Onsets, conditioning: Conditioning, known: _Known
+    folder: Folder, left_out: dict[str, str], conditioning: Conditioning, known: _Known
 ) -> tuple[CalibratedMap, list[CalibrationSlide]]:
     """The map of the signal without the lag that maps show, and its slides; a lag that `conditioning` names is not
-    looked for."""
+    looked for. left_out: why a recording has no place."""
     undone = conditioning
     for _ in range(FITS):
         read = undone
-        slides = calibration_slides(onsets.folder, read, onsets.fitted)
-        left_out = _left_out(onsets, slides)
+        slides = calibration_slides(folder, read)
+        unused = _unused(folder, slides, left_out)
         response, held_out, summary = _chosen(slides, known)
         undone = read if conditioning.delayed > 0 else with_lag(read, slides, response, held_out)
         if undone == read:
             break
     summary |= {"delayed": read.delayed, "tau_s": read.tau_s}
-    return CalibratedMap(response, held_out, read, len(slides), summary, onsets.folder, 0, left_out), slides
+    return CalibratedMap(response, held_out, read, len(slides), summary, folder, 0, unused), slides
 
 
-def _left_out(onsets: Onsets, slides: list[CalibrationSlide]) -> dict[str, str]:
-    """Why each recording that is not among the slides is not, by name.
+def _unused(folder: Folder, slides: list[CalibrationSlide], left_out: dict[str, str]) -> dict[str, str]:
+    """Why each recording that is not among the slides is not, by name: as in left_out, or for want of a rest.
 
     Raises:
         InputError: there are recordings and no slides.
     """
     used = {slide.recording for slide in slides}
-    names = [str(name) for name in onsets.folder.manifest.index if name not in used]
-    left_out = {name: onsets.left_out.get(name, "no rest before its motion") for name in names}
+    names = [str(name) for name in folder.manifest.index if name not in used]
+    unused = {name: left_out.get(name, "no rest before its motion") for name in names}
     if names and not used:
         raise InputError(
-            f"{onsets.folder.root}: none of {len(names)} labelled recordings can be used "
-            f"({names[0]}: {left_out[names[0]]}); mend them, or train from the design alone"
+            f"{folder.root}: none of {len(names)} labelled recordings can be used "
+            f"({names[0]}: {unused[names[0]]}); mend them, or train from the design alone"
         )
-    return left_out
+    return unused
 
 
 @dataclass(frozen=True)
@@ -275,7 +267,7 @@ def _parts(slides: list[CalibrationSlide], known: _Known) -> tuple[_Part, list[_
     direction = np.array([s.direction_rad for s in slides])
     fold = line_folds(direction, np.array([s.line_offset_mm for s in slides]), FOLDS)
     split = [
-        tuple([s for s, f in zip(slides, fold, strict=True) if (f == number) == out] for out in (False, True))
+        (list(compress(slides, fold != number)), list(compress(slides, fold == number)))
         for number in np.unique(fold)
     ]
     if not known.sensor.measures_gravity:
@@ -330,9 +322,7 @@ def _shares_at_other_heights(
     that of most: the median residual as a share of a slide's largest output. Empty where no height has enough slides:
     heights anywhere between two are none.
     """
-    main = at_height(slides, main_height_mm(slides))
-    others = [slide for slide, mains in zip(slides, main, strict=True) if not mains]
-    others.sort(key=lambda slide: slide.height_mm)
+    others = sorted(_at_other_heights(slides), key=lambda slide: slide.height_mm)
     gaps = np.flatnonzero(np.diff([slide.height_mm for slide in others]) > LEAST_APART_MM) + 1
     least = 2 * FOLDS if known.atlas is not None else LEAST_ALONE
     shared: list[tuple[float, float]] = []
@@ -343,6 +333,11 @@ def _shares_at_other_heights(
             shared += _residuals(held_out, group)
             apart += _residuals(_chosen(group, known)[1], group)
     return {"map_over_heights": _median(shared), "map_a_height": _median(apart)} if shared else {}
+
+
+def _at_other_heights(slides: list[CalibrationSlide]) -> list[CalibrationSlide]:
+    """The slides at other heights of the skin than that of most."""
+    return list(compress(slides, ~at_height(slides, main_height_mm(slides))))
 
 
 def _residuals(maps: Maps, slides: list[CalibrationSlide]) -> Iterator[tuple[float, float]]:

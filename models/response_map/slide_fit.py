@@ -66,8 +66,9 @@ class CalibrationConfig:
 
 @dataclass(frozen=True)
 class SlideFit:
-    """A slide's own gain and shift along its line, and the residual (m, C) V that the map leaves."""
+    """A slide with its own gain and shift along its line, and the residual (m, C) V that the map leaves."""
 
+    slide: CalibrationSlide
     gain: float
     shift_mm: float
     residual_v: np.ndarray
@@ -101,7 +102,7 @@ def fit_slide(
         )
         step = np.linalg.lstsq(jacobian, residuals, rcond=None)[0]
         gain, shift_mm = gain + step[0], shift_mm + step[1]
-    return SlideFit(gain, shift_mm, slide.volts - gain * slide.shown(own, shift_mm))
+    return SlideFit(slide, gain, shift_mm, slide.volts - gain * slide.shown(own, shift_mm))
 
 
 def with_lag(
@@ -155,12 +156,12 @@ def _lag_projection(
     response = response.at(slide.depth_mm, slide.height_mm)
     fit = fit_slide(slide, response, CalibrationConfig())
 
-    def signal(at: float, lag: float | None = None) -> np.ndarray:
-        return fit.gain * slide.shown(response, at, lag)
+    def signal(own: ResponseMap, shift_mm: float) -> np.ndarray:
+        return fit.gain * slide.shown(own, shift_mm)
 
-    plain = signal(fit.shift_mm)
-    slope = signal(fit.shift_mm + LAG_STEP_MM) - signal(fit.shift_mm - LAG_STEP_MM)
-    still = signal(fit.shift_mm, response.lag_s - lag_s)
+    plain = signal(response, fit.shift_mm)
+    slope = signal(response, fit.shift_mm + LAG_STEP_MM) - signal(response, fit.shift_mm - LAG_STEP_MM)
+    still = signal(replace(response, lag_s=response.lag_s - lag_s), fit.shift_mm)
     solid = standard_solid(still, slide.step_s, min(lag_s / tau_s, MOST_DELAYED), tau_s)
     own = np.stack([plain.ravel(), slope.ravel()], axis=1)
     both = np.stack([(solid - plain).ravel(), fit.residual_v.ravel()], axis=1)

@@ -4,7 +4,7 @@ And the output at rest over all of them, with how it scatters from slide to slid
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,6 +12,7 @@ import numpy as np
 from softslide.features.angles import touch_channels
 from softslide.features.stream.conditioning import ONSETS, Conditioning, block_means, without_lag
 from softslide.models.response_map.map import ResponseMap
+from softslide.pipeline.recordings.derived_labels import UNTIMED
 from softslide.pipeline.recordings.folder import Folder
 from softslide.pipeline.recordings.heights import HEIGHT
 from softslide.pipeline.recordings.pooled import WEIGHT
@@ -77,22 +78,16 @@ class CalibrationSlide:
             self.start_mm[1] + s * np.sin(self.direction_rad),
         )
 
-    def shown(self, response: ResponseMap, shift_mm: float, lag_s: float | None = None) -> np.ndarray:
-        """Output (m, C) V along the slide by a map at its depth and height. lag_s: None, the map's."""
-        place = self.place(shift_mm, response.lag_s if lag_s is None else lag_s)
-        return response.response(*place, self.direction_rad)
+    def shown(self, response: ResponseMap, shift_mm: float) -> np.ndarray:
+        """Output (m, C) V along the slide by a map at its depth and height."""
+        return response.response(*self.place(shift_mm, response.lag_s), self.direction_rad)
 
 
-def calibration_slides(
-    folder: Folder, conditioning: Conditioning, untimed: frozenset[str] = frozenset()
-) -> list[CalibrationSlide]:
-    """The folder's fully labelled slides; those that lack a label of LABELS or a rest before them are left out.
-
-    untimed: recordings whose place along the line is a first guess.
-    """
+def calibration_slides(folder: Folder, conditioning: Conditioning) -> list[CalibrationSlide]:
+    """The folder's fully labelled slides; those that lack a label of LABELS or a rest before them are left out."""
     rows = folder.manifest.dropna(subset=list(LABELS)).iterrows()
     slides = (_slide(folder, str(name), row, conditioning) for name, row in rows)
-    return [replace(s, timed=s.recording not in untimed) for s in slides if s is not None]
+    return [slide for slide in slides if slide is not None]
 
 
 def _slide(folder: Folder, name: str, row: Any, conditioning: Conditioning) -> CalibrationSlide | None:
@@ -122,6 +117,7 @@ def _slide(folder: Folder, name: str, row: Any, conditioning: Conditioning) -> C
         step_s=count * conditioning.block_s,
         # Differences of neighbours: a slow drift of the zero is no noise.
         rest_noise_v=np.diff(rest, axis=0).std(axis=0) / np.sqrt(2),
+        timed=not row.get(UNTIMED, False),
         height_mm=float(row.get(HEIGHT, math.nan)),
         weight=float(row.get(WEIGHT, 1.0)),
     )
