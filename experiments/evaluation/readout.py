@@ -13,9 +13,10 @@ import numpy as np
 import pandas as pd
 
 from softslide.experiments.evaluation.archive import Archive
-from softslide.experiments.evaluation.scoring import INTERVALS, interval_ends
+from softslide.experiments.evaluation.scoring import INTERVALS
 from softslide.features.card import Card
 from softslide.features.errors import InputError
+from softslide.features.estimate import interval_ends
 from softslide.pipeline.recordings.folder import Folder, Recording
 from softslide.serve.localizer import Localizer
 

@@ -11,6 +11,7 @@ import pandas as pd
 
 from softslide.features.angles import wrapped_deg
 from softslide.features.departure import beyond_rim_mm
+from softslide.features.estimate import interval_ends
 from softslide.pipeline.sensor import Sensor
 from softslide.pipeline.synthesis.slide_plan import chord
 
@@ -41,12 +42,6 @@ BETWEEN = ("0 to 90 deg", "90 to 180 deg", "180 to 270 deg", "270 to 360 deg")
 # A slide this close to an axis counts as one of the article's X- or Y-slides.
 AXIS_TOLERANCE_DEG = 1.0
 ROUNDING = 1e-9  # of mm and mm/s in labels computed from angles
-
-
-def interval_ends(column: str) -> tuple[str, str]:
-    """The columns of the interval's low and high end, as in speed_lo_mm_s."""
-    stem, unit = column.split("_", 1)
-    return f"{stem}_lo_{unit}", f"{stem}_hi_{unit}"
 
 
 def signed_errors(table: pd.DataFrame) -> pd.DataFrame:

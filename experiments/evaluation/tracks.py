@@ -14,9 +14,9 @@ import pandas as pd
 
 from softslide.experiments.evaluation.archive import Archive
 from softslide.experiments.evaluation.readout import open_localizer, samples_for
-from softslide.experiments.evaluation.scoring import INTERVALS, interval_ends
+from softslide.experiments.evaluation.scoring import INTERVALS
 from softslide.features.angles import wrapped_deg
-from softslide.features.estimate import Estimate
+from softslide.features.estimate import Estimate, interval_ends
 from softslide.pipeline.recordings.folder import Folder
 from softslide.pipeline.recordings.signed_offset import signed_offset
 from softslide.pipeline.recordings.truth import truth_path
