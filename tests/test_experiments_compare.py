@@ -20,7 +20,6 @@ from softslide.experiments.comparison.page import verdict
 from softslide.experiments.comparison.paired import interval, paired
 from softslide.experiments.evaluation.archive import Archive
 from softslide.experiments.evaluation.readout import predictions
-from softslide.experiments.evaluation.scoring import INTERVALS, QUANTITIES
 from softslide.features.card import Interval, Validity
 from softslide.features.stream.conditioning import Conditioning
 from softslide.pipeline.recordings.folder import Folder
@@ -100,17 +99,35 @@ def test_an_estimator_on_windows_is_read_as_a_bundle_is(lab: Folder, tmp_path: P
     assert_frame_equal(window_predictions(predict, card, some), bundled, rtol=1e-6)
 
 
-def test_errors_of_the_depth_are_of_valid_estimates_alone() -> None:
-    unknown = [f"{quantity}_error" for quantity in QUANTITIES] + [f"{column}_covered" for column in INTERVALS]
-    rows = {"recording": ["a", "b", "c"], "valid": [True, True, False], "depth_mm": [0.6, 0.9, 5.0]}
-    scored = pd.DataFrame(rows | dict.fromkeys(unknown, math.nan)).assign(
-        split="test", stroke_fraction=1.0, true_depth_mm=0.5
+def test_error_rows_by_hand() -> None:
+    nan = math.nan
+    scored = pd.DataFrame(
+        {
+            "recording": ["a", "b", "c"],
+            "split": "test",
+            "stroke_fraction": 1.0,
+            "valid": [True, True, False],
+            "direction_deg_error": [1.0, 3.0, nan],
+            "speed_percent_error": [2.0, 2.0, nan],
+            "offset_mm_error": [0.1, 0.3, nan],
+            "offset_percent_error": nan,
+            "position_mm_error": nan,
+            "position_percent_error": nan,
+            "depth_mm": [0.6, 0.9, 5.0],
+            "true_depth_mm": 0.5,
+            "direction_deg_covered": [1.0, 0.0, nan],
+            "speed_mm_s_covered": [1.0, 1.0, nan],
+            "offset_mm_covered": nan,
+        }
     )
-    (row,) = error_rows(Findings("", pd.Index([]), {"model": scored}, {"model": 1.5}))
-    assert (row["model"], row["window_ms"], row["n"]) == ("model", 1.5, 3)
+    found = Findings("", pd.Index([]), {"model": scored}, {"model": 1.5})
+    (row,) = error_rows(found)
+    assert (row["model"], row["window_ms"]) == ("model", 1.5)
+    assert (row["n"], row["split"], row["stroke_fraction"]) == (3, "test", 1.0)
     assert row["valid_share"] == pytest.approx(2 / 3)
-    assert row["depth_mean_mm"] == pytest.approx(0.25)
-    assert math.isnan(row["direction_mean_deg"])
+    assert (row["direction_mean_deg"], row["direction_max_deg"]) == (2.0, 3.0)
+    assert row["depth_mean_mm"] == pytest.approx(0.25)  # of what is valid alone
+    assert (row["direction_coverage"], row["speed_coverage"]) == (0.5, 1.0)
     assert math.isnan(row["offset_coverage"])
 
 

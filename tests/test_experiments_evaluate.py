@@ -68,7 +68,7 @@ def test_predictions_are_the_contracts(bundle: Path, tmp_path: Path) -> None:
         three={"split": "train"},
     )
     _, table = evaluated(bundle, tmp_path / "lab", tmp_path / "out")
-    assert table.columns.tolist() == list(COLUMNS)
+    assert table.columns.tolist() == list(COLUMNS) == contract_columns()
     one, two = table[table["recording"] == "one"], table[table["recording"] == "two"]
     assert one["stroke_fraction"].tolist() == [f"{n / 10:.1f}" for n in range(1, 11)]
     assert two["stroke_fraction"].tolist() == ["1.0"]
@@ -78,6 +78,14 @@ def test_predictions_are_the_contracts(bundle: Path, tmp_path: Path) -> None:
     assert table.loc[table["valid"] == "true", "direction_deg"].astype(float).to_numpy() == pytest.approx(
         30.0
     )
+
+
+def contract_columns() -> list[str]:
+    names = (
+        "recording, stroke_fraction, direction_deg, direction_lo_deg, direction_hi_deg, speed_mm_s, "
+        "speed_lo_mm_s, speed_hi_mm_s, offset_mm, offset_lo_mm, offset_hi_mm, depth_mm, x_mm, y_mm, valid"
+    )
+    return names.split(", ")
 
 
 def test_each_row_is_the_device_at_that_moment(bundle: Path, tmp_path: Path) -> None:
@@ -308,9 +316,18 @@ def test_errors_are_held_against_the_bound_of_the_bundles_own_map(
     for word in ("direction", "speed", "distance"):
         assert f"Rms error of the {word} over its Cramer-Rao bound" in captions
     assert captions.count("Recordings behind each point: test 1.") == 3
-    # Where all are of another depth than the map, none has a bound.
-    deep = folder.select("test-deep")
-    assert scored.loc[scored["recording"] == "two", "valid"].any()
+
+
+def test_a_folder_without_any_bound_is_evaluated_all_the_same(
+    bundle: Path, mapped: Path, tmp_path: Path
+) -> None:
+    """No slide has one: all are of another depth than the map."""
+    deep = a_folder(tmp_path / "deep", one={"depth_mm": 0.8}, two={"depth_mm": 0.9})
+    evaluated(mapped, deep.root, tmp_path / "out")
+    assert json.loads((tmp_path / "out/metrics.json").read_text())["over_bound"] == {}
+    evaluated(bundle, deep.root, tmp_path / "plain")
+    scored = score(pd.read_csv(tmp_path / "plain/predictions.csv"), deep.manifest, deep.sensor)
+    assert scored["valid"].any()
     assert over_bound(scored, pd.concat(bounds_of(mapped, deep, Archive(1)))) == {}
 
 

@@ -66,6 +66,14 @@ def test_a_slide_on_a_moving_robot_is_as_on_a_table_and_its_motion_is_not_a_cont
     assert {e.state for e in estimates} == {SlideState.REST}
 
 
+def test_estimates_do_not_depend_on_the_chunks(localizer: Localizer) -> None:
+    samples = moving(TABLE)
+    whole = [repr(e) for e in pushed(localizer, samples)]
+    localizer.reset()
+    chunks = np.split(samples, [7, 33, 1000, 1001, 2500])
+    assert [repr(e) for chunk in chunks for e in localizer.push(chunk)] == whole
+
+
 @pytest.mark.parametrize("fault", [np.nan, 0.0, 3.0, 1.5])
 def test_without_the_base_nothing_is_valid(localizer: Localizer, fault: float) -> None:
     """Lost, at an end of the supply, or frozen: what the skin shows may be the robot's motion."""
