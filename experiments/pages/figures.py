@@ -252,21 +252,21 @@ def axis_marks(axis: Axis, marks: Sequence[float]) -> None:
 def log_about_zero(axis: Axis, values: np.ndarray) -> None:
     """Makes an axis logarithmic either way from zero, on which zero lies too: it shows hundredths next to tens.
 
-    It is linear about zero, to the decade of the sizes' lower quartile, or three below the largest if that is more.
+    It is linear about zero, to a third of the sizes' lower quartile, or a thousandth of the largest if that is more.
     """
     known = values[np.isfinite(values)]
     sizes = np.abs(known[known != 0])
     if not len(sizes):
         return
-    most = np.ceil(np.log10(sizes.max()))
-    least = 10.0 ** max(np.floor(np.log10(np.quantile(sizes, 0.25))), most - 3)
+    least, most = max(np.quantile(sizes, 0.25) / 3, sizes.max() / 1000), sizes.max()
     low, high = min(1.3 * known.min(), -0.3 * least), max(1.3 * known.max(), 0.3 * least)
-    scale = mpl.scale.SymmetricalLogScale(axis, linthresh=least, linscale=0.7)
+    scale = mpl.scale.SymmetricalLogScale(axis, linthresh=least, linscale=0.5)
     name = "x" if axis is axis.axes.xaxis else "y"
     axis.axes.set(**{f"{name}scale": scale, f"{name}lim": (low, high)})
-    decades = 10.0 ** np.arange(np.log10(least), most + 1)
+    decades = 10.0 ** np.arange(np.floor(np.log10(least)), np.ceil(np.log10(most)) + 1)
     for multiples in ((1, 2, 5), (1,)):
         steps = np.outer(decades, multiples).ravel()
+        steps = steps[steps > 1.2 * least]
         marks = [mark for mark in (*-steps[::-1], 0.0, *steps) if low <= mark <= high]
         if len(marks) <= MOST_MARKS:
             break
