@@ -264,7 +264,8 @@ def log_about_zero(axis: Axis, values: np.ndarray) -> None:
     name = "x" if axis is axis.axes.xaxis else "y"
     axis.axes.set(**{f"{name}scale": scale, f"{name}lim": (low, high)})
     decades = 10.0 ** np.arange(np.floor(np.log10(least)), np.ceil(np.log10(most)) + 1)
-    for multiples in ((1, 2, 5), (1,)):
+    # An axis either way from zero is an x axis, whose marks are wider than a y axis's are high.
+    for multiples in ((1, 2, 5), (1,)) if known.min() >= 0 else ((1,),):
         steps = np.outer(decades, multiples).ravel()
         steps = steps[steps > 1.2 * least]
         marks = [mark for mark in (*-steps[::-1], 0.0, *steps) if low <= mark <= high]
