@@ -46,8 +46,10 @@ class Printer:
         return np.column_stack([np.interp(moment_s, known[:, 0], column) for column in known[:, 1:].T])
 
     def __enter__(self) -> "Printer":
-        self._own, self._theirs = os.openpty()
+        own, self._theirs = os.openpty()
         tty.setraw(self._theirs)
+        # As a file: once it is closed, its number is another printer's.
+        self._port = os.fdopen(own, "r+b", buffering=0)
         self.url = f"serial://{os.ttyname(self._theirs)}?firmware={self.firmware}"
         self.place, self.moving, self.lines = np.zeros(3), False, list[str]()
         self._last, self._seen, self._motion = 0, set[int](), threading.Thread()
@@ -56,16 +58,16 @@ class Printer:
         return self
 
     def __exit__(self, *of_no_interest: object) -> None:
-        for end in (self._own, self._theirs):
-            with suppress(OSError):
-                os.close(end)
+        self._port.close()
+        with suppress(OSError):
+            os.close(self._theirs)
 
     def _run(self) -> None:
         text = ""
         while True:
             try:
-                text += os.read(self._own, 1024).decode()
-            except OSError:
+                text += self._port.read(1024).decode()
+            except (OSError, ValueError):
                 return
             if "\x18" in text:
                 self.stopped.set()
@@ -82,8 +84,8 @@ class Printer:
 
     def _say(self, text: str) -> None:
         if len(self.lines) <= self.pulled:
-            with suppress(OSError):
-                os.write(self._own, f"{text}\n".encode())
+            with suppress(OSError, ValueError):
+                self._port.write(f"{text}\n".encode())
 
     def _take(self, line: str) -> None:
         if line == "M112":
