@@ -106,7 +106,8 @@ def score(predictions: pd.DataFrame, manifest: pd.DataFrame, sensor: Sensor) -> 
 
 def near_deg(direction: Any, other_deg: float, turn_deg: float = 360.0) -> Any:
     """Whether a direction, or each of several, lies within AXIS_TOLERANCE_DEG of another, after any number of turns."""
-    return abs((direction - other_deg + turn_deg / 2) % turn_deg - turn_deg / 2) < AXIS_TOLERANCE_DEG
+    times = 360.0 / turn_deg
+    return abs(wrapped_deg(times * (direction - other_deg))) < times * AXIS_TOLERANCE_DEG
 
 
 def summary(scored: pd.DataFrame) -> dict[str, Any]:

@@ -264,11 +264,12 @@ def log_about_zero(axis: Axis, values: np.ndarray) -> None:
     name = "x" if axis is axis.axes.xaxis else "y"
     axis.axes.set(**{f"{name}scale": scale, f"{name}lim": (low, high)})
     decades = 10.0 ** np.arange(np.floor(np.log10(least)), np.ceil(np.log10(most)) + 1)
-    # An axis either way from zero is an x axis, whose marks are wider than a y axis's are high.
-    for multiples in ((1, 2, 5), (1,)) if known.min() >= 0 else ((1,),):
+
+    def marks(multiples: tuple[int, ...]) -> list[float]:
         steps = np.outer(decades, multiples).ravel()
         steps = steps[steps > 1.2 * least]
-        marks = [mark for mark in (*-steps[::-1], 0.0, *steps) if low <= mark <= high]
-        if len(marks) <= MOST_MARKS:
-            break
-    axis_marks(axis, marks)
+        return [mark for mark in (*-steps[::-1], 0.0, *steps) if low <= mark <= high]
+
+    # The marks of an x axis are wider than those of a y axis are high.
+    fine = marks((1, 2, 5))
+    axis_marks(axis, fine if name == "y" and len(fine) <= MOST_MARKS else marks((1,)))
