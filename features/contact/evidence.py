@@ -78,18 +78,25 @@ class Evidence:
         self._watch(use, level_v, slope_v_s)
 
     def add(
-        self, volts: np.ndarray, use: np.ndarray, log_density: float, misfit: float, way_mm: float
+        self,
+        volts: np.ndarray,
+        use: np.ndarray,
+        log_density: float,
+        misfit: float,
+        way_mm: float,
+        vibration_v2: np.ndarray,
     ) -> float:
         """Takes a measurement (C,) V of the channels `use` (C,) bool, and forgets some of what was gained before.
 
         log_density: the logarithm of its density under the map, less C/2 log(2 pi), NaN where that is not known;
-        misfit: its chi-square over C; way_mm: of the step. -> the logarithm of the step's odds.
+        misfit: its chi-square over C; way_mm: of the step; vibration_v2: (C,) V^2,
+        what its variance is larger by than at rest. -> the logarithm of the step's odds.
         """
         self._peak_v = max(self._peak_v, float(np.abs(volts[use]).max()))
         if not np.array_equal(use, self._use):
             # An accelerometer has failed: the alternatives, too, are of the channels that are left.
             self._watch(use, volts, np.zeros_like(volts))
-        gained = log_density - self._smooth.push(volts[use])
+        gained = log_density - self._smooth.push(volts[use], vibration_v2[use])
         if self._prior_steps is not None:
             gained += self._by_scale(misfit)
         if math.isnan(gained):

@@ -46,7 +46,7 @@ class SmoothSignal:
         self._free.reset(level_v, slope_v_s)
         level = level_v / self._noise
         self._moment = np.outer(level, level)
-        self._steps, self._lowest, self._highest = 1, 0.0, 0.0
+        self._noises, self._lowest, self._highest = 1.0, 0.0, 0.0
         self._direction = level / max(float(np.hypot.reduce(level)), 1e-9)
         self._lately = float(level @ self._direction)
         self.changing_s = self.changed_s = 0.0
@@ -60,13 +60,17 @@ class SmoothSignal:
         """Whether the outputs since the reset have kept one direction, as a press does; of two channels also one sign:
         with them a slide over the board may come back along the direction that it came on."""
         along = float(self._direction @ self._moment @ self._direction)
-        across = float(self._moment.trace()) - along - self._steps * (len(self._noise) - 1)
+        across = float(self._moment.trace()) - along - self._noises * (len(self._noise) - 1)
         one_sign = len(self._noise) > 2 or self._lowest > -STRAIGHT * self._highest
         return across < STRAIGHT**2 * along and one_sign
 
-    def push(self, volts: np.ndarray) -> float:
-        """One measurement (C,) V -> the logarithm of its predicted density, less C/2 log(2 pi)."""
-        log_density = np.concatenate([self._free.push(volts), self._push_along(volts / self._noise)])
+    def push(self, volts: np.ndarray, vibration_v2: np.ndarray) -> float:
+        """One measurement (C,) V -> the logarithm of its predicted density, less C/2 log(2 pi).
+
+        vibration_v2: (C,) V^2, what the variance of its noise is larger by than noise_v says.
+        """
+        along = self._push_along(volts / self._noise, vibration_v2 / self._noise**2)
+        log_density = np.concatenate([self._free.push(volts, vibration_v2), along])
         most = log_density.max()
         weight = self._weight * np.exp(log_density - most)
         total = weight.sum()
@@ -80,14 +84,16 @@ class SmoothSignal:
         self.changed_s = max(self.changed_s, self.changing_s)
         return float(most + np.log(total))
 
-    def _push_along(self, whitened: np.ndarray) -> np.ndarray:
+    def _push_along(self, whitened: np.ndarray, vibration: np.ndarray) -> np.ndarray:
         amplitude = float(whitened @ self._direction)
         self._lowest, self._highest = min(self._lowest, amplitude), max(self._highest, amplitude)
-        self._steps += 1
+        noise = 1.0 + float(vibration.mean())
+        self._noises += noise
         across = float(whitened @ whitened) - amplitude**2
-        variance = 1.0 + (BENT * amplitude) ** 2
+        variance = noise + (BENT * amplitude) ** 2
         others = len(whitened) - 1
-        density = self._along.push(np.array([amplitude])) - 0.5 * (
+        extra = np.array([self._direction**2 @ vibration])
+        density = self._along.push(np.array([amplitude]), extra) - 0.5 * (
             across / variance + others * math.log(variance)
         )
         self._moment += np.outer(whitened, whitened)
@@ -107,7 +113,6 @@ class Walks:
         spread = ahead[..., 0, 0] + noise
         gain = ahead[..., 0, 0] / spread, ahead[..., 0, 1] / spread
         self._level_gain, self._slope_gain, self._spread = *gain, spread
-        self._log_spread = np.log(spread).sum(1)
 
     def reset(self, level: np.ndarray, slope: np.ndarray) -> None:
         """Starts all walks from a level and a slope (C,)."""
@@ -126,13 +131,15 @@ class Walks:
         weight = weight / weight.sum()
         return weight @ self._level, weight @ self._slope
 
-    def push(self, measured: np.ndarray) -> np.ndarray:
-        """One measurement (C,) -> (S,), the logarithms of its predicted densities, less C/2 log(2 pi)."""
+    def push(self, measured: np.ndarray, more: np.ndarray) -> np.ndarray:
+        """One measurement (C,) -> (S,), the logarithms of its predicted densities, less C/2 log(2 pi). more: (C,) V^2,
+        what the variance of its noise is larger by."""
         self._level += self._step_s * self._slope
         gap = measured - self._level
         self._level += self._level_gain * gap
         self._slope += self._slope_gain * gap
-        return -0.5 * ((gap**2 / self._spread).sum(1) + self._log_spread)
+        spread = self._spread + more
+        return -0.5 * (gap**2 / spread + np.log(spread)).sum(1)
 
 
 def _settled(strengths: np.ndarray, noise: np.ndarray, step_s: float) -> np.ndarray:

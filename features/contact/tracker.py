@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from softslide.features.contact.block_noise import BlockNoise
 from softslide.features.contact.calibration import ContactCalibration
 from softslide.features.contact.evidence import Evidence
 from softslide.features.contact.hypotheses import (
@@ -118,6 +119,7 @@ class ContactTracker:
         if config.comes_down:
             self._variance = np.full(surface.channels, calibration.floor_v**2)
             self._ahead_s = self._block_s / 2
+        self._noise = BlockNoise(self._noise_v, self._block_s)
         self._recent = np.zeros((ONSET_BLOCKS, surface.channels))
         self._evidence = Evidence(
             self._noise_v / math.sqrt(config.step_blocks),
@@ -133,6 +135,7 @@ class ContactTracker:
     def reset(self) -> None:
         """Forgets the contact and the last blocks."""
         self.gained = 0.0
+        self._noise.reset()
         self._bank: Hypotheses | None = None
         self._track: Track | None = None
         self._before: Track | None = None
@@ -156,6 +159,9 @@ class ContactTracker:
         # What a dead channel shows is not the contact's.
         self._recent[-1] = np.where(usable, volts, 0.0)
         self._filled = min(self._filled + 1, ONSET_BLOCKS)
+        # All that the map of a contact that comes down leaves is in its variance.
+        if self._filled > 2 and not self._config.comes_down:
+            self._noise.push(self._recent[-3:])
         if self._bank is None:
             if self._begins(touched):
                 self._start(usable)
@@ -207,7 +213,7 @@ class ContactTracker:
                 level, variance, self._surface, self._calibration, config.local
             )
         else:
-            seen = onset(recent, self._block_s, np.where(usable, self._noise_v, np.inf))
+            seen = onset(recent, self._block_s, np.where(usable, self._block_noise_v(), np.inf))
             level, slope = seen.level, seen.slope
             bank = at_touch(seen, self._surface, self._calibration, TOUCH_MOST, anywhere=anew)
         self._bank = None if bank is None else remembering(bank, self._remembered)
@@ -231,7 +237,8 @@ class ContactTracker:
         if not usable.any():
             self._bank = remembering(self._bank, self._remembered)
             return
-        variance = np.where(usable, self._variance, np.inf)
+        vibration = self._noise.vibration_v2 / config.step_blocks
+        variance = np.where(usable, self._variance + vibration, np.inf)
         predict(self._bank, elapsed_s, *self._residual_v(volts), config.noise)
         log_density, misfit = update(self._bank, volts, variance, self._surface, elapsed_s, config.local)
         remember(self._bank)
@@ -244,7 +251,7 @@ class ContactTracker:
                 return
             self._bank, log_density = self._bank.take(sound), math.nan
         way_mm = elapsed_s * self._bank.best_speed
-        self.gained = self._evidence.add(volts, usable, log_density, misfit, way_mm)
+        self.gained = self._evidence.add(volts, usable, log_density, misfit, way_mm, vibration)
         self._doubt()
         self._steps += 1
         if self._steps <= config.first_steps:
@@ -295,6 +302,10 @@ class ContactTracker:
         self._bank = joined([self._bank, line])
         self._bank.log_weight -= self._bank.log_weight.max()
         self._track = moved_on(self._read_track(self._measured()), since_s)
+
+    def _block_noise_v(self) -> np.ndarray:
+        """(C,) V: standard deviation of a block's mean now."""
+        return np.sqrt(self._noise_v**2 + self._noise.vibration_v2)
 
     def _measured(self) -> np.ndarray:
         """(C,) V: the mean of the last step's blocks."""
@@ -350,7 +361,7 @@ class ContactTracker:
     def _rest(self) -> None:
         """When the output first settles after the touch: the contact may have been pressed on where it rests."""
         assert self._bank is not None
-        seen = onset(self._recent[-self._filled :], self._block_s, self._noise_v)
+        seen = onset(self._recent[-self._filled :], self._block_s, self._block_noise_v())
         still = SETTLED_SD * seen.slope_sd + SETTLED_SHARE * np.abs(seen.level).max()
         if self._filled < ONSET_BLOCKS or (np.abs(seen.slope) > still).any():
             return
