@@ -17,6 +17,7 @@ from tracked_map import (
     volts_along,
 )
 
+from softslide.features.contact.block_noise import BlockNoise
 from softslide.features.contact.calibration import ContactCalibration
 from softslide.features.contact.hypotheses import (
     FRICTION_X,
@@ -36,7 +37,7 @@ from softslide.features.contact.smooth_signal import SmoothSignal
 from softslide.features.contact.track import Track
 from softslide.features.contact.tracking_config import TrackingConfig
 from softslide.features.stream.tracker import SlideState
-from softslide.features.track_estimate import TrackLimits, judged
+from softslide.features.track_estimate import MISFIT, TrackLimits, judged
 from softslide.models.response_map.card import contact_calibration
 
 
@@ -192,6 +193,37 @@ def test_two_accelerometers_are_sharper_than_one_and_do_without_one() -> None:
     assert error(tracks) < 1.0
 
 
+@pytest.mark.parametrize("times", [1.0, 5.0])
+def test_the_noise_of_blocks_is_estimated_next_to_a_motion(times: float) -> None:
+    """One channel is as noisy as at rest, the other by `times`; both go up and down, as those of a slide do."""
+    rest_v = np.array([1e-3, 2e-3])
+    slide = 0.1 * np.sin(2 * np.pi * 0.5 * BLOCK_S * np.arange(4000))[:, None]
+    blocks = slide + np.random.default_rng(5).normal(0.0, rest_v * [1.0, times], (4000, 2))
+    noise, seen = BlockNoise(rest_v, BLOCK_S), []
+    for end in range(3, len(blocks)):
+        noise.push(blocks[end - 3 : end])
+        seen.append(noise.vibration_v2)
+    assert np.mean(np.array(seen)[:, 0] > 0.0) < 0.01
+    wanted = (times**2 - 1) * rest_v[1] ** 2
+    assert np.mean(seen[50:], axis=0)[1] == pytest.approx(wanted, rel=0.1, abs=0.02 * rest_v[1] ** 2)
+    noise.reset()
+    assert not noise.vibration_v2.any()
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_contact_is_followed_over_a_skin_that_vibrates(seed: int) -> None:
+    """Eight times the noise at rest, from the touch on: the track is not lost, and what it says of itself holds."""
+    response, path = noisy_map(places=TWO_BOARDS), line(3.0)
+    ringing = np.random.default_rng(seed).normal(0.0, 8e-3, (len(path), response.channels))
+    volts = volts_along(response, path, seed)
+    volts += ringing * (np.abs(volts).max(axis=1, keepdims=True) > 0.01)
+    tracks = tracks_of(response, volts)
+    found = [(t, path[n]) for n, t in enumerate(tracks) if abs(path[n, 0]) < 15 and t is not None]
+    assert len(found) == int((np.abs(path[:, 0]) < 15).sum())
+    within = [t.misfit < MISFIT and np.hypot(*(t.mean[:2] - place)) < 1.0 for t, place in found]
+    assert np.mean(within) > 0.9
+
+
 DAMAGED, OTHER_SIZE = "numbers of a map are damaged", "does not hold the 5832 numbers"
 REFUSED = [
     ({"knots": 3}, "knots 3: out of range"),
@@ -237,10 +269,10 @@ def test_a_wave_of_four_channels_keeps_its_direction_and_a_slide_does_not(channe
     noise, random = np.full(channels, 1e-3), np.random.default_rng(7)
     along = np.array([0.1, 0.05, -0.08, 0.02])[:channels]
     wave = np.sin(2 * np.pi * 0.2 * BLOCK_S * np.arange(800))[:, None] * along
-    smooth = SmoothSignal(noise, BLOCK_S)
+    smooth, still = SmoothSignal(noise, BLOCK_S), np.zeros(channels)
     smooth.reset(0.1 * along, np.zeros(channels))
     for volts in wave + random.normal(0.0, noise, wave.shape):
-        smooth.push(volts)
+        smooth.push(volts, still)
     assert smooth.one_way is (channels == 4)
     # Along the line through the boards, and midway between them: where the fewest channels answer.
     for path in (line(3.0, y_mm=0.0), line(3.0, y_mm=0.0)[:, ::-1]):
@@ -248,7 +280,7 @@ def test_a_wave_of_four_channels_keeps_its_direction_and_a_slide_does_not(channe
         felt = int((np.abs(slide).max(axis=1) > 0.01).argmax())
         smooth.reset(slide[felt], np.zeros(channels))
         for volts in slide[felt:]:
-            smooth.push(volts)
+            smooth.push(volts, still)
         assert not smooth.one_way
 
 
