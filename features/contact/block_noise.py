@@ -3,7 +3,7 @@
 import numpy as np
 
 MEMORY_S = 0.5
-# Times the variance at rest, which noise alone exceeds three times in a thousand.
+# Times the variance at rest, which noise alone exceeds four times in a thousand.
 LARGEST_AT_REST = 2.0
 
 
