@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from softslide.pipeline.checks.findings import Limits
 from softslide.pipeline.checks.measurements import measure
@@ -42,6 +43,25 @@ def test_mains_that_the_sampling_folds_are_neither_a_tone_nor_a_repetition(
     figures = measure(Recording("one", time_s, 1.65 + noise + picked_up), labels, sensor)
     assert (figures.tone_ratio.max() > Limits.tone) != mains
     assert (figures.echo.max() > Limits.echo) != mains
+
+
+@pytest.mark.parametrize("hz", [50.0, 60.0])
+@pytest.mark.parametrize("ringing_hz", [48.0, 57.0])
+def test_a_skin_that_vibrates_near_the_mains_does_not_pick_it_up(ringing_hz: float, hz: float) -> None:
+    """Noise of 10 mV through a resonance is not read as mains of half that; a sine of 10 mV on top is, to 15 %."""
+    folder, rate_hz = read_folder(SAMPLE), 1000.0
+    sensor, time_s = replace(folder.sensor, sample_rate_hz=rate_hz), np.arange(30 * rate_hz) / rate_hz
+    turn, radius = 2 * np.pi * ringing_hz / rate_hz, 0.97
+    white = np.random.default_rng(0).normal(0.0, 1.0, (len(time_s), len(sensor.channels)))
+    rung = lfilter([1.0], [1.0, -2 * radius * np.cos(turn), radius**2], white, axis=0)
+    volts = 1.65 + 0.01 * rung / rung.std(axis=0)
+    labels = folder.manifest.iloc[0].copy()
+    labels["motion_start_s"] = labels["motion_end_s"] = np.nan
+    assert measure(Recording("one", time_s, volts), labels, sensor).mains_v.max() < 0.005
+    picked_up = volts + 0.01 * np.sin(2 * np.pi * hz * time_s + 0.1)[:, None]
+    figures = measure(Recording("one", time_s, picked_up), labels, sensor)
+    assert figures.mains_hz == hz
+    assert figures.mains_v == pytest.approx(0.01, rel=0.15)
 
 
 @pytest.mark.parametrize(("off_mm", "compared"), [(-6.0, True), (-4.0, False), (4.0, False), (6.0, True)])

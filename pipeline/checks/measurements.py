@@ -13,6 +13,8 @@ from softslide.pipeline.recordings.successive_means import successive_means
 from softslide.pipeline.sensor import Sensor
 
 MAINS_HZ = (50.0, 60.0)
+# The frequencies around it that the mains is compared with, on either side.
+AROUND_MAINS_HZ = 5.0
 # Of the mains, looked for at the least: those beyond half the sample rate are read folded (an assumption).
 HARMONICS = 7
 # A slide bends the skin slowly; above this frequency the spectrum is noise and pick-up.
@@ -171,14 +173,19 @@ def _spectrum(volts: np.ndarray, rate_hz: float) -> tuple[np.ndarray, np.ndarray
 
 
 def _mains(frequency: np.ndarray, power: np.ndarray, floor: np.ndarray) -> tuple[float, np.ndarray]:
-    """The stronger of 50 and 60 Hz, and its amplitude (channels,) V."""
+    """The stronger of 50 and 60 Hz, and its amplitude (channels,) V.
+
+    It is of what stands out of the frequencies around, where a skin that vibrates under an object has power as well.
+    """
     if len(frequency) < 2:
         return MAINS_HZ[0], np.zeros(power.shape[1])
     width = frequency[1] - frequency[0]
     amplitudes = []
     for mains in MAINS_HZ:
-        near = np.abs(frequency - mains) <= 2 * width
-        excess = np.maximum(power[near] - floor, 0).sum(axis=0) * width
+        off_hz = np.abs(frequency - mains)
+        around = (off_hz > 2 * width) & (off_hz <= max(AROUND_MAINS_HZ, 4 * width))
+        level = np.median(power[around], axis=0) if around.any() else floor
+        excess = np.maximum(power[off_hz <= 2 * width] - level, 0).sum(axis=0) * width
         amplitudes.append(np.sqrt(2 * excess))
     strongest = int(np.argmax([amplitude.sum() for amplitude in amplitudes]))
     return MAINS_HZ[strongest], amplitudes[strongest]
