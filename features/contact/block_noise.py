@@ -32,3 +32,8 @@ class BlockNoise:
         """(C,) V^2: what the variance of a block's mean is larger by than at rest."""
         vibrates = self._variance > LARGEST_AT_REST * self._rest_v2
         return np.where(vibrates, self._variance - self._rest_v2, 0.0)
+
+    @property
+    def now_v(self) -> np.ndarray:
+        """(C,) V: standard deviation of a block's mean now."""
+        return np.sqrt(self._rest_v2 + self.vibration_v2)

@@ -46,7 +46,7 @@ class SmoothSignal:
         self._free.reset(level_v, slope_v_s)
         level = level_v / self._noise
         self._moment = np.outer(level, level)
-        self._noises, self._lowest, self._highest = 1.0, 0.0, 0.0
+        self._across_noise, self._lowest, self._highest = 1.0, 0.0, 0.0
         self._direction = level / max(float(np.hypot.reduce(level)), 1e-9)
         self._lately = float(level @ self._direction)
         self.changing_s = self.changed_s = 0.0
@@ -60,7 +60,7 @@ class SmoothSignal:
         """Whether the outputs since the reset have kept one direction, as a press does; of two channels also one sign:
         with them a slide over the board may come back along the direction that it came on."""
         along = float(self._direction @ self._moment @ self._direction)
-        across = float(self._moment.trace()) - along - self._noises * (len(self._noise) - 1)
+        across = float(self._moment.trace()) - along - self._across_noise * (len(self._noise) - 1)
         one_sign = len(self._noise) > 2 or self._lowest > -STRAIGHT * self._highest
         return across < STRAIGHT**2 * along and one_sign
 
@@ -88,7 +88,7 @@ class SmoothSignal:
         amplitude = float(whitened @ self._direction)
         self._lowest, self._highest = min(self._lowest, amplitude), max(self._highest, amplitude)
         noise = 1.0 + float(vibration.mean())
-        self._noises += noise
+        self._across_noise += noise
         across = float(whitened @ whitened) - amplitude**2
         variance = noise + (BENT * amplitude) ** 2
         others = len(whitened) - 1

@@ -111,18 +111,18 @@ class ContactTracker:
         self._remembered = math.ceil(lag_blocks / config.step_blocks) + 1 if lag_blocks else 0
         # Of one block, with the lag undone.
         noise_gain = LagUndone(conditioning, surface.channels).noise_gain
-        self._noise_v = noise_gain * np.array(calibration.noise_v)
+        noise_v = noise_gain * np.array(calibration.noise_v)
         # Of a measurement about what a hypothesis expects, V^2: the noise, or all that the map leaves.
-        self._variance = self._noise_v**2 / config.step_blocks
+        self._variance = noise_v**2 / config.step_blocks
         # The state of a contact that comes down is that of its block's middle.
         self._ahead_s = 0.0
         if config.comes_down:
             self._variance = np.full(surface.channels, calibration.floor_v**2)
             self._ahead_s = self._block_s / 2
-        self._noise = BlockNoise(self._noise_v, self._block_s)
+        self._noise = BlockNoise(noise_v, self._block_s)
         self._recent = np.zeros((ONSET_BLOCKS, surface.channels))
         self._evidence = Evidence(
-            self._noise_v / math.sqrt(config.step_blocks),
+            noise_v / math.sqrt(config.step_blocks),
             self._step_s,
             conditioning.trigger_v,
             # A press of a contact that comes down anywhere is not distinguished from the whole device's motion.
@@ -213,7 +213,7 @@ class ContactTracker:
                 level, variance, self._surface, self._calibration, config.local
             )
         else:
-            seen = onset(recent, self._block_s, np.where(usable, self._block_noise_v(), np.inf))
+            seen = onset(recent, self._block_s, np.where(usable, self._noise.now_v, np.inf))
             level, slope = seen.level, seen.slope
             bank = at_touch(seen, self._surface, self._calibration, TOUCH_MOST, anywhere=anew)
         self._bank = None if bank is None else remembering(bank, self._remembered)
@@ -303,10 +303,6 @@ class ContactTracker:
         self._bank.log_weight -= self._bank.log_weight.max()
         self._track = moved_on(self._read_track(self._measured()), since_s)
 
-    def _block_noise_v(self) -> np.ndarray:
-        """(C,) V: standard deviation of a block's mean now."""
-        return np.sqrt(self._noise_v**2 + self._noise.vibration_v2)
-
     def _measured(self) -> np.ndarray:
         """(C,) V: the mean of the last step's blocks."""
         return self._recent[-self._config.step_blocks :].mean(axis=0)
@@ -361,7 +357,7 @@ class ContactTracker:
     def _rest(self) -> None:
         """When the output first settles after the touch: the contact may have been pressed on where it rests."""
         assert self._bank is not None
-        seen = onset(self._recent[-self._filled :], self._block_s, self._block_noise_v())
+        seen = onset(self._recent[-self._filled :], self._block_s, self._noise.now_v)
         still = SETTLED_SD * seen.slope_sd + SETTLED_SHARE * np.abs(seen.level).max()
         if self._filled < ONSET_BLOCKS or (np.abs(seen.slope) > still).any():
             return
