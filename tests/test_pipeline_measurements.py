@@ -7,7 +7,7 @@ import pytest
 from scipy.signal import lfilter
 
 from softslide.pipeline.checks.findings import Limits
-from softslide.pipeline.checks.measurements import measure
+from softslide.pipeline.checks.measurements import Measurements, measure
 from softslide.pipeline.checks.rail_run import MOST_AT_RAIL, rail_run
 from softslide.pipeline.checks.zone_signs import sign_agreement
 from softslide.pipeline.recordings.folder import SAMPLE, Recording, read_folder
@@ -29,18 +29,23 @@ def test_a_smooth_peak_that_is_read_in_steps_is_not_clipped(rate_hz: float, nois
     assert clipped >= 97
 
 
+def unlabelled(volts: np.ndarray, rate_hz: float) -> Measurements:
+    """What is measured of outputs (n, 3) V about 1.65 V, of which no motion is known."""
+    folder, time_s = read_folder(SAMPLE), np.arange(len(volts)) / rate_hz
+    labels = folder.manifest.iloc[0].copy()
+    labels["motion_start_s"] = labels["motion_end_s"] = np.nan
+    sensor = replace(folder.sensor, sample_rate_hz=rate_hz)
+    return measure(Recording("one", time_s, 1.65 + volts), labels, sensor)
+
+
 @pytest.mark.parametrize(("rate_hz", "hz", "mains"), [(100, 60, True), (200, 180, True), (100, 67, False)])
 def test_mains_that_the_sampling_folds_are_neither_a_tone_nor_a_repetition(
     rate_hz: float, hz: float, mains: bool
 ) -> None:
     """At 100 Hz 60 are read as 40."""
-    folder = read_folder(SAMPLE)
-    sensor, time_s = replace(folder.sensor, sample_rate_hz=rate_hz), np.arange(20 * rate_hz) / rate_hz
-    noise = np.random.default_rng(0).normal(0.0, 0.001, (len(time_s), len(sensor.channels)))
-    picked_up = 0.004 * np.sin(2 * np.pi * hz * time_s + 0.1)[:, None]
-    labels = folder.manifest.iloc[0].copy()
-    labels["motion_start_s"] = labels["motion_end_s"] = np.nan
-    figures = measure(Recording("one", time_s, 1.65 + noise + picked_up), labels, sensor)
+    time_s = np.arange(20 * rate_hz) / rate_hz
+    noise = np.random.default_rng(0).normal(0.0, 0.001, (len(time_s), 3))
+    figures = unlabelled(noise + 0.004 * np.sin(2 * np.pi * hz * time_s + 0.1)[:, None], rate_hz)
     assert (figures.tone_ratio.max() > Limits.tone) != mains
     assert (figures.echo.max() > Limits.echo) != mains
 
@@ -49,17 +54,13 @@ def test_mains_that_the_sampling_folds_are_neither_a_tone_nor_a_repetition(
 @pytest.mark.parametrize("ringing_hz", [48.0, 57.0])
 def test_a_skin_that_vibrates_near_the_mains_does_not_pick_it_up(ringing_hz: float, hz: float) -> None:
     """Noise of 10 mV through a resonance is not read as mains of half that; a sine of 10 mV on top is, to 15 %."""
-    folder, rate_hz = read_folder(SAMPLE), 1000.0
-    sensor, time_s = replace(folder.sensor, sample_rate_hz=rate_hz), np.arange(30 * rate_hz) / rate_hz
-    turn, radius = 2 * np.pi * ringing_hz / rate_hz, 0.97
-    white = np.random.default_rng(0).normal(0.0, 1.0, (len(time_s), len(sensor.channels)))
+    rate_hz, radius = 1000.0, 0.97
+    time_s, turn = np.arange(30 * rate_hz) / rate_hz, 2 * np.pi * ringing_hz / rate_hz
+    white = np.random.default_rng(0).normal(0.0, 1.0, (len(time_s), 3))
     rung = lfilter([1.0], [1.0, -2 * radius * np.cos(turn), radius**2], white, axis=0)
-    volts = 1.65 + 0.01 * rung / rung.std(axis=0)
-    labels = folder.manifest.iloc[0].copy()
-    labels["motion_start_s"] = labels["motion_end_s"] = np.nan
-    assert measure(Recording("one", time_s, volts), labels, sensor).mains_v.max() < 0.005
-    picked_up = volts + 0.01 * np.sin(2 * np.pi * hz * time_s + 0.1)[:, None]
-    figures = measure(Recording("one", time_s, picked_up), labels, sensor)
+    rung *= 0.01 / rung.std(axis=0)
+    assert unlabelled(rung, rate_hz).mains_v.max() < 0.005
+    figures = unlabelled(rung + 0.01 * np.sin(2 * np.pi * hz * time_s + 0.1)[:, None], rate_hz)
     assert figures.mains_hz == hz
     assert figures.mains_v == pytest.approx(0.01, rel=0.15)
 

@@ -2,8 +2,9 @@
 
 import numpy as np
 
+# Both are chosen on synthetic paths (experiments/LOG.md). The limit is in variances at rest; noise alone exceeds it
+# four times in a thousand.
 MEMORY_S = 0.5
-# Times the variance at rest, which noise alone exceeds four times in a thousand.
 LARGEST_AT_REST = 2.0
 
 

@@ -89,8 +89,8 @@ class Evidence:
         """Takes a measurement (C,) V of the channels `use` (C,) bool, and forgets some of what was gained before.
 
         log_density: the logarithm of its density under the map, less C/2 log(2 pi), NaN where that is not known;
-        misfit: its chi-square over C; way_mm: of the step; vibration_v2: (C,) V^2,
-        what its variance is larger by than at rest. -> the logarithm of the step's odds.
+        misfit: its chi-square over C; way_mm: of the step; vibration_v2: (C,) V^2, what the variance of its noise is
+        larger by than at rest. -> the logarithm of the step's odds.
         """
         self._peak_v = max(self._peak_v, float(np.abs(volts[use]).max()))
         if not np.array_equal(use, self._use):

@@ -92,8 +92,8 @@ class SmoothSignal:
         across = float(whitened @ whitened) - amplitude**2
         variance = noise + (BENT * amplitude) ** 2
         others = len(whitened) - 1
-        extra = np.array([self._direction**2 @ vibration])
-        density = self._along.push(np.array([amplitude]), extra) - 0.5 * (
+        along = np.array([self._direction**2 @ vibration])
+        density = self._along.push(np.array([amplitude]), along) - 0.5 * (
             across / variance + others * math.log(variance)
         )
         self._moment += np.outer(whitened, whitened)
@@ -131,14 +131,16 @@ class Walks:
         weight = weight / weight.sum()
         return weight @ self._level, weight @ self._slope
 
-    def push(self, measured: np.ndarray, more: np.ndarray) -> np.ndarray:
-        """One measurement (C,) -> (S,), the logarithms of its predicted densities, less C/2 log(2 pi). more: (C,) V^2,
-        what the variance of its noise is larger by."""
+    def push(self, measured: np.ndarray, vibration_v2: np.ndarray) -> np.ndarray:
+        """One measurement (C,) -> (S,), the logarithms of its predicted densities, less C/2 log(2 pi).
+
+        vibration_v2: (C,) V^2, what the variance of its noise is larger by; the filters' gains stay those without it.
+        """
         self._level += self._step_s * self._slope
         gap = measured - self._level
         self._level += self._level_gain * gap
         self._slope += self._slope_gain * gap
-        spread = self._spread + more
+        spread = self._spread + vibration_v2
         return -0.5 * (gap**2 / spread + np.log(spread)).sum(1)
 
 
